@@ -18,8 +18,7 @@ from pickenv.arm.files.urdf_text import urdf_text
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.reading.description import DESCRIPTIONS, load_description
-from pickenv.calibration.reading.read import read_observations
-from pickenv.calibration.reading.targets import read_targets
+from pickenv.calibration.reading.read import read_observations, read_targets
 from pickenv.errors import InputError
 
 SECONDS = 5

@@ -18,7 +18,7 @@ from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.calibration import BpnnSettings, Measurements, simulated_tracker
-from pickenv.calibration.model.splits import BLOCKS
+from pickenv.calibration.model.observations import BLOCKS
 from pickenv.calibration.pipeline.fitting import fit
 from pickenv.errors import InputError
 from pickenv.inspect.runs.field_grid import field_grid

@@ -17,7 +17,7 @@ from pickenv.agents.policies.scripted import ScriptedReach
 from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import link_model, random_joints
-from pickenv.calibration.compensation.filtered_arms import aimed
+from pickenv.calibration.compensation.compensator import aimed
 from pickenv.calibration.identification import extended_kalman_filter
 
 ARRIVED = 0.02

@@ -17,8 +17,7 @@ from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import frames_model
+from pickenv.calibration.model.arm_model import ArmModel, frames_model
 from pickenv.calibration.model.prior import FRAMES
 
 POSES = 400

@@ -7,20 +7,110 @@ then wrong where nobody looks. So what is said to be known is tried as an unknow
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
 
+from pickenv.arm import Geometry, forward, parameter_jacobian
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.screen import Block, figure
-from pickenv.calibration.identification.alignment import apart
-from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import ErrorModel
+from pickenv.calibration.identification.least_squares import Identification, identify, is_angle
+from pickenv.calibration.identification.robust import apart, unknowns_of
+from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, ErrorModel, frames_model
 from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
-from pickenv.calibration.model.stacked import OWN, InstrumentStation, Stacked
+from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZEROS, PriorModel
+from pickenv.calibration.model.stacked import OWN, InstrumentStation, Stacked, frame_columns
+
+# What a calibration with fitted base and tool leaves open: the error in the robot's own base frame. An instrument
+# that stood anywhere cannot tell a base that lies elsewhere from links that shift or turn everything alike. The
+# commands then put the tool where the *fitted* base and tool want it. How far that is from where the robot's own base
+# frame wants it depends on how far both lie from where the controller has them, which these data do not show; an
+# interval follows from an assumption that is printed with it. SI units.
+
+DRAWS = 400
+"""Bases and tools drawn."""
+
+SCALES = (0.2, 1.0)
+"""How far base and tool may lie from where the controller has them, one standard deviation per axis, in units of 1 mm
+and 1 mrad: nobody knows it better, so every size between counts alike (on a logarithmic scale)."""
+
+NEAR = 0.05
+"""A fitted base and tool that move the tool by less than this, m, suggest an instrument registered to the base."""
+
+
+@dataclass(frozen=True)
+class BaseFrameError:
+    """Mean position error in the robot's own base frame, over the poses judged.
+
+    Attributes:
+        low: Lower end of its 95 % interval, m; NaN where no position was measured.
+        high: Upper end, m.
+        moved: Mean distance, over the same poses, between the nominal tool with the fitted base and tool and with the
+            controller's own, m. Small where the instrument was registered to the base; then it is the error itself.
+        tracked: Whether the instrument states positions in its own frame, which may be the base's.
+    """
+
+    low: float
+    high: float
+    moved: float
+    tracked: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON and a calibration's record."""
+        return {
+            "mean_ci95_mm": None if np.isnan(self.low) else [self.low * 1e3, self.high * 1e3],
+            "assumed_std_mm": [scale * LENGTH_TOLERANCE * 1e3 for scale in SCALES],
+            "assumed_std_mrad": [scale * ANGLE_TOLERANCE * 1e3 for scale in SCALES],
+            "frames_moved_mm": self.moved * 1e3,
+        }
+
+    def sentences(self) -> str:
+        """For people."""
+        unseen = "base and tool were fitted, so the instrument cannot tell where the robot's base stands"
+        if np.isnan(self.low):
+            return f"{unseen}, nor where its tool is, for it sees directions and no positions"
+        text = (
+            f"{unseen}; in the robot's own base frame the mean error is {self.low * 1e3:#.3g} to "
+            f"{self.high * 1e3:#.3g} mm (95 % interval, if base and tool lie {SCALES[0]:g} to {SCALES[1]:g} mm and "
+            "mrad, one standard deviation per axis, from where the controller has them)"
+        )
+        if self.tracked and self.moved < NEAR:
+            text += (
+                f"; the fitted frames move the tool by {self.moved * 1e3:#.3g} mm: if the instrument is registered to "
+                "the base and sees the controller's own tool, calibrate with --frames known"
+            )
+        return text
+
+
+def base_frame_error(
+    nominal: Geometry, fitted: Geometry, joints: ArrayLike, left: Array, tracked: bool = True
+) -> BaseFrameError:
+    """The interval of the mean error in the robot's own base frame; the same every time.
+
+    Args:
+        nominal: The arm as its controller has it.
+        fitted: The same with the fitted base and tool.
+        joints: Poses ``(N, n)``.
+        left: What the calibration leaves at them in the instrument's frame ``(N, 3 or more)``, m.
+        tracked: Whether the instrument states positions in its own frame.
+    """
+    joints = np.asarray(joints, dtype=float)
+    model = frames_model(nominal)
+    jacobian = parameter_jacobian(nominal, joints)[:, :3][..., model.columns]
+    rng = np.random.default_rng(0)
+    sizes = np.exp(rng.uniform(np.log(SCALES[0]), np.log(SCALES[1]), (DRAWS, 1)))
+    draws = sizes * rng.normal(size=(DRAWS, len(model.columns))) * model.tolerance
+    missed = np.einsum("nip,dp->dni", jacobian, draws) + left[:, :3]
+    low, high = np.percentile(np.linalg.norm(missed, axis=2).mean(axis=1), [2.5, 97.5])
+    moved = np.linalg.norm(forward(nominal, joints).position - forward(fitted, joints).position, axis=1).mean()
+    return BaseFrameError(float(low), float(high), float(moved), tracked)
+
 
 CONTRADICTED = 5.0
 """A number that lies so many standard deviations from what is said of it is wrong, or something else is."""
@@ -155,3 +245,108 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Ite
     ]
     if unused:
         yield "note", f"nothing that was fitted depends on what was recorded of {' and '.join(unused)} (see --terms)"
+
+
+# What stands against what was said before measuring: another arm, frames that are not known, a region of its own.
+# Priors make such a fit say so: it is near the rows, and many standard deviations from what the drawing and the
+# statement allow. SI units; mm and degrees in sentences.
+
+
+PART_OFF = 8.0
+"""A link farther from its drawing than so many standard deviations of its class is none of that class. Eight measured
+series of six arms keep below 6.1; a UR5e's rows given as a UR5's have 20."""
+
+FRAME_OFF = 1e-5
+"""A frame that is said to be known is off where parts of the class would move the whole arm so far this rarely."""
+
+ZEROS_OFF = 10.0
+"""Joints' zeros are set in the field, and may be off by so many times what parts are."""
+
+SURE_BY = 2.0
+"""A link is surely so far where that many of its own standard deviations are taken off."""
+
+ONE_STEP = 0.5
+"""One step at a joint's angle may explain this share of what remains: eight measured series keep below 0.16."""
+
+STEPS = np.linspace(0.1, 0.9, 17)
+"""Quantiles of a joint at which a step is looked for."""
+
+POSES = 200
+"""Joint vectors over which the arm is moved as a whole."""
+
+
+def said_against(found: Identification, data: Observations) -> Iterator[tuple[Literal["caution"], str]]:
+    """What a reader must know of it, as cautions.
+
+    Args:
+        found: The identification of the geometry.
+        data: The rows that it was made from.
+    """
+    prior = found.prior
+    if prior is None or not prior.proper:
+        return
+    frames = [text for which in ("base", "tool") if FRAMES not in prior.group for text in _frame(found, prior, which)]
+    for text in (*(frames or _link(found, prior)), *_region(found, data)):
+        yield "caution", text
+
+
+def _link(found: Identification, prior: PriorModel) -> Iterator[str]:
+    names, change = prior.parameters.names, prior.start.difference(found.arm_model)[prior.parameters.columns]
+    known = dict(zip(found.identifiability.names, np.nan_to_num(found.standard_deviation), strict=True))
+    least = np.abs(change) - SURE_BY * np.array([known[name] for name in names])
+    links = np.array([not name.startswith(("base_", "tool_")) for name in names])
+    sizes = np.where(links & np.isin(prior.group, (LENGTHS, ANGLES)), least / prior.std, 0.0)
+    worst = int(np.argmax(sizes))
+    if sizes[worst] > PART_OFF:
+        name = names[worst]
+        shown = f"{np.degrees(change[worst]):.3g} deg" if is_angle(name) else f"{change[worst] * 1e3:.3g} mm"
+        yield (
+            f"{name} lies {shown} from its drawing, {sizes[worst]:.0f} times what parts of {prior.source} differ by: "
+            "these rows may be of another arm than the one named; check the arm, or name its class with --tolerances"
+        )
+
+
+def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str]:
+    """How the arm was moved as a whole, by base or tool, against how arms of the class are."""
+    geometry, links = found.geometry, prior.group != TERMS
+    columns = prior.parameters.columns[links]
+    joints = random_joints(geometry, POSES, np.random.default_rng(0))
+    jacobian = ArmModel.of(geometry).jacobian(joints).reshape(6 * POSES, -1)
+    whole = np.linalg.pinv(jacobian[:, frame_columns(geometry, which)]) @ jacobian[:, columns]
+    moved = whole @ prior.start.difference(found.arm_model)[columns]
+    std = np.where(prior.group == ZEROS, ZEROS_OFF, 1.0)[links] * prior.std[links]
+    covariance = (whole * std**2) @ whole.T
+    if stats.chi2.sf(moved @ np.linalg.solve(covariance, moved), len(moved)) < FRAME_OFF:
+        yield (
+            f"the {which} is said to be known, but by these rows it is off by {np.linalg.norm(moved[:3]) * 1e3:.3g} mm "
+            f"and {np.degrees(np.linalg.norm(moved[3:])):.2g} deg, more than arms of {prior.source} can be; give "
+            "--frames fitted, or correct it in the arm's file"
+        )
+
+
+def _region(found: Identification, data: Observations) -> Iterator[str]:
+    """Whether one step at a joint's angle explains most of what remains."""
+    if not isinstance(data, Measurements) or len(data) < len(STEPS):
+        return
+    misses = data.misses(found.arm_model, unknowns_of(found, data))
+    steps = [(*_step(data.joints[:, joint], misses), joint) for joint in range(data.joints.shape[1])]
+    share, at, size, joint = max(steps)
+    if share > ONE_STEP:
+        unit, scale = ("mm", 1e3) if data.prismatic[joint] else ("deg", float(np.degrees(1.0)))
+        yield (
+            f"where {found.geometry.joint_names[joint]} is above {at * scale:.3g} {unit} the arm behaves otherwise: "
+            f"rows there lie {size * 1e3:.3g} mm from those below, beyond what any geometry explains; look for what "
+            "sags, touches or slips there, or leave these rows out"
+        )
+
+
+def _step(values: Array, misses: Array) -> tuple[float, float, float]:
+    """Largest share of the misses' squares that one step explains, where it is, and its size, m."""
+    best = (0.0, 0.0, 0.0)
+    for at in np.quantile(values, STEPS).tolist():
+        above = values > at
+        high, low = (misses[side].mean(axis=0) if side.any() else np.zeros(3) for side in (above, ~above))
+        explained = above.sum() * high @ high + (~above).sum() * low @ low
+        share = float(explained / max(np.sum(misses**2), 1e-300))
+        best = max(best, (share, at, float(np.linalg.norm(high - low))))
+    return best

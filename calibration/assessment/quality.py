@@ -18,8 +18,7 @@ from scipy import stats
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.expected_errors import SURE, Workspace
 from pickenv.calibration.identification.least_squares import Identification, is_angle
-from pickenv.calibration.model.identifiability import Identifiability
-from pickenv.calibration.model.observability import Observability, observability_of
+from pickenv.calibration.model.identifiability import Identifiability, Observability, observability_of
 from pickenv.calibration.model.observations import MISS_UNITS
 
 CORRELATED = 0.9

@@ -7,20 +7,132 @@ upper left, in m, as OpenCV numbers them. Only what finds or draws markers needs
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import KW_ONLY
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.pixels import Lens
 from pickenv.errors import InputError
 from pickenv.extras import require
-from pickenv.files import write_whole
-from pickenv.texts import is_file, shortened
+from pickenv.files import write_text, write_whole
+from pickenv.texts import is_file, read_text, shortened
 from pickenv.toml_tables import MM, WHOLE, Check, read, toml_table
+
+# A camera's lens in the files that others write: ROS camera_info YAML and OpenCV's own YAML, in and out. Written
+# against ROS 2's camera_calibration_parsers (plumb_bob) and OpenCV's FileStorage, YAML 1.0.
+
+LensFormat = Literal["ros", "opencv"]
+MATRIX = ("camera_matrix", "cameraMatrix", "K")
+DISTORTION = ("distortion_coefficients", "distCoeffs", "D")
+MODELS = ("plumb_bob", "opencv5")
+"""What ROS calls the distortion of `pickenv.calibration.model.pixels`."""
+COEFFICIENTS = 5
+
+
+def read_lens(path: str | Path) -> Lens:
+    """Read a lens from a ROS camera_info file or an OpenCV file (.yaml, .yml).
+
+    Raises:
+        InputError: If the file is missing, is neither, or has another kind of distortion.
+    """
+    path = Path(path)
+    if not is_file(path):
+        raise InputError(f"camera file {path} does not exist; give a ROS camera_info or OpenCV YAML file")
+    text = read_text(path, "a camera file")
+    if text.startswith("%YAML:1.0"):  # OpenCV's header is no YAML
+        text = text.partition("\n")[2]
+    found = _content(text, path)
+    if not isinstance(found, dict):
+        raise InputError(f"{path}: holds no camera; give a ROS camera_info or OpenCV YAML file")
+    model = found.get("distortion_model", "plumb_bob")
+    if model not in MODELS:
+        raise InputError(f"{path}: distortion_model '{model}' is not known; give a camera calibrated with plumb_bob")
+    matrix, distortion = _numbers(path, found, MATRIX), _numbers(path, found, DISTORTION)
+    if matrix.size != 9:
+        raise InputError(f"{path}: the camera matrix has {matrix.size} numbers; it needs 9")
+    if distortion.size < 4 or np.any(distortion[COEFFICIENTS:]):
+        raise InputError(f"{path}: distortion has {distortion.size} coefficients; give k1, k2, p1, p2 and, if any, k3")
+    matrix = matrix.reshape(3, 3)
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[2, 2] == 1.0):
+        raise InputError(f"{path}: the camera matrix is none: focal lengths must be above zero, and its last number 1")
+    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.resize(distortion, 4), 0.0])
+    if distortion.size >= COEFFICIENTS:
+        values[8] = distortion[4]
+    return Lens(
+        values, (_size(path, found, "width"), _size(path, found, "height")), str(found.get("camera_name", path.stem))
+    )
+
+
+def write_lens(lens: Lens, path: str | Path, form: LensFormat = "ros") -> Path:
+    """Write a lens as ROS camera_info YAML, or as OpenCV's, whole or not at all; all digits are kept."""
+    import yaml
+
+    fx, fy, cx, cy, *distortion = (float(value) for value in lens.values)
+    matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    width, height = lens.size
+    if form == "opencv":
+        lines = ["%YAML:1.0", "---", f"image_width: {width}", f"image_height: {height}"]
+        for name, rows, values in (("camera_matrix", 3, matrix), ("distortion_coefficients", 1, distortion)):
+            lines += [f"{name}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {len(values) // rows}", "   dt: d"]
+            lines.append(f"   data: {values!r}")
+        return write_text(Path(path), "\n".join(lines) + "\n")
+    projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    content: dict[str, Any] = {
+        "image_width": width,
+        "image_height": height,
+        "camera_name": lens.name,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": {"rows": 1, "cols": COEFFICIENTS, "data": distortion},
+        "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel().tolist()},
+        "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
+    }
+    return write_text(Path(path), yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
+
+
+def _content(text: str, path: Path) -> Any:
+    """What YAML holds that also knows OpenCV's matrices."""
+    import yaml  # late: a camera file is read once
+
+    class Loader(yaml.SafeLoader):
+        """A safe loader, with one harmless tag more."""
+
+    def matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> Any:
+        return loader.construct_mapping(node, deep=True)
+
+    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
+    try:
+        return yaml.load(text, Loader)
+    except yaml.YAMLError as error:
+        place = getattr(error, "problem_mark", None)
+        where = f", line {place.line + 1}" if place is not None else ""
+        raise InputError(f"{path}{where}: is not YAML; give a ROS camera_info or OpenCV YAML file") from error
+
+
+def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array:
+    """The numbers of a matrix under one of its names."""
+    given = next((found[name] for name in names if name in found), None)
+    values = given.get("data") if isinstance(given, dict) else given
+    try:
+        numbers = np.asarray(values, dtype=float).ravel()
+    except (TypeError, ValueError):
+        numbers = np.array([np.nan])
+    if given is None or not np.isfinite(numbers).all():
+        raise InputError(f"{path}: '{names[0]}' is missing or holds no numbers; give a ROS camera_info or OpenCV file")
+    return numbers
+
+
+def _size(path: Path, found: dict[str, Any], side: str) -> int:
+    value = found.get(f"image_{side}")
+    if not isinstance(value, int) or value < 1:
+        raise InputError(f"{path}: 'image_{side}' is missing; give the size of the pictures that the lens is for")
+    return value
+
 
 Grey = NDArray[np.uint8]
 
@@ -213,3 +325,156 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
         va="center",
     )
     return write_whole(path, lambda temporary: figure.savefig(temporary, format=path.suffix[1:]))
+
+
+# Finding a board's corners in a picture: where they are, how sure that is, and why a picture shows none. A corner's
+# uncertainty follows from the picture itself: noise against the gradients around it (Foerstner 1987). OpenCV finds;
+# the figures are ours.
+
+
+FEW_MARKERS = 4
+"""So few markers of a board may be all that a picture shows of it."""
+
+WINDOW = 5
+"""px; a corner is refined, and judged, within a square of this half width."""
+
+LEAST_STD = MappingProxyType({"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3})
+"""px; no corner is surer, whatever its picture's noise: crossings of edges, and the outer corners of tags, which blur
+shifts (both measured on rendered pictures)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FoundCorners:
+    """A board's corners in one picture.
+
+    Attributes:
+        pixels: ``(K, 2)``, px; nothing where a corner was not found.
+        seen: Whether each was found ``(K,)``.
+        std: Standard uncertainty of each coordinate ``(K,)``, px; 1 where not found.
+        size: Width and height of the picture, px.
+        remark: Why none was found; empty where some were.
+    """
+
+    pixels: Array
+    seen: NDArray[np.bool_]
+    std: Array
+    size: tuple[int, int]
+    remark: str = ""
+
+
+def find_corners(board: Board, picture: Grey, where: str) -> FoundCorners:
+    """Find the board's corners.
+
+    Args:
+        board: The board.
+        picture: Grey values ``(h, w)``.
+        where: The picture's name, for messages.
+
+    Raises:
+        InputError: If no corner is found; the message says what was seen instead.
+    """
+    count = len(board.corners)
+    numbers, places = _found(board, picture)
+    if not len(numbers):
+        raise InputError(f"{where}: no corner of the board was found; {_reason(board, picture)}")
+    pixels, seen, std = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
+    pixels[numbers], seen[numbers] = places, True
+    std[numbers] = corner_std(picture, places, LEAST_STD[board.kind])
+    height, width = picture.shape
+    return FoundCorners(pixels, seen, std, (width, height))
+
+
+def no_corners(board: Board, size: tuple[int, int], remark: str) -> FoundCorners:
+    """A picture of ``size`` (px) that shows no corner, and why."""
+    count = len(board.corners)
+    return FoundCorners(np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count), size, remark)
+
+
+def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) -> Array:
+    """Standard uncertainty of corners ``(N, 2)`` along their worse direction ``(N,)``, px.
+
+    Where the picture's noise of standard deviation s meets gradients g, the covariance is s^2 (sum g g^T)^-1.
+    """
+    grey = picture.astype(float)
+    down, across = np.gradient(grey)
+    noise = picture_noise(grey)
+    found = np.empty(len(corners))
+    for i, (x, y) in enumerate(np.rint(corners).astype(int)):
+        window = (slice(max(y - half, 0), y + half + 1), slice(max(x - half, 0), x + half + 1))
+        g = np.stack([across[window].ravel(), down[window].ravel()])
+        found[i] = noise / np.sqrt(max(float(np.linalg.eigvalsh(g @ g.T)[0]), 1e-9))
+    return np.hypot(found, least)
+
+
+def picture_noise(grey: Array) -> float:
+    """Standard deviation of a picture's noise in grey values (Immerkaer 1996), robustly: edges do not count."""
+    inner = (
+        grey[:-2, :-2]
+        + grey[:-2, 2:]
+        + grey[2:, :-2]
+        + grey[2:, 2:]
+        + 4.0 * grey[1:-1, 1:-1]
+        - 2.0 * (grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:])
+    )
+    return max(float(np.median(np.abs(inner))) / 0.6745 / 6.0, 0.3)  # no less than rounding to whole grey values
+
+
+def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
+    """Numbers of the corners found and their places, px."""
+    cv2 = opencv()
+    none = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+    if board.kind == "chessboard":
+        inner = (board.columns - 1, board.rows - 1)
+        found, places = cv2.findChessboardCornersSB(picture, inner, flags=cv2.CALIB_CB_ACCURACY)
+        return (np.arange(inner[0] * inner[1]), _upright(picture, places.reshape(-1, 2), inner)) if found else none
+    if board.kind == "charuco":
+        places, numbers, _, _ = cv2.aruco.CharucoDetector(opencv_board(board)).detectBoard(picture)
+        if numbers is None:
+            return none
+        return numbers.ravel().astype(np.int64), places.reshape(-1, 2).astype(float)
+    corners, tags = _markers(board, picture)
+    known = [i for i, tag in enumerate(tags) if tag < board.columns * board.rows]
+    if not known:
+        return none
+    numbers = np.concatenate([4 * tags[i] + np.arange(4) for i in known])
+    return numbers, np.concatenate([corners[i].reshape(-1, 2) for i in known]).astype(float)
+
+
+def _upright(picture: Grey, places: Array, inner: tuple[int, int]) -> Array:
+    """A chessboard's corners from its black outer square on; found from the other end, that square is white."""
+    grid = places.reshape(inner[1], inner[0], 2).astype(float)
+    right, down = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
+    first, second = (
+        _grey_at(picture, grid[0, 0] + 0.5 * (x * right - down)) for x in (-1.0, 1.0)
+    )  # the outer square, and the one beside it, which has the other colour
+    return (grid if first < second else grid[::-1, ::-1]).reshape(-1, 2)
+
+
+def _grey_at(picture: Grey, place: Array) -> float:
+    x, y = np.rint(place).astype(int)
+    height, width = picture.shape
+    return float(picture[min(max(y, 0), height - 1), min(max(x, 0), width - 1)])
+
+
+def _markers(board: Board, picture: Grey) -> tuple[list[Any], list[int]]:
+    """Corners and numbers of all markers of the board's dictionary."""
+    cv2 = opencv()
+    how = cv2.aruco.DetectorParameters()
+    how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    corners, tags, _ = cv2.aruco.ArucoDetector(opencv_board(board).getDictionary(), how).detectMarkers(picture)
+    return list(corners), [] if tags is None else tags.ravel().tolist()
+
+
+def _reason(board: Board, picture: Grey) -> str:
+    """Why a picture may show no corner."""
+    if len(_found(board, np.ascontiguousarray(picture[:, ::-1]))[0]):
+        return "it is mirrored; give pictures as the camera makes them, not as a mirror shows them"
+    if board.kind == "chessboard":
+        return f"all {board.columns} x {board.rows} squares must be in it; check [board], light and focus"
+    tags = _markers(board, picture)[1]
+    if tags and len(tags) <= FEW_MARKERS and max(tags) < board.columns * board.rows // 2:
+        return f"it shows {len(tags)} of its markers, too few to tell a corner; have more of the board in it"
+    if tags:
+        shown = ", ".join(map(str, sorted(tags)[:5]))
+        return f"it shows markers of {board.dictionary} (numbers {shown}), but of another board; check [board]"
+    return f"it shows no marker of {board.dictionary}; check [board], light and focus"

@@ -10,16 +10,406 @@ tool along or about the last axis is the joint's as well, and is given to the jo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+import math
+import re
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Geometry, rotation_matrix, rotation_vector
-from pickenv.arm.files.joint_chain import ChainJoint
-from pickenv.arm.kinematics.geometry import Pose, behind, identity_pose, inverse_pose
-from pickenv.calibration.delivery.same_chain import SameChain, link_frames
+from pickenv.arm import Geometry, forward, rotation_matrix, rotation_vector
+from pickenv.arm.files.joint_chain import ChainJoint, JointRow
+from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
+from pickenv.arm.kinematics.geometry import Array, Pose, behind, identity_pose, inverse_pose
+from pickenv.calibration.identification.robust import apart
+from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.errors import InputError
+from pickenv.texts import shortened
+
+# What every file that holds a corrected arm says of where it comes from, and of what it does not hold.
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """A file to be written.
+
+    Attributes:
+        data: Its bytes.
+        notes: What it holds of a calibration, and what it does not, a sentence each.
+    """
+
+    data: bytes
+    notes: tuple[str, ...] = ()
+
+
+def provenance(calibration: Calibration) -> tuple[str, ...]:
+    """Where a corrected arm comes from, one fact per line."""
+    record = calibration.record
+    lines = [
+        f"Arm '{calibration.arm_name}' as calibrated by pickenv; do not edit, calibrate again.",
+        f"nominal geometry: fingerprint {calibration.arm_fingerprint}",
+        f"data: {record.get('source', 'unknown')}, {record.get('poses', '?')} poses ({record.get('kind', '?')}), "
+        f"fingerprint {record.get('data_fingerprint', 'unknown')}",
+        f"identified parameters: {record.get('rank', '?')}; redundant ones keep their nominal values: "
+        + (", ".join(record.get("dropped", {})) or "none"),
+    ]
+    versions: Mapping[str, Any] = record.get("versions", {})
+    if versions:
+        lines.append("versions: " + ", ".join(f"{name} {value}" for name, value in versions.items()))
+    left = left_out(calibration)
+    if left:
+        lines.append(f"not in this file, because no geometry can hold it: {', '.join(left)}")
+    return tuple(lines)
+
+
+def left_out(calibration: Calibration) -> list[str]:
+    """What a calibration knows beside its geometry, which files of rigid links cannot hold."""
+    found = [type(term).__name__ for term in calibration.model.terms]
+    if calibration.learnt is not None:
+        found.append(f"learnt residual '{calibration.learnt.kind}'")
+    return found
+
+
+# Editing XML as text: attributes of start tags are replaced, and every other byte stays as it is. Nothing is parsed
+# and written again, so comments, order, spaces, quotes and line ends are kept.
+
+
+ATTRIBUTE = re.compile(rb"""\s+([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
+
+
+@dataclass(frozen=True)
+class StartTag:
+    """Where an element starts in a text.
+
+    Attributes:
+        name: Of the element.
+        attributes: By name.
+        start: First byte, its ``<``.
+        end: The byte after its ``>``.
+        parent: Place of the element around it in `start_tags`; None for the root.
+    """
+
+    name: str
+    attributes: Mapping[str, str]
+    start: int
+    end: int
+    parent: int | None
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Bytes ``start`` to ``end`` are replaced by ``new``."""
+
+    start: int
+    end: int
+    new: bytes
+
+
+def start_tags(data: bytes) -> list[StartTag]:
+    """Every element of an XML text in UTF-8, in its order.
+
+    Raises:
+        xml.parsers.expat.ExpatError: If it is no XML.
+    """
+    found: list[StartTag] = []
+    around: list[int] = []
+    parser = expat.ParserCreate("utf-8")
+
+    def start(name: str, attributes: dict[str, str]) -> None:
+        first = parser.CurrentByteIndex
+        found.append(StartTag(name, attributes, first, _end(data, first), around[-1] if around else None))
+        around.append(len(found) - 1)
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda _: around.pop()
+    parser.Parse(data, True)
+    return found
+
+
+def _end(data: bytes, start: int) -> int:
+    """The byte after the ``>`` of a tag; one within quotes is none."""
+    quote = b""
+    for place in range(start, len(data)):
+        byte = data[place : place + 1]
+        if quote:
+            quote = b"" if byte == quote else quote
+        elif byte in (b'"', b"'"):
+            quote = byte
+        elif byte == b">":
+            return place + 1
+    return len(data)
+
+
+def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, int, int]], int]:
+    """Where each attribute of a tag starts, its value starts and ends; and where the last one ends."""
+    after = tag.start + 1 + len(tag.name.encode())
+    spans: dict[str, tuple[int, int, int]] = {}
+    while (one := ATTRIBUTE.match(data, after)) is not None:
+        spans[one[1].decode()] = (one.start(1), one.start(2) + 1, one.end(2) - 1)
+        after = one.end()
+    return spans, after
+
+
+def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> list[Edit]:
+    """What gives attributes of a tag new values; one that it lacks is added behind its others."""
+    spans, after = attribute_spans(data, tag)
+    new = "".join(f' {name}="{value}"' for name, value in values.items() if name not in spans)
+    found = [Edit(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]
+    return [*found, Edit(after, after, new.encode())] if new else found
+
+
+def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
+    """What puts an element right behind a start tag, on a line as the next one has it."""
+    rest = data[tag.end :]
+    return Edit(tag.end, tag.end, rest[: len(rest) - len(rest.lstrip())] + element.encode())
+
+
+def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
+    """The text with all its edits."""
+    parts, after = [], 0
+    for edit in sorted(edits, key=lambda edit: edit.start):
+        parts += [data[after : edit.start], edit.new]
+        after = edit.end
+    return b"".join([*parts, data[after:]])
+
+
+# Whether a file's chain of joints is the arm that was calibrated, told in other frames. A vendor's file and a table
+# of DH parameters describe one arm where, joint by joint, the axes can be laid upon one another: the file's root
+# stands somewhere in the table's base frame (G), and joint i of the table reads s_i q_i + z_i where the file's reads
+# q_i. Signs and zeros that leave the joints' readings as they are are preferred; what the first joint's zero could be
+# is taken as a turn of the root. Of an arm that begins with a slide, or has one before other axes have said where it
+# stands, joints must read alike in both. Metres and radians.
+
+
+NEAR, TURNED = 1e-4, 2e-4
+"""m and rad; how far axes may lie apart that are the same: what a file's last digits leave."""
+
+GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+POSES = 12
+"""Poses at which the frames of file and table are compared."""
+
+
+@dataclass(frozen=True, eq=False)
+class SameChain:
+    """How an arm's table and a file tell of one chain.
+
+    Attributes:
+        root: Pose of the table's world frame in the file's root.
+        sign: For each joint, 1 or -1 (n,).
+        zero: The table's joint values where the file's are zero (n,), rad or m.
+        apart: How far the frames of both lie apart at most, once laid upon one another at one pose: m, rad.
+    """
+
+    root: Pose
+    sign: Array
+    zero: Array
+    apart: tuple[float, float] = (0.0, 0.0)
+
+    def plain(self) -> bool:
+        """Whether joints read alike in both."""
+        return bool((self.sign == 1).all() and (self.zero == 0).all())
+
+
+@dataclass(frozen=True, eq=False)
+class _Axis:
+    """A joint axis: a point on it, its direction, and whether the joint slides."""
+
+    point: Array
+    direction: Array
+    slides: bool
+
+    def moved(self, by: Pose) -> _Axis:
+        return _Axis(by.position + by.rotation @ self.point, by.rotation @ self.direction, self.slides)
+
+    def apart(self, other: _Axis) -> tuple[float, float]:
+        """Distance, m (0 of slides), and angle, rad, to another axis."""
+        turned = math.atan2(np.linalg.norm(np.cross(self.direction, other.direction)), self.direction @ other.direction)
+        return (0.0 if self.slides else float(np.linalg.norm(_across(self.point - other.point, other)))), turned
+
+    def same(self, other: _Axis) -> bool:
+        near, turned = self.apart(other)
+        return near <= NEAR and turned <= TURNED
+
+
+def link_frames(geometry: Geometry, joints: Array) -> list[Pose]:
+    """Poses of the links ``(...)`` in the world at joints ``(..., n)``, first to last, before the tool."""
+    return [pose_of(frame) for frame in frames(np, chain_of(geometry), list(np.moveaxis(joints, -1, 0)))[1:]]
+
+
+def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameChain:
+    """How ``file`` tells of the same chain as ``arm``.
+
+    Args:
+        arm: The arm as it was before its calibration.
+        file: The chain of the file, root to tip.
+        name: What messages call the file.
+        arm_name: What they call the arm.
+
+    Raises:
+        InputError: If it is another arm; says from which joint on.
+    """
+    if arm.coupling != file.coupling or arm.slides != file.slides:
+        kinds = ["".join("P" if slides else "R" for slides in chain.slides) for chain in (file, arm)]
+        raise InputError(
+            f"{name} has the chain {kinds[0]} to its tip, but the calibrated arm '{arm_name}' is {kinds[1]}; give the "
+            "file of this arm, or name its last link as in file#link"
+        )
+    mine, theirs = _axes(arm), _axes(file)
+    worst = {0: mine[0].apart(theirs[0])}
+    for root, sign, zero in _fits(arm, mine, theirs, worst):
+        apart = _apart(arm, file, root, sign, zero)
+        if apart[0] <= 10 * NEAR and apart[1] <= 10 * TURNED:
+            return SameChain(root, sign, zero, apart)
+    joint = max(worst)
+    near, turned = worst[joint]
+    raise InputError(
+        f"{name} is of another arm than '{arm_name}': {file.link_names[joint]} lies {round(near * 1e3, 4):.3g} mm and "
+        f"{round(math.degrees(turned), 4):.3g} deg from where '{arm_name}' has it; give the file of the arm that was "
+        "calibrated"
+    )
+
+
+def _axes(geometry: Geometry) -> list[_Axis]:
+    poses = link_frames(geometry, np.zeros(geometry.joints))
+    return [
+        _Axis(pose.position, pose.rotation[:, 2], slides) for pose, slides in zip(poses, geometry.slides, strict=True)
+    ]
+
+
+def _fits(
+    arm: Geometry, mine: list[_Axis], theirs: list[_Axis], worst: dict[int, tuple[float, float]]
+) -> Iterator[tuple[Pose, Array, Array]]:
+    """Roots, signs and zeros with which the axes agree, the plainest first; ``worst`` learns where others part."""
+    n, free = len(mine), arm.coupling is None
+    signs = (1.0, -1.0) if free else (1.0,)
+
+    def further(i: int, by: Pose, sign: list[float], zero: list[float]) -> Iterator[tuple[list[float], list[float]]]:
+        """With axes 0 to i - 1 agreed, and the motion ``by`` of what stands on the last of them, the ways on."""
+        if i == n:
+            yield sign, [*zero, 0.0]
+            return
+        last, here = mine[i - 1].moved(by), mine[i].moved(by)
+        for turn in signs:
+            wanted = _Axis(theirs[i].point, turn * theirs[i].direction, theirs[i].slides)
+            for value in (0.0, *([_value(last, here, wanted)] if free and i > 1 else [])):
+                onwards = _along(last, value)
+                there = here.moved(onwards)
+                if there.same(wanted):
+                    yield from further(i + 1, behind(onwards, by), [*sign, turn], [*zero, value])
+                else:
+                    best = worst.get(i)
+                    found = there.apart(wanted)
+                    if best is None or sum(found) < sum(best):
+                        worst[i] = found
+
+    for turn in signs:
+        for root in _roots(mine, theirs, turn):
+            for sign, zero in further(1, root, [turn], []):
+                plain = np.ones(arm.joints), np.zeros(arm.joints)  # of joints that move several links
+                yield (root, np.array(sign), np.array(zero)) if free else (root, *plain)
+
+
+def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
+    """Where the first axes agree: as the frames are, then with all axes laid upon all, then the first upon the first.
+
+    About the first axis the second then says where; along it the first axis that is not parallel. Of an arm that begins
+    with a slide joints read alike.
+    """
+    wanted = _Axis(theirs[0].point, turn * theirs[0].direction, theirs[0].slides)
+    if mine[0].same(wanted):
+        yield identity_pose()
+    if turn == 1.0:
+        yield _laid(mine, theirs)
+    if mine[0].slides:
+        return
+    rotation, _ = Rotation.align_vectors(wanted.direction[None], mine[0].direction[None])
+    rise = turn * _height(theirs) - _height(mine)
+    laid = Pose(wanted.point + rise * wanted.direction - rotation.as_matrix() @ mine[0].point, rotation.as_matrix())
+    yield laid
+    if len(mine) == 1:
+        return
+    for second in (1.0, -1.0):
+        other = _Axis(theirs[1].point, second * theirs[1].direction, theirs[1].slides)
+        yield behind(_along(wanted, _value(wanted, mine[1].moved(laid), other)), laid)
+
+
+def _height(axes: list[_Axis]) -> float:
+    """How far along the first axis, from its point, the chain leaves it; 0 where it does not, or where a slide does.
+
+    It leaves at the common normal of the last axis that is parallel to it and the next one, whatever the joints read.
+    """
+    first = axes[0]
+    for last, following in itertools.pairwise(axes):
+        if following.slides:
+            return 0.0
+        across, gap = _across(following.direction, last), following.point - last.point
+        if np.linalg.norm(across) > TURNED:
+            along = (gap @ last.direction - (gap @ following.direction) * (last.direction @ following.direction)) / (
+                across @ across
+            )
+            return float((last.point + along * last.direction - first.point) @ first.direction)
+    return 0.0
+
+
+def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
+    """The root with which axes agree best where joints read alike: directions first, then places, least squares."""
+    with warnings.catch_warnings():  # parallel axes leave it open; another root is tried then
+        warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
+        turn = Rotation.align_vectors([axis.direction for axis in theirs], [axis.direction for axis in mine])[0]
+    rotation = turn.as_matrix()
+    across = [np.eye(3) - np.outer(axis.direction, axis.direction) for axis in theirs if not axis.slides]
+    gaps = [own.point - rotation @ axis.point for axis, own in zip(mine, theirs, strict=True) if not own.slides]
+    if not gaps:
+        return Pose(np.zeros(3), rotation)
+    apart = np.concatenate([matrix @ gap for matrix, gap in zip(across, gaps, strict=True)])
+    return Pose(np.linalg.lstsq(np.concatenate(across), apart, rcond=None)[0], rotation)
+
+
+def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
+    """How far the joint of ``last`` brings ``here`` to ``wanted``; 0 where it cannot tell."""
+    if last.slides:
+        if wanted.slides:
+            return 0.0
+        step, gap = _across(last.direction, wanted), _across(wanted.point - here.point, wanted)
+        return float(step @ gap / (step @ step)) if step @ step > TURNED**2 else 0.0
+    start, end = (_across(axis.direction, last) for axis in (here, wanted))
+    if min(np.linalg.norm(start), np.linalg.norm(end)) < TURNED:  # parallel: the places tell
+        start, end = (_across(axis.point - last.point, last) for axis in (here, wanted))
+        if min(np.linalg.norm(start), np.linalg.norm(end)) < NEAR or wanted.slides:
+            return 0.0
+    return math.atan2(np.cross(start, end) @ last.direction, start @ end)
+
+
+def _across(vector: Array, axis: _Axis) -> Array:
+    """The part of a vector across an axis."""
+    return np.asarray(vector - axis.direction * (axis.direction @ vector))
+
+
+def _along(axis: _Axis, value: float) -> Pose:
+    """The motion of a joint by ``value``."""
+    if axis.slides:
+        return Pose(value * axis.direction, np.eye(3))
+    turn = Rotation.from_rotvec(value * axis.direction).as_matrix()
+    return Pose(axis.point - turn @ axis.point, turn)
+
+
+def _apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: Array) -> tuple[float, float]:
+    """How far K_i = N_i^-1 G^-1 U_i changes over poses, m and rad, N_i of the table and U_i of the file."""
+    fractions = np.mod(GOLDEN * np.arange(1, POSES * file.joints + 1).reshape(POSES, -1), 1.0) - 0.5
+    joints = np.where(file.prismatic, 1.0, np.pi) * np.vstack([np.zeros(file.joints), fractions])
+    most = np.zeros(2)
+    for table, own in zip(link_frames(arm, joints * sign + zero), link_frames(file, joints), strict=True):
+        laid = behind(inverse_pose(behind(root, table)), own)
+        turned = Rotation.from_matrix(laid.rotation @ laid.rotation[0].T).magnitude()
+        most = np.maximum(most, [np.linalg.norm(laid.position - laid.position[0], axis=-1).max(), turned.max()])
+    return float(most[0]), float(most[1])
+
 
 Z = np.array([0.0, 0.0, 1.0])
 PARALLEL = 1e-3
@@ -79,13 +469,13 @@ def corrected_chain(
     hand = behind(after[-1], found.tool)
     if joints and joints[-1].ratio:
         drawn, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
-        along = _along(behind(placed, inverse_pose(behind(inverse_pose(old), drawn))), joints[-1])
+        along = _slid_along(behind(placed, inverse_pose(behind(inverse_pose(old), drawn))), joints[-1])
         origins[-1], new = behind(origins[-1], along), behind(new, along)
     tip = behind(new, tool)
     return CorrectedChain(tuple(origins), tip, behind(inverse_pose(tip), hand), behind(inverse_pose(new), hand))
 
 
-def _along(moved: Pose, joint: ChainJoint) -> Pose:
+def _slid_along(moved: Pose, joint: ChainJoint) -> Pose:
     """The part of a small motion that shifts along a joint's axis and turns about it."""
     turn = joint.axis * (joint.axis @ rotation_vector(moved.rotation))
     return Pose(joint.axis * (joint.axis @ moved.position), rotation_matrix(turn))
@@ -121,3 +511,141 @@ def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
     turn = Rotation.align_vectors(sign * Z[None], axis[None])[0].as_matrix()
     position = laid.position if joint.slides else Z * laid.position[2]
     return Pose(position, turn @ laid.rotation)
+
+
+# What patching a robot's own file shares, whatever its format. Is it this arm, where do its joints stand now, what
+# may the file hold of a calibration and what may it not: a file holds the links. It does not hold where an instrument
+# stood or what it aimed at (base and tool that were fitted), nor terms and learnt residuals, for which no file of
+# rigid links has a place.
+
+
+NOTHING = 1e-12
+"""m and rad; an origin that moves by less keeps its text."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """What a file's joints are given.
+
+    Attributes:
+        chain: Where the joints stand.
+        same: How the file tells of the arm.
+        mount: New pose of the tip in the last joint's frame; None where it stays.
+        notes: What the file holds, and what it does not, a sentence each.
+    """
+
+    chain: CorrectedChain
+    same: SameChain
+    mount: Pose | None
+    notes: tuple[str, ...]
+
+
+def correction(calibration: Calibration, own: JointRow, path: Path) -> Correction:
+    """Where the joints of a robot's own file stand after calibration.
+
+    Args:
+        calibration: The calibration.
+        own: The file's joints.
+        path: The file, for messages.
+
+    Raises:
+        InputError: If the file is of another arm.
+    """
+    try:
+        geometry, _ = own.geometry()
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    same = same_chain(calibration.arm, geometry, path.name, calibration.arm_name)
+    known = calibration.record.get("frames") != "fitted"
+    chain = corrected_chain(calibration.arm, calibration.in_own_base, own.joints, own.tool, same)
+    retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
+    tool, tip = behind(same.root, forward(calibration.arm, same.zero)), forward(geometry, np.zeros(geometry.joints))
+    near, turned = apart(tool, tip)
+    at_tip = near <= NEAR and turned <= TURNED
+    mount = chain.mount if known and at_tip and own.mount is not None and retooled else None
+    return Correction(chain, same, mount, tuple(_notes(calibration, own, chain, same, mount)))
+
+
+def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
+    """The corrected pose of one element, before which others may be fixed that stay.
+
+    Args:
+        own: Pose that the element gives now.
+        whole: Pose that it gives with those fixed before it, since the joint before.
+        corrected: What this one becomes.
+    """
+    return behind(behind(own, inverse_pose(whole)), corrected)
+
+
+def is_moved(old: Pose, new: Pose) -> tuple[bool, bool]:
+    """Whether position and rotation differ by more than their last digits."""
+    position, turn = apart(old, new)
+    return position > NOTHING, turn > NOTHING
+
+
+def _notes(
+    calibration: Calibration, own: JointRow, chain: CorrectedChain, same: SameChain, mount: Pose | None
+) -> list[str]:
+    moves = {
+        joint.name: apart(joint.origin, new)
+        for joint, new in zip(own.joints, chain.origins, strict=True)
+        if any(is_moved(joint.origin, new))
+    }
+    notes = []
+    if moves:
+        far = max(moves, key=lambda name: moves[name][0])
+        turned = max(moves, key=lambda name: moves[name][1])
+        notes.append(
+            f"{len(moves)} of {len(own.joints)} joint origins corrected: by up to {moves[far][0] * 1e3:.3g} mm ({far}) "
+            f"and {math.degrees(moves[turned][1]):.3g} deg ({turned}); everything else is as it was"
+        )
+    else:
+        notes.append("no joint origin differs from what the file has; nothing is changed")
+    if not same.plain():
+        said = [
+            f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
+            for name, joint, sign, zero in zip(
+                calibration.arm.joint_names, _drivers(own), same.sign, same.zero, strict=True
+            )
+            if sign != 1 or zero
+        ]
+        notes.append(f"joints read otherwise in the file (rad, m): {', '.join(said)}; its own reading is kept")
+    if calibration.record.get("frames") == "fitted":
+        notes.append(
+            "base and tool were fitted: where the instrument stood and what it aimed at are no part of the robot, so "
+            "the file keeps its root and its tip; --as transforms writes both"
+        )
+    elif mount is not None:
+        notes.append(f"the tool's correction is in the fixed joint '{own.mount}' before the tip")
+    elif max(retooled := apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING:
+        notes.append(
+            f"the tool's correction ({retooled[0] * 1e3:.3g} mm, {math.degrees(retooled[1]):.3g} deg) is left out: the "
+            "file's tip is not the calibrated tool on a fixed joint; --as transforms writes it"
+        )
+    left = left_out(calibration)
+    if left:
+        notes.append(f"not in the file, because rigid links cannot hold it: {', '.join(left)}")
+    return notes
+
+
+def _drivers(own: JointRow) -> list[str]:
+    """Names of the joints that are commanded, in the file's order."""
+    return list(dict.fromkeys(joint.driver for joint in own.joints if joint.ratio))
+
+
+def refuse_lost_files(path: Path, out: Path, names: Sequence[str]) -> None:
+    """Refuse where a file names others beside it that are not there, or would not be found from the new file's place.
+
+    Raises:
+        InputError: Names the file and what to do.
+    """
+    for name in names:
+        if not name or "://" in name or Path(name).is_absolute():
+            continue
+        if not (path.parent / name).is_file():
+            raise InputError(f"{path} names '{shortened(name)}', which is not there; put it back or correct the name")
+        if not (out.parent / name).is_file():
+            raise InputError(
+                f"{out} would not find '{shortened(name)}' from where it stands; write it beside {path.name}, in "
+                f"{path.parent}"
+            )

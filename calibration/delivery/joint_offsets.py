@@ -9,18 +9,34 @@ all of it), as these data cannot tell them apart. SI units.
 
 from __future__ import annotations
 
+import csv
+import io
+import json
+import re
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from pickenv.arm import forward, joint_jacobian, parameter_jacobian, pose_error
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.error_model import frames_model
-from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.uncertainty import uncertainty_from
+from pickenv.arm import Geometry, forward, joint_jacobian, parameter_jacobian, pose_error, rotation_vector
+from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, LINK_PARAMETERS, Array
+from pickenv.calibration.delivery.corrected_chain import (
+    Document,
+    Edit,
+    StartTag,
+    edited,
+    inserted_first,
+    left_out,
+    provenance,
+    start_tags,
+)
+from pickenv.calibration.model.arm_model import frames_model
+from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.errors import InputError
+from pickenv.texts import decimal_number, listed, one_line, parsed, read_text, shortened
 
 STEPS = 6
 """Gauss-Newton steps; offsets of a few degrees need three."""
@@ -167,3 +183,326 @@ def _filling(calibration: Calibration) -> tuple[Array, str]:
     unit = qmc.Halton(arm.joints, scramble=False).random(SPREAD + 1)[1:]
     joints = (low + high) / 2 + half * (2.0 * unit - 1.0)
     return np.asarray(joints), "poses within the joint limits" if kept is None else "poses within the ranges measured"
+
+
+# LeRobot's calibration files: read, and given joint offsets. Written against LeRobot since its hardware redesign of
+# June 2025 (`MotorCalibration`, src/lerobot/motors/motors_bus.py): a JSON object with ``id``, ``drive_mode``,
+# ``homing_offset``, ``range_min`` and ``range_max`` per motor, in counts. A Feetech servo reports Present_Position =
+# Actual_Position - Homing_Offset, and LeRobot's degrees are (Present_Position - middle of the range) 360 / 4095. A
+# joint whose reading lacks some counts is therefore given a homing offset of as many counts less; the range keeps its
+# numbers, so its ends move along with the zero.
+
+
+COUNTS = 4095
+"""Counts that LeRobot takes for a turn of an STS3215: its resolution less one."""
+
+LARGEST_HOMING = 2047
+"""The servo keeps a sign and eleven bits."""
+
+FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
+
+
+@dataclass(frozen=True)
+class LerobotMotor:
+    """One motor of a LeRobot calibration, in counts."""
+
+    id: int
+    drive_mode: int
+    homing_offset: int
+    range_min: int
+    range_max: int
+
+    def limits(self) -> tuple[float, float]:
+        """Smallest and largest reading, rad: half the range to either side of its middle."""
+        half = (self.range_max - self.range_min) / COUNTS * np.pi
+        return -half, half
+
+
+def read_lerobot(path: str | Path) -> dict[str, LerobotMotor]:
+    """The motors of a LeRobot calibration file, by name.
+
+    Raises:
+        InputError: If it is none, or of the old form.
+    """
+    path = Path(path)
+    text = read_text(path, "a LeRobot calibration (.json)")
+    found: Any = parsed(lambda: json.loads(text), path, "JSON")
+    if isinstance(found, dict) and isinstance(found.get("homing_offset"), list):
+        raise InputError(
+            f"{path} is a LeRobot calibration from before its redesign of June 2025 (it lists homing_offset by "
+            "motor_names); run lerobot-calibrate of a newer LeRobot and give the file that it writes"
+        )
+    if not isinstance(found, dict) or not found:
+        raise InputError(f"{path} names no motors; give the calibration that lerobot-calibrate writes")
+    servos = {}
+    for name, motor in found.items():
+        for field in FIELDS:
+            if not isinstance(motor, dict) or type(motor.get(field)) is not int:
+                raise InputError(
+                    f"{path}: motor '{shortened(name)}' has no whole number '{field}'; give the calibration that "
+                    "lerobot-calibrate writes"
+                )
+        servos[name] = LerobotMotor(**{field: motor[field] for field in FIELDS})
+    return servos
+
+
+def onto_lerobot(found: JointOffsets, path: Path) -> Document:
+    """The text of a LeRobot calibration with corrected homing offsets; nothing else in it changes.
+
+    Args:
+        found: The offsets, of joints named as the motors are.
+        path: The file.
+
+    Raises:
+        InputError: If a joint has no motor of its name, or cannot be moved as far.
+    """
+    servos = read_lerobot(path)
+    data = path.read_bytes()
+    left, moved = 0.0, 0
+    for name, slides, offset in zip(found.names, found.slides, found.offsets, strict=True):
+        servo = servos.get(name)
+        if servo is None:
+            raise InputError(
+                f"{path} has no motor '{shortened(name)}', only {listed(servos)}; name the arm's joints as the motors"
+            )
+        if slides or servo.drive_mode:
+            why = "slides" if slides else "has drive_mode 1, which LeRobot reads in one of two ways"
+            raise InputError(f"joint '{shortened(name)}' {why}; its homing offset cannot be written")
+        exact = float(offset) * COUNTS / (2.0 * np.pi)
+        homing = servo.homing_offset - round(exact)
+        if abs(homing) > LARGEST_HOMING:
+            raise InputError(
+                f"joint '{shortened(name)}' would need a homing offset of {homing} counts, but the servo keeps "
+                f"{LARGEST_HOMING} at most; turn the horn on by a tooth, or home it elsewhere, and calibrate again"
+            )
+        left, moved = max(left, abs(exact - round(exact))), max(moved, abs(round(exact)))
+        pattern = rf'({re.escape(json.dumps(name))}\s*:\s*\{{[^{{}}]*?"homing_offset"\s*:\s*)-?\d+'.encode()
+        data, written = re.subn(pattern, rb"\g<1>" + str(homing).encode(), data)
+        if not written:
+            raise InputError(
+                f"{path}: the homing_offset of '{shortened(name)}' is not where LeRobot writes it; save it anew"
+            )
+    notes = (
+        found.note(),
+        f"homing offsets move by up to {moved} counts; rounding to whole counts leaves up to "
+        f"{360.0 / COUNTS * left:.2g} deg, and the ends of each range move along with its zero",
+        "taken for granted: angles were LeRobot's degrees with its sign (Feetech servos: present = actual - homing)",
+        "LeRobot will find on connecting that file and motors differ: let it use the file",
+    )
+    return Document(data, notes)
+
+
+# Joint offsets as files: a table with encoder counts, and ros2_control parameters. The arm stands at a joint's
+# reading plus its offset (`joint_offsets`). Tables are in degrees and mm; ros2_control's parameters in rad and m.
+# Written against dynamixel_hardware of July 2026, whose joints take ``<param name="offset">`` and report raw minus
+# offset.
+
+
+TABLE_FORMAT = "pickenv joint offsets 1"
+
+
+def offset_table(calibration: Calibration, found: JointOffsets, out: Path, counts_per_turn: int | None) -> Document:
+    """The offsets as CSV, or as JSON where ``out`` ends so: what to add to each joint's reading.
+
+    Args:
+        calibration: The calibration.
+        found: Its offsets.
+        out: Where it will be written.
+        counts_per_turn: Encoder counts per turn of a joint; gives turning joints a column of whole counts.
+    """
+    rows: list[dict[str, Any]] = []
+    for name, slides, value, deviation in zip(found.names, found.slides, found.offsets, found.deviation, strict=True):
+        scale = 1e3 if slides else float(np.degrees(1.0))
+        row: dict[str, Any] = {
+            "joint": name,
+            "unit": "mm" if slides else "deg",
+            "add_to_reading": float(value * scale),
+            "standard_deviation": None if np.isnan(deviation) else float(deviation * scale),
+        }
+        if counts_per_turn is not None:
+            row["counts"] = None if slides else round(value * counts_per_turn / (2.0 * np.pi))
+        rows.append(row)
+    return Document(table_bytes(rows, out, TABLE_FORMAT, (*provenance(calibration), found.note())), (found.note(),))
+
+
+def table_bytes(rows: list[dict[str, Any]], out: Path, written: str, words: tuple[str, ...]) -> bytes:
+    """Rows as CSV with comment lines above, or as JSON where ``out`` ends so; None is an empty cell."""
+    if out.suffix.lower() == ".json":
+        return (json.dumps({"format": written, "origin": list(words), "rows": rows}, indent=2) + "\n").encode()
+    text = io.StringIO()
+    for line in (written, *words):
+        text.write(f"# {one_line(line)}\n")
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue().encode()
+
+
+def ros2_offsets(calibration: Calibration, found: JointOffsets, onto: Path | None) -> Document:
+    """The offsets as ros2_control parameters: a fragment, or within the robot's own description.
+
+    A joint reports raw minus offset and shall report as much more as the calibration found, so that is taken off the
+    offset that it has.
+
+    Args:
+        calibration: The calibration.
+        found: Its offsets.
+        onto: The robot's description with its ``<ros2_control>``; None writes the joints alone, without ids.
+
+    Raises:
+        InputError: If a joint is not in the description.
+    """
+    notes = (found.note(),)
+    if onto is None:
+        lines = ["<!--", *(one_line(line).replace("--", "- -") for line in provenance(calibration))]
+        lines += [
+            "for dynamixel_hardware of July 2026: reported = raw - offset, rad and m; take each off the offset that "
+        ]
+        lines[-1] += "your joint has, if any"
+        lines += ["-->", "<ros2_control>"]
+        for name, value in zip(found.names, found.offsets, strict=True):
+            lines += [
+                f'  <joint name="{_escaped(name)}">',
+                f'    <param name="offset">{0.0 - float(value)!r}</param>',
+                "  </joint>",
+            ]
+        return Document(("\n".join([*lines, "</ros2_control>"]) + "\n").encode(), notes)
+    data, tags = _description(onto)
+    joints = _control_joints(tags)
+    edits: list[Edit] = []
+    for name, value in zip(found.names, found.offsets, strict=True):
+        if name not in joints:
+            named = "no <ros2_control> joint at all" if not joints else f"only {', '.join(map(shortened, joints))}"
+            raise InputError(
+                f"{onto} has no <ros2_control> joint '{shortened(name)}', {named}; name its joints as the arm's"
+            )
+        place = joints[name]
+        param = _offset_of(tags, place)
+        if param is None:
+            edits.append(inserted_first(data, tags[place], f'<param name="offset">{0.0 - float(value)!r}</param>'))
+        else:
+            end = data.index(b"<", param.end)
+            edits.append(Edit(param.end, end, repr(_value(data[param.end : end], name, onto) - float(value)).encode()))
+    return Document(edited(data, edits), notes)
+
+
+def read_ros2_offsets(path: Path) -> dict[str, float]:
+    """Offsets (rad, m) of the ``<ros2_control>`` joints of a robot description; 0 where a joint has none.
+
+    Raises:
+        InputError: If the file is unusable.
+    """
+    data, tags = _description(path)
+    found = {}
+    for name, place in _control_joints(tags).items():
+        param = _offset_of(tags, place)
+        found[name] = 0.0 if param is None else _value(data[param.end : data.index(b"<", param.end)], name, path)
+    return found
+
+
+def _description(path: Path) -> tuple[bytes, list[StartTag]]:
+    """Bytes and elements of a robot description."""
+    read_text(path, "a robot description")
+    data = path.read_bytes()
+    return data, parsed(lambda: start_tags(data), path, "XML")
+
+
+def _control_joints(tags: list[StartTag]) -> dict[str, int]:
+    """Places of the joints within ``<ros2_control>``, by name."""
+    controls = {i for i, tag in enumerate(tags) if tag.name == "ros2_control"}
+    return {
+        tag.attributes.get("name", ""): i
+        for i, tag in enumerate(tags)
+        if tag.name == "joint" and tag.parent in controls
+    }
+
+
+def _offset_of(tags: list[StartTag], joint: int) -> StartTag | None:
+    own = (tag for tag in tags if tag.parent == joint and tag.name == "param")
+    return next((tag for tag in own if tag.attributes.get("name") == "offset"), None)
+
+
+def _value(text: bytes, name: str, path: Path) -> float:
+    value = decimal_number(text.decode().strip())
+    if value is None or not np.isfinite(value):
+        raise InputError(f"{path}: the offset of joint '{shortened(name)}' is no number; write one, in rad or m")
+    return value
+
+
+def _escaped(name: str) -> str:
+    return one_line(name).replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
+
+
+# The corrected parameters as a plain table: modified and standard DH, before, after, change, standard deviation.
+# Modified (Craig): Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d), row i leads from link i - 1 to
+# i. Standard (Denavit, Hartenberg): Rot(z, theta) Trans(z, d) Trans(x, a) Rot(x, alpha) Rot(y, beta): the same
+# factors, grouped anew, so alpha, a and beta stand a row earlier; what comes before the first and after the last is
+# the table's row 0 and, in the last row, what the tool holds of it (zero here). Hayati's beta is zero where no axes
+# are parallel.
+
+
+DH_TABLES_TABLE_FORMAT = "pickenv DH parameters 1"
+BEHIND = ("alpha", "a", "beta")
+"""Parameters that standard tables have a row earlier."""
+
+
+def dh_table(calibration: Calibration, out: Path) -> Document:
+    """The table as CSV, or as JSON where ``out`` ends so; angles in degrees, lengths in mm.
+
+    Standard deviations are empty where a parameter kept its nominal value.
+    """
+    rows = _rows(calibration)
+    notes = [
+        "parameters without a standard deviation were not identified and keep their nominal values; others absorb them",
+    ]
+    left = left_out(calibration)
+    if left:
+        notes.append(f"not in the table, because no geometry can hold it: {', '.join(left)}")
+    return Document(table_bytes(rows, out, DH_TABLES_TABLE_FORMAT, (*provenance(calibration), *notes)), tuple(notes))
+
+
+def _rows(calibration: Calibration) -> list[dict[str, Any]]:
+    nominal, found = calibration.nominal, calibration.identified
+    sure = uncertainty_from(calibration.record)
+    known = {} if sure is None else dict(zip(sure.names, np.sqrt(np.diag(sure.covariance)), strict=True))
+
+    def row(table: str, number: int, label: str, name: str, values: tuple[float, float], angle: bool) -> dict[str, Any]:
+        scale = float(np.degrees(1.0)) if angle else 1e3
+        before, after = (float(value * scale) for value in values)
+        return {
+            "table": table,
+            "row": number,
+            "joint": label,
+            "parameter": name.rstrip("0123456789"),
+            "unit": "deg" if angle else "mm",
+            "nominal": before,
+            "corrected": after,
+            "change": after - before,
+            "standard_deviation": float(known[name] * scale) if name in known else None,
+        }
+
+    rows = []
+    for table in ("modified", "standard"):
+        for i in range(found.links):
+            for kind in LINK_PARAMETERS:
+                early = kind in BEHIND
+                place = i if table == "modified" or not early else i + 1
+                name = f"{kind}{place if early else i + 1}"
+                values = [float(getattr(g, kind)[place]) if place < found.links else 0.0 for g in (nominal, found)]
+                angle = kind not in ("a", "d")
+                rows.append(row(table, i + 1, found.link_names[i], name, (values[0], values[1]), angle))
+        if table == "standard":
+            for kind in BEHIND:
+                values = [float(getattr(g, kind)[0]) for g in (nominal, found)]
+                rows.append(row(table, 0, "base", f"{kind}0", (values[0], values[1]), kind != "a"))
+    for frame in ("base", "tool"):
+        for i, axis in enumerate(FRAME_PARAMETERS):
+            values = [_frame(g, frame)[i] for g in (nominal, found)]
+            rows.append(row(frame, 0, frame, f"{frame}_{axis}", (values[0], values[1]), i > 2))
+    return rows
+
+
+def _frame(geometry: Geometry, which: str) -> list[float]:
+    """Position and rotation vector of base or tool, m and rad (6,)."""
+    pose = getattr(geometry, which)
+    return [*pose.position.tolist(), *rotation_vector(pose.rotation).tolist()]

@@ -15,22 +15,22 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Arm, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.alignment import align, apart
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.robust import (
     OUTLIER_SIGMA,
     RobustIdentification,
     Sizes,
+    align,
+    apart,
     robust_identify,
     sizes_of,
+    unknowns_of,
 )
-from pickenv.calibration.identification.rows import unknowns_of
 from pickenv.calibration.identification.starts import fitted_model, robust_frames
-from pickenv.calibration.model.error_model import frames_model
+from pickenv.calibration.model.arm_model import frames_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import MISS_UNITS, Kind, Observations, origins_of
+from pickenv.calibration.model.observations import MISS_UNITS, Kind, Observations, Rows, equally_spaced, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.splits import Rows, equally_spaced
 from pickenv.calibration.model.stacked import Stacked
 from pickenv.errors import InputError
 

@@ -16,10 +16,13 @@ from scipy.linalg import block_diag
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import ErrorModel
-from pickenv.calibration.model.gauge import identifiable_parameters
-from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Identifiability, identifiability
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
+from pickenv.calibration.model.identifiability import (
+    REDUNDANCY_TOLERANCE,
+    Identifiability,
+    identifiability,
+    identifiable_parameters,
+)
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.noise import RowNoise
 from pickenv.calibration.model.observations import Equations, Imaginable
@@ -165,7 +168,7 @@ def identify(
     Args:
         model: The parameters.
         start: Geometry, or geometry with parametric terms, to start from, near the data (see
-            `pickenv.calibration.identification.alignment`).
+            `pickenv.calibration.identification.robust`).
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
         max_iterations: Steps at most, until the rank is judged once more and after it; three or four are usual.
         whiten: Weighs stated rows ``(rows, ...)``, in the order of the data, anew: robust weights, or noise that was

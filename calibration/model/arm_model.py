@@ -6,14 +6,20 @@ exact to micrometres, and every parameter, geometric or not, is one column of on
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Geometry, displace_pose, forward, parameter_jacobian
-from pickenv.arm.kinematics.geometry import Array, Pose
+from pickenv.arm import Frame, Geometry, Pose, displace_pose, forward, joint_jacobian, parameter_jacobian
+from pickenv.arm.effects.structure import Load, gravity_torques
+from pickenv.arm.files.arm import Arm
+from pickenv.arm.kinematics.forward import Scalar, chain_of, frames, split_joints
+from pickenv.arm.kinematics.geometry import Array, identity_pose
+from pickenv.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,3 +141,476 @@ class ArmModel:
     def _columns(self, joints: Array, conditions: Conditions | None) -> Array:
         conditions = conditions or Conditions()
         return np.concatenate([term.columns(self.geometry, joints, conditions) for term in self.terms], axis=-1)
+
+
+# Parametric terms for what geometry cannot say, each linear in its coefficients, so that least squares finds them.
+# Joint compliance (1/k times torque), boom bending, prismatic lead and periodic drive errors, thermal expansion. Each
+# gives the tool's displacement per unit of its coefficients, in world axes. SI units.
+
+
+SHOWN = 1e-3
+"""Combinations of moments that poses show less than this share of the clearest are left at zero."""
+
+
+@dataclass(frozen=True)
+class ComplianceTerm:
+    """Joints yield: dq = c tau, one coefficient c = 1/k per joint (rad/(N*m) or m/N).
+
+    The torque is the measured one where the data hold it, else gravity's: from ``load`` and the payload recorded, or
+    from ``moments``, what the measured torques said of the arm's weight.
+
+    Attributes:
+        joints: Indices of the joints that may yield, from 0.
+        load: Link masses, or None.
+        weight: Says which moments those are, or None.
+        moments: Torque per unit of each ``(k,)``, fitted to measured torques by `weighed`.
+    """
+
+    joints: tuple[int, ...]
+    load: Load | None
+    weight: GravityTerm | None = None
+    moments: tuple[float, ...] = ()
+
+    def names(self, geometry: Geometry) -> tuple[str, ...]:
+        """Names count as the joints do: compliance1, compliance2."""
+        return tuple(f"compliance{i + 1}" for i in self.joints)
+
+    def tolerances(self, geometry: Geometry) -> Array:
+        """1 mrad at 10 N*m, 1 mm at 100 N."""
+        return np.array([1e-5 if geometry.prismatic[i] else 1e-4 for i in self.joints])
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """The joint Jacobian's columns times the torques."""
+        torque = self.torques(geometry, joints, conditions)
+        chosen = list(self.joints)
+        return np.asarray(joint_jacobian(geometry, joints)[..., chosen] * torque[:, None, chosen])
+
+    def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """Measured torques, or gravity's ``(N, n)``."""
+        if conditions.torque is not None:
+            return conditions.torque
+        if self.load is None and self.weight is not None:
+            by_moment = self.weight.torques(geometry, joints, conditions) * np.array(self.moments)
+            return np.asarray(by_moment @ (self.weight.owners(geometry)[:, None] == np.arange(geometry.joints)))
+        if self.load is None:
+            raise InputError("joint compliance needs measured torques or link masses; give a torque column or a load")
+        payload = self.load.payload if conditions.payload is None else conditions.payload
+        chain = chain_of(geometry)
+        found = frames(np, chain, split_joints(geometry.joints, joints))
+        load = Load(self.load.mass, self.load.centre, payload)
+        torque = _repeated(gravity_torques(chain, found, load), len(joints))
+        return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
+
+
+@dataclass(frozen=True)
+class BendingTerm:
+    """A telescopic boom bends: coefficients F/EI for the tip load and w/EI for its own weight, both 1/m^2 and 1/m^3.
+
+    Attributes:
+        joint: Index of the prismatic joint whose link is the boom.
+        length: Free length at zero displacement, m.
+        end_mass: Mass at the tip without payload, kg; with a recorded payload the tip load scales with the sum.
+    """
+
+    joint: int
+    length: float
+    end_mass: float = 0.0
+
+    def names(self, geometry: Geometry) -> tuple[str, ...]:
+        """Tip and own weight."""
+        return (f"bending{self.joint + 1}_tip", f"bending{self.joint + 1}_own")
+
+    def tolerances(self, geometry: Geometry) -> Array:
+        """1 mm at 1 m."""
+        return np.array([3e-3, 8e-3])
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """Sag and slope of a cantilever under gravity across the boom, carried to the tool."""
+        if geometry.coupling is not None:
+            raise InputError("the bending of a boom needs an arm whose joints move one link each; leave the term out")
+        chain = chain_of(geometry)
+        found = frames(np, chain, split_joints(geometry.joints, joints))
+        boom, tool = _placed(found[self.joint + 1], len(joints)), forward(geometry, joints).position
+        z, tip = boom[:, 2], boom[:, 3]
+        across = z * z[:, 2:] - np.array([0.0, 0.0, 1.0])
+        turn = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], -1)
+        length = (joints[:, self.joint] + self.length)[:, None]
+        share = np.ones((len(joints), 1))
+        if conditions.payload is not None and self.end_mass > 0:
+            share = (1.0 + conditions.payload / self.end_mass)[:, None]
+        lever = tool - tip
+        columns = []
+        for sag, slope in (
+            (share * length**3 / 3, share * length**2 / 2),
+            (length**4 / 8, length**3 / 6),
+        ):
+            columns.append(np.concatenate([sag * across + np.cross(slope * turn, lever), slope * turn], 1))
+        return np.stack(columns, -1)
+
+
+@dataclass(frozen=True)
+class LeadTerm:
+    """Drives whose travel is off by a constant share: one coefficient (m/m or rad/rad) per joint named."""
+
+    joints: tuple[int, ...]
+
+    def names(self, geometry: Geometry) -> tuple[str, ...]:
+        """Names count as the joints do: lead2, lead3."""
+        return tuple(f"lead{i + 1}" for i in self.joints)
+
+    def tolerances(self, geometry: Geometry) -> Array:
+        """1 mm per metre."""
+        return np.full(len(self.joints), 1e-3)
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """The joint Jacobian's columns times the joints."""
+        chosen = list(self.joints)
+        return np.asarray(joint_jacobian(geometry, joints)[..., chosen] * joints[:, None, chosen])
+
+
+@dataclass(frozen=True)
+class PeriodicTerm:
+    """Drives' periodic errors: sine and cosine coefficients (rad or m) of sin(order q) and cos(order q).
+
+    Attributes:
+        joints: The joint of each harmonic, from 0; one may have several.
+        orders: The order of each: cycles per turn of a revolute joint, also fractional; 2 pi over the period (1/m) of a
+            prismatic one.
+        order_std: Standard uncertainties of the orders; empty where they were given, not found.
+    """
+
+    joints: tuple[int, ...]
+    orders: tuple[float, ...]
+    order_std: tuple[float, ...] = ()
+
+    def some(self, numbers: NDArray[np.int64]) -> PeriodicTerm:
+        """Some of the harmonics, counted from 0."""
+        return PeriodicTerm(tuple(self.joints[i] for i in numbers), tuple(self.orders[i] for i in numbers))
+
+    def names(self, geometry: Geometry) -> tuple[str, ...]:
+        """Joint, order and part: periodic1_13.5_sin."""
+        pairs = zip(self.joints, self.orders, strict=True)
+        return tuple(f"periodic{i + 1}_{order:.5g}_{part}" for i, order in pairs for part in ("sin", "cos"))
+
+    def tolerances(self, geometry: Geometry) -> Array:
+        """1 mm, or 3 mrad at one cycle per turn and less for higher orders: equally steep."""
+        pairs = zip(self.joints, self.orders, strict=True)
+        return 1e-3 * np.repeat([1.0 if geometry.prismatic[i] else 3.0 / order for i, order in pairs], 2)
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """The joint Jacobian's columns times sine and cosine."""
+        chosen = list(self.joints)
+        angle = joints[:, chosen] * np.array(self.orders)
+        wave = np.stack([np.sin(angle), np.cos(angle)], -1)
+        moved = np.asarray(joint_jacobian(geometry, joints)[..., chosen])
+        return np.asarray((moved[..., None] * wave[:, None]).reshape(len(joints), 6, -1))
+
+
+@dataclass(frozen=True)
+class ThermalTerm:
+    """All lengths of the links grow with temperature: one coefficient, 1/K."""
+
+    def names(self, geometry: Geometry) -> tuple[str, ...]:
+        """One name."""
+        return ("thermal",)
+
+    def tolerances(self, geometry: Geometry) -> Array:
+        """1 mm on 1 m at 20 K."""
+        return np.array([5e-5])
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """Lengths times temperature times the parameter Jacobian."""
+        if conditions.temperature is None:
+            raise InputError("thermal expansion needs temperatures; give a temperature column")
+        n = geometry.links
+        jacobian = parameter_jacobian(geometry, joints)
+        moved = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), 1)
+        lengths = np.concatenate(
+            [np.broadcast_to(geometry.a, moved.shape), geometry.d + moved * np.array(geometry.slides)], 1
+        )
+        chosen = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
+        return np.asarray(np.einsum("nip,np->ni", chosen, lengths * conditions.temperature[:, None])[..., None])
+
+
+@dataclass(frozen=True)
+class GravityTerm:
+    """Joints yield under the arm's own weight, with neither masses nor stiffnesses known.
+
+    A joint's torque is linear in the mass and first moments of every link behind it, so c tau is linear in c m and
+    c m r: one coefficient per joint and moment (rad/m, or m for slides). Most are redundant; the rank sees to that.
+    With a recorded payload its torque at the tool is one more column per joint (rad/(kg*m)).
+
+    Attributes:
+        joints: Indices of the joints that may yield, from 0.
+        up: Direction against gravity in the axes of frame 0.
+        payload: Whether the payload's columns take part.
+    """
+
+    joints: tuple[int, ...]
+    up: tuple[float, float, float]
+    payload: bool = False
+
+    def moments(self, geometry: Geometry) -> list[tuple[int, int, str]]:
+        """(joint, link, moment) of each coefficient; "m" mass at the link's origin, "p" payload at the tool."""
+        found = []
+        for i in self.joints:
+            moved = [link for link, _ in geometry.links_of(i)]
+            if all(geometry.slides[link] for link in moved):
+                found += [(i, link, "m") for link in moved]
+            else:
+                links = range(moved[0], geometry.links)
+                found += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (moved[0], "m")]
+            if self.payload:
+                found.append((i, geometry.links, "p"))
+        return found
+
+    def names(self, geometry: Geometry) -> tuple[str, ...]:
+        """Joint, link and moment: gravity2_3x."""
+        return tuple(f"gravity{i + 1}_{j + 1}{moment}" for i, j, moment in self.moments(geometry))
+
+    def tolerances(self, geometry: Geometry) -> Array:
+        """1 mrad at 1 m, 1 mm."""
+        return np.full(len(self.moments(geometry)), 1e-3)
+
+    def owners(self, geometry: Geometry) -> NDArray[np.int64]:
+        """The joint that each coefficient belongs to ``(k,)``, from 0."""
+        return np.array([i for i, _, _ in self.moments(geometry)])
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """The joint Jacobian's columns times each moment's torque."""
+        torques = self.torques(geometry, joints, conditions)
+        return np.asarray(joint_jacobian(geometry, joints)[..., self.owners(geometry)] * torques[:, None])
+
+    def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """Torque of each moment on its joint, per unit of it ``(N, k)``."""
+        if self.payload and conditions.payload is None:
+            raise InputError("the payload's deflection needs payloads; give a payload column")
+        chain = frames(np, chain_of(geometry), split_joints(geometry.joints, joints))
+        placed = np.stack([_placed(frame, len(joints)) for frame in chain], 1)
+        up = geometry.base.rotation @ np.array(self.up)
+        tool, found = forward(geometry, joints).position, []
+        for i, j, moment in self.moments(geometry):
+            torque = np.zeros(len(joints))
+            for k, ratio in geometry.links_of(i):
+                z, origin = placed[:, k + 1, 2], placed[:, k + 1, 3]
+                if k > j:
+                    continue  # what hangs on link j is carried by the links before it
+                if moment == "m":
+                    lever = placed[:, j + 1, 3] - origin
+                elif moment == "p":
+                    lever = (tool - origin) * np.asarray(conditions.payload)[:, None]
+                else:
+                    lever = placed[:, j + 1, "xyz".index(moment)]
+                if not geometry.slides[k]:
+                    torque -= ratio * np.einsum("ni,ni->n", z, np.cross(lever, up))
+                elif moment in "mp":
+                    torque -= ratio * (z @ up) * (1.0 if moment == "m" else np.asarray(conditions.payload))
+            found.append(torque)
+        return np.stack(found, 1)
+
+
+def _placed(frame: Frame, count: int) -> Array:
+    """Axes and origin of a frame ``(count, 4, 3)``, one row each, where it may have plain numbers for all poses."""
+    return _repeated(frame, count).reshape(count, 4, 3)
+
+
+def _repeated(parts: Sequence[Scalar], count: int) -> Array:
+    """Components as columns ``(count, k)``, plain numbers once for each row."""
+    return np.stack([np.broadcast_to(part, count) for part in parts], 1)
+
+
+def weighed(weight: GravityTerm, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:
+    """Compliance of the joints of ``weight``, whose moments are fitted to the torques measured.
+
+    So it knows torques where none are measured, as at targets. Moments that the poses do not show stay small.
+    """
+    assert conditions.torque is not None
+    columns, owners = weight.torques(geometry, joints, conditions), weight.owners(geometry)
+    moments = np.zeros(len(owners))
+    for i in weight.joints:
+        moments[owners == i] = np.linalg.lstsq(columns[:, owners == i], conditions.torque[:, i], rcond=SHOWN)[0]
+    return ComplianceTerm(weight.joints, None, weight, tuple(moments.tolist()))
+
+
+KINDS: dict[str, type] = {
+    "bending": BendingTerm,
+    "compliance": ComplianceTerm,
+    "gravity": GravityTerm,
+    "lead": LeadTerm,
+    "periodic": PeriodicTerm,
+    "thermal": ThermalTerm,
+}
+"""The terms by the names that files give them."""
+
+
+def kind_of_term(term: Term) -> str:
+    """The name of a term's kind."""
+    return next(name for name, kind in KINDS.items() if isinstance(term, kind))
+
+
+def specification(term: Any) -> dict[str, Any]:
+    """What `term_from` needs to make a term again (JSON)."""
+    return {"kind": kind_of_term(term), **asdict(term)}
+
+
+def term_from(content: Mapping[str, Any]) -> Term:
+    """Make a term again from its `specification`, as a calibration file holds it."""
+    numbers = _tuples(content)
+    kind = KINDS[numbers.pop("kind")]
+    if numbers.get("load"):
+        numbers["load"] = Load(**numbers["load"])
+    if numbers.get("weight"):
+        numbers["weight"] = GravityTerm(**numbers["weight"])
+    term: Term = kind(**numbers)
+    return term
+
+
+def _tuples(value: Any) -> Any:
+    """JSON's lists as tuples, however deep."""
+    if isinstance(value, Mapping):
+        return {key: _tuples(part) for key, part in value.items()}
+    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
+
+
+# The error model: which parameters of a geometry are identified, and on what scale. Complete for any serial chain:
+# four modified DH parameters per joint, Hayati's beta where consecutive axes are parallel, base and tool pose. Rows
+# are weighted by the measurement's uncertainty and columns by a parameter's tolerance, because rank and redundancy
+# are meaningless in mixed units (Qiao 2026 digest, fact 2).
+
+
+LENGTH_TOLERANCE = 1e-3
+"""Scale of a length's deviation, m."""
+
+ANGLE_TOLERANCE = 1e-3
+"""Scale of an angle's deviation, rad (0.057 deg)."""
+
+PARALLEL = 1e-6
+"""Consecutive axes count as parallel below this sine of the angle between them."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorModel:
+    """The parameters to identify.
+
+    Attributes:
+        columns: Indices into the geometry's ``parameter_names``, shape (P,), in order of preference: where parameters
+            are redundant the earlier one is kept.
+        names: Their names.
+        tolerance: Scale of each parameter's deviation, m or rad, shape (P,).
+    """
+
+    columns: NDArray[np.int64]
+    names: tuple[str, ...]
+    tolerance: Array
+
+    def some(self, kept: NDArray[np.bool_]) -> ErrorModel:
+        """Those of these parameters ``(P,)`` that are marked."""
+        names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
+        return ErrorModel(self.columns[kept], names, self.tolerance[kept])
+
+    def joined(self, other: ErrorModel) -> ErrorModel:
+        """These parameters, then those of another model."""
+        columns, tolerance = np.r_[self.columns, other.columns], np.r_[self.tolerance, other.tolerance]
+        return ErrorModel(columns, self.names + other.names, tolerance)
+
+
+def link_model(geometry: Geometry) -> ErrorModel:
+    """The paper's model: the four MDH parameters of every joint; base and tool are taken as known (eqs (7)-(8))."""
+    return _model(geometry, _link_names(geometry))
+
+
+def complete_model(geometry: Geometry) -> ErrorModel:
+    """Base and tool pose, MDH parameters, and Hayati's beta between parallel axes: complete for any serial chain."""
+    names = geometry.parameter_names
+    frames = [name for name in names if name.startswith(("base_", "tool_"))]
+    links = _link_names(geometry)
+    betas = [f"beta{i}" for i in range(1, geometry.links) if abs(np.sin(geometry.alpha[i])) < PARALLEL]
+    return _model(geometry, frames + links + betas)
+
+
+def geometric_model(geometry: Geometry, known_frames: bool) -> ErrorModel:
+    """What is identified: the links alone where base and tool are known, else base and tool with them."""
+    return link_model(geometry) if known_frames else complete_model(geometry)
+
+
+def frames_model(geometry: Geometry) -> ErrorModel:
+    """Base and tool pose only: what must be fitted before a nominal error can be stated honestly."""
+    return _model(geometry, [name for name in geometry.parameter_names if name.startswith(("base_", "tool_"))])
+
+
+def joint_zeros_model(geometry: Geometry) -> ErrorModel:
+    """The zero of every joint: theta where its link turns, d where it slides."""
+    return _model(geometry, [f"{'d' if slides else 'theta'}{i + 1}" for i, slides in enumerate(geometry.slides)])
+
+
+def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
+    """The model's parameters and the coefficients of the arm's terms."""
+    count = len(arm.geometry.parameter_names)
+    columns = np.arange(count, len(arm.parameter_names))
+    return model.joined(ErrorModel(columns, arm.parameter_names[count:], arm.term_tolerances))
+
+
+def _link_names(geometry: Geometry) -> list[str]:
+    """The MDH parameters by kind, lengths before joint angles.
+
+    Where an offset and angles are tied (d3 = (theta2 - theta1) / a1 of the picking arm), the offset is kept: a length
+    expresses a finite deviation exactly, angles only to first order.
+    """
+    kinds = ("alpha", "a", "d", "theta")
+    return [name for kind in kinds for name in geometry.parameter_names if name.rstrip("0123456789") == kind]
+
+
+def _model(geometry: Geometry, names: list[str]) -> ErrorModel:
+    index = {name: i for i, name in enumerate(geometry.parameter_names)}
+    columns = np.array([index[name] for name in names])
+    tolerance = np.where(geometry.parameter_is_angle[columns], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
+    return ErrorModel(columns, tuple(names), tolerance)
+
+
+# Poses that a controller reports, where its joint angles are not known: the joints of an arm that is nothing but
+# them. A gantry with a wrist can stand in any pose. Its joints are the pose in other words, and none of its own
+# parameters is ever fitted; base and tool are, as of any arm.
+
+
+REACH = 100.0
+"""m; how far such an arm goes, which no robot does."""
+
+_QUARTER = np.pi / 2.0
+
+
+CARRIER = "finished_poses"
+"""Name of that arm."""
+
+
+def pose_carrier() -> Arm:
+    """The arm whose six joints are a pose: x, y, z, and the angles of a wrist (z, y, z)."""
+    # z, then x, then y: each link's axis is turned from the one before by quarter turns.
+    return Arm(
+        name=CARRIER,
+        source="poses as a controller reports them",
+        nominal=Geometry(
+            joint_names=("z", "x", "y", "wrist1", "wrist2", "wrist3"),
+            prismatic=(True, True, True, False, False, False),
+            alpha=np.array([0.0, _QUARTER, _QUARTER, 0.0, _QUARTER, -_QUARTER]),
+            a=np.zeros(6),
+            theta=np.array([_QUARTER, _QUARTER, 0.0, 0.0, 0.0, 0.0]),
+            d=np.zeros(6),
+            beta=np.zeros(6),
+            lower=np.array([-REACH] * 3 + [-np.pi] * 3),
+            upper=np.array([REACH] * 3 + [np.pi] * 3),
+            base=identity_pose(),
+            tool=identity_pose(),
+        ),
+        true=None,
+        speed=np.ones(6),
+    )
+
+
+def joints_of_finished_poses(poses: Pose) -> Array:
+    """The joints ``(N, 6)`` that hold poses ``(N,)``."""
+    geometry = pose_carrier().nominal
+    rest = forward(geometry, np.zeros(6))
+    along = np.stack([forward(geometry, row).position for row in np.eye(6)[:3]], axis=1)
+    slides = np.linalg.solve(along, poses.position.T).T
+    angles = Rotation.from_matrix(rest.rotation.T @ poses.rotation).as_euler("ZYZ")
+    return np.concatenate([slides, angles * (1.0, -1.0, 1.0)], axis=1)

@@ -19,9 +19,7 @@ from pickenv.arm import Geometry, Plant, Pose, pose_error, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.campaign import TRACKER, Instrument, NormalDraws, load_instrument, measured_poses, normal_draws
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.observations import OneGroup, hash_of, selected
-from pickenv.calibration.model.origins import Origins
-from pickenv.calibration.model.splits import Rows
+from pickenv.calibration.model.observations import OneGroup, Origins, Rows, hash_of, selected
 from pickenv.errors import InputError
 from pickenv.files import write_whole
 

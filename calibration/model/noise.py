@@ -20,8 +20,7 @@ from scipy.spatial.distance import cdist
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.splits import Rows, equally_spaced
+from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
 from pickenv.calibration.model.stacked import Stacked, frame_columns
 
 POSE = 6

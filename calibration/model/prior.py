@@ -18,17 +18,18 @@ from numpy.typing import NDArray
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.tolerances import Tolerances, load_tolerances, standard_deviations
-from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.error_model import (
+from pickenv.calibration.model.arm_model import (
+    CARRIER,
+    ArmModel,
+    ComplianceTerm,
     ErrorModel,
+    Term,
     complete_model,
     frames_model,
     geometric_model,
     joint_zeros_model,
     with_terms,
 )
-from pickenv.calibration.model.finished_poses import CARRIER
-from pickenv.calibration.model.terms import ComplianceTerm
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)

@@ -18,12 +18,9 @@ from scipy.linalg import block_diag
 
 from pickenv.arm import Geometry, Pose, rotation_matrix
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array, move_pose
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
+from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, hash_of, origins_of
-from pickenv.calibration.model.origins import Origins
-from pickenv.calibration.model.splits import Rows
+from pickenv.calibration.model.observations import Observations, Origins, Rows, hash_of, origins_of
 
 OWN = ("base", "tool")
 """Frames that a station can have of its own."""

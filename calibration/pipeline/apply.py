@@ -18,9 +18,8 @@ from pickenv.arm.kinematics.task_space import attitude_weight, truncated_inverse
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import joint_columns, write_table
-from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.uncertainty import uncertainty_from
-from pickenv.calibration.reading.targets import Targets
+from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
+from pickenv.calibration.reading.read import Targets
 from pickenv.errors import InputError
 
 POSITION_TOLERANCE = 1e-5

@@ -23,8 +23,7 @@ from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import draw_plants
 from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.identification.term_choice import identify_terms, plain_term
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.error_model import geometric_model
+from pickenv.calibration.model.arm_model import ArmModel, Conditions, geometric_model
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements, random_joints
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, require_residual

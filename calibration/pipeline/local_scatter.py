@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from scipy.stats import spearmanr
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.splits import BLOCKS, Rows, equally_spaced, same_poses
+from pickenv.calibration.model.observations import BLOCKS, Rows, equally_spaced, same_poses
 
 ANCHORS = 400
 """Poses that a calibration keeps at most; each stands for the held-out poses nearest to it."""

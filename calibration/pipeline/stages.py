@@ -18,32 +18,46 @@ import numpy as np
 from pickenv.arm import Arm
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification
-from pickenv.calibration.identification.rows import choose, refuse_trained
+from pickenv.calibration.identification.robust import choose, refuse_trained
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
-from pickenv.calibration.model.arm_model import ArmModel, Term
-from pickenv.calibration.model.finished_poses import CARRIER
+from pickenv.calibration.model.arm_model import CARRIER, ArmModel, Term, kind_of_term
 from pickenv.calibration.model.measurements import FRAMES, Measurements
-from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.observations import (
+    BLOCKS,
+    Observations,
+    Rows,
+    contiguous_folds,
+    equally_spaced,
+    pose_count,
+    same_poses,
+)
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, PriorModel, prior_model
-from pickenv.calibration.model.splits import BLOCKS, Rows, contiguous_folds, equally_spaced, pose_count, same_poses
 from pickenv.calibration.model.stacked import Stacked
-from pickenv.calibration.model.terms import kind_of_term
-from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.choices import Choices, refuse_options
-from pickenv.calibration.pipeline.fitting import Fit, fit_frames, fit_geometry, fit_remainder
-from pickenv.calibration.pipeline.given import Columns, Data, given_arm, given_rows, workspace_joints
-from pickenv.calibration.pipeline.held_out import (
+from pickenv.calibration.pipeline.fitting import (
+    Fit,
     HeldOut,
     by_station,
+    fit_frames,
+    fit_geometry,
+    fit_remainder,
     held_out_elsewhere,
     held_out_of,
     pooled,
     tracked_rows,
 )
-from pickenv.calibration.pipeline.restation import near_rows
-from pickenv.calibration.pipeline.result import Result
+from pickenv.calibration.pipeline.given import (
+    Choices,
+    Columns,
+    Data,
+    given_arm,
+    given_rows,
+    refuse_options,
+    workspace_joints,
+)
+from pickenv.calibration.pipeline.result import Result, assess
+from pickenv.calibration.pipeline.verification import near_rows
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import GateReport, gate_residuals, position_rms
 from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS, require_residual

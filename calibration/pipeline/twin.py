@@ -20,11 +20,17 @@ from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.arm.plant.posterior import Layout, Posterior
 from pickenv.arm.plant.twin_arms import twin_plant
-from pickenv.calibration.model.arm_model import ArmModel, Term
+from pickenv.calibration.model.arm_model import (
+    ArmModel,
+    BendingTerm,
+    ComplianceTerm,
+    GravityTerm,
+    LeadTerm,
+    PeriodicTerm,
+    Term,
+)
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
-from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, GravityTerm, LeadTerm, PeriodicTerm
-from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.uncertainty import uncertainty_from
+from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.residuals.gaussian_process import FeatureProcess, GaussianProcess, feature_process
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 from pickenv.errors import InputError

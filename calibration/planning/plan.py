@@ -17,15 +17,146 @@ from scipy.linalg import qr
 
 from pickenv.arm import Arm, Geometry, parameter_jacobian
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.error_model import ErrorModel, link_model
-from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
+from pickenv.calibration.model.arm_model import ErrorModel, link_model
+from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Observability, observability
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, random_joints, write_joints
-from pickenv.calibration.model.observability import Observability, observability
-from pickenv.calibration.planning.exchange import exchange
-from pickenv.calibration.planning.travel import short_tour, travel_seconds
 from pickenv.errors import InputError
 from pickenv.limits import check_limit
 from pickenv.threads import single_threaded
+
+# Choosing poses by exchange: Fedorov 1972 in the one-after-the-other form of Cook and Nachtsheim 1980. A pose brings
+# a block of r rows, so the determinant lemma and Woodbury's identity are used with r x r blocks, for all candidates
+# at once.
+
+RIDGE = 1e-9
+"""Information given to every direction from the start, as a share of one candidate's mean, so that inverses exist."""
+
+MAX_PASSES = 20
+"""Rounds through the chosen poses at most; three to six are usual."""
+
+
+def exchange(
+    rows: Array,
+    count: int,
+    rng: np.random.Generator,
+    weight: Array | None = None,
+    most_passes: int = MAX_PASSES,
+    *,
+    known: Array | None = None,
+) -> tuple[NDArray[np.int64], int]:
+    """Choose candidates by greedy addition, then by exchanging one after the other until none can be bettered.
+
+    Args:
+        rows: What the candidates tell: weighted, scaled Jacobians ``(N, r, p)``.
+        count: How many to choose.
+        rng: Draws the order of exchanges.
+        weight: W ``(p, p)``, to minimise trace(W M^-1) of the information M; None for D-optimality.
+        most_passes: Rounds of exchange at most; without any the candidates come in the order in which they were added.
+        known: Information ``(p, p)`` that there is already, of rows measured before.
+
+    Returns:
+        Their rows, and the number of passes.
+    """
+    p = rows.shape[-1]
+    ridge = RIDGE * float(np.sum(rows**2)) / len(rows) / p
+    information = ridge * np.eye(p) + (0.0 if known is None else known)
+    taken = np.zeros(len(rows), dtype=bool)
+    chosen: list[int] = []
+    for _ in range(count):
+        best = int(np.argmax(np.where(taken, -np.inf, gains(rows, information, weight))))
+        taken[best] = True
+        chosen.append(best)
+        information = information + rows[best].T @ rows[best]
+    passes, moved = 0, True
+    while moved and passes < most_passes:
+        passes, moved = passes + 1, False
+        for place in rng.permutation(count):
+            old = chosen[place]
+            without = information - rows[old].T @ rows[old]
+            value = np.where(taken, -np.inf, gains(rows, without, weight))
+            value[old] = gains(rows[[old]], without, weight)[0]
+            best = int(np.argmax(value))
+            if value[best] > value[old] + 1e-9 * abs(value[old]):
+                chosen[place], moved = best, True
+                taken[old], taken[best] = False, True
+                information = without + rows[best].T @ rows[best]
+    return np.array(chosen), passes
+
+
+def gains(rows: Array, information: Array, weight: Array | None) -> Array:
+    """What each candidate ``(N, r, p)`` would add: log det(I + J M^-1 J^T), or the fall of trace(W M^-1).
+
+    The second is trace((I + J M^-1 J^T)^-1 J M^-1 W M^-1 J^T), by Woodbury's identity.
+    """
+    values, vectors = np.linalg.eigh(information)
+    root = vectors / np.sqrt(np.maximum(values, values[-1] * 1e-15))
+    half = rows @ root
+    inner = half @ np.swapaxes(half, -1, -2)
+    inner[..., np.arange(rows.shape[1]), np.arange(rows.shape[1])] += 1.0
+    if weight is None:
+        return np.asarray(2.0 * np.log(np.linalg.cholesky(inner).diagonal(axis1=-2, axis2=-1)).sum(axis=-1))
+    aimed = half @ (root.T @ weight @ root)
+    outer = aimed @ np.swapaxes(half, -1, -2)
+    return np.asarray(np.trace(np.linalg.solve(inner, outer), axis1=-2, axis2=-1))
+
+
+# The order in which poses are measured: nearest neighbour, then 2-opt (Croes 1958), in the time the joints need. All
+# joints move together, each at its largest speed, so the slowest one sets the time of a move. A speed of zero is
+# refused. Units: rad, m, s.
+
+
+def move_seconds(joints: Array, speed: Array) -> Array:
+    """Times ``(N, N)`` of the moves between poses ``(N, n)``, at joint speeds ``(n,)``."""
+    return np.asarray(np.max(np.abs(joints[:, None] - joints[None]) / _moving(speed), axis=-1))
+
+
+def travel_seconds(joints: Array, speed: Array) -> float:
+    """Time to visit the poses ``(N, n)`` in their order, from the first to the last."""
+    return float(np.max(np.abs(np.diff(joints, axis=0)) / _moving(speed), axis=-1).sum())
+
+
+def _moving(speed: Array) -> Array:
+    """The speeds, all of which must be above zero: a joint that stands still never arrives."""
+    if not (np.isfinite(speed) & (speed > 0)).all():
+        worst = int(np.argmin(np.isfinite(speed) & (speed > 0)))
+        raise InputError(f"the speed of joint {worst + 1} is {speed[worst]:g}; give a finite speed above zero")
+    return speed
+
+
+def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
+    """An order of the poses ``(N, n)`` with short travel: the best nearest-neighbour way, bettered by 2-opt."""
+    cost = move_seconds(joints, speed)
+    ways = [_two_opt(_nearest_neighbours(cost, start), cost) for start in range(min(len(joints), 10))]
+    return min(ways, key=lambda way: float(cost[way[:-1], way[1:]].sum()))
+
+
+def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
+    left = np.ones(len(cost), dtype=bool)
+    way = [start]
+    left[start] = False
+    while left.any():
+        way.append(int(np.argmin(np.where(left, cost[way[-1]], np.inf))))
+        left[way[-1]] = False
+    return np.array(way)
+
+
+def _two_opt(way: NDArray[np.int64], cost: Array) -> NDArray[np.int64]:
+    """Reverse the stretch that saves the most time, until none does; the ends of the way are free."""
+    count = len(way)
+    if count < 3:
+        return way
+    while True:
+        # The stretch i..j is reversed: edges (i - 1, i) and (j, j + 1) are replaced; an edge beyond an end costs 0.
+        padded = np.zeros((count + 2, count + 2))
+        padded[1:-1, 1:-1] = cost[np.ix_(way, way)]
+        steps = padded.diagonal(1)  # steps[k] is the edge from place k - 1 to place k
+        before, after = padded[:-2, 1:-1], padded[1:-1, 2:]  # [i, j]: (i - 1, j) and (i, j + 1)
+        saved = np.triu(steps[:-1, None] + steps[None, 1:] - before - after, 1)
+        i, j = np.unravel_index(int(np.argmax(saved)), saved.shape)
+        if not saved[i, j] > 1e-9:  # nor where a cost is no number
+            return way
+        way = np.concatenate([way[:i], way[i : j + 1][::-1], way[j + 1 :]])
+
 
 KINDS = ("pose", "position")
 CRITERIA = ("d-optimal", "test-poses")

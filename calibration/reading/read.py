@@ -13,26 +13,30 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Geometry
+from pickenv.arm import Geometry, Pose, inverse, rotation_matrix
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements
-from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.origins import Origins
-from pickenv.calibration.reading import row_checks
-from pickenv.calibration.reading.conventions import columns_of, convention_table, rotations
-from pickenv.calibration.reading.csv_table import Table, read_table, refuse_repeated
+from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements, joint_columns
+from pickenv.calibration.model.observations import Observations, Origins
+from pickenv.calibration.reading import kind_readers
+from pickenv.calibration.reading.csv_table import (
+    Table,
+    columns_of,
+    convention_table,
+    read_table,
+    refuse_repeated,
+    rotations,
+)
 from pickenv.calibration.reading.description import (
+    LENGTHS,
     ColumnDescription,
     joint_scales,
     load_description,
     own_description,
 )
-from pickenv.calibration.reading.kind_readers import KIND_READERS
-from pickenv.calibration.reading.kind_tables import LENGTHS
-from pickenv.calibration.reading.measured_files import Files
-from pickenv.calibration.reading.views import read_views
+from pickenv.calibration.reading.kind_readers import KIND_READERS, Files, read_views
 from pickenv.errors import InputError
+from pickenv.texts import listed
 from pickenv.toml_tables import TO_SI
 
 
@@ -119,11 +123,11 @@ def read_observations(
     groups = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
     lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
     origins = Origins(tuple(table.where for table in tables), groups, lines)
-    row_checks.refuse_repeated_joints(given, joints, geometry)
+    kind_readers.refuse_repeated_joints(given, joints, geometry)
     frames = {"frames": _frames(tables)} if description is None else {}
     found: Any = READERS[files.first.kind](files)
     found = replace(found, source=source, conditions=_conditions(files), origins=origins, **frames)
-    row_checks.refuse_duplicates(joints, found, origins)
+    kind_readers.refuse_duplicates(joints, found, origins)
     return FileReading(found, _floor(files))
 
 
@@ -149,7 +153,7 @@ def _joints(table: Table, description: ColumnDescription, geometry: Geometry) ->
     columns = []
     for i, scale in enumerate(joint_scales(description, geometry)):
         columns.append(table.value(description.joints[i]) * scale)
-        row_checks.refuse_implausible_joints(
+        kind_readers.refuse_implausible_joints(
             table, geometry, i, columns[-1], description.joints[i], description.joint_units[i]
         )
     return np.stack(columns, -1)
@@ -164,7 +168,7 @@ def _conditions(files: Files) -> Conditions:
             condition = (description.conditions or {}).get(name)
             if condition is not None:
                 values = (table.values(condition.columns) - condition.reference) * np.array(condition.scales)
-                row_checks.refuse_implausible_conditions(table, name, values, condition.columns)
+                kind_readers.refuse_implausible_conditions(table, name, values, condition.columns)
                 parts.append(values if name == "torque" else values[:, 0])
         if len(parts) == len(files.tables):
             found[name] = np.concatenate(parts)
@@ -175,8 +179,8 @@ def _poses(files: Files) -> Measurements:
     """Poses or positions; unnamed attitude conventions are refused with what each would leave."""
     first, position = files.first, files.values()
     for table, description in files.pairs():
-        row_checks.refuse_far(table, description)
-        row_checks.refuse_origin(table, description)
+        kind_readers.refuse_far(table, description)
+        kind_readers.refuse_origin(table, description)
     rotation = None
     if first.rotation:
         values = np.concatenate([_attitudes(table, description) for table, description in files.pairs()])
@@ -219,7 +223,7 @@ def _attitudes(table: Table, description: ColumnDescription) -> Array:
 
 
 READERS: dict[str, Callable[[Files], Observations]] = {"position": _poses, **KIND_READERS}
-"""How each kind of `pickenv.calibration.reading.description_file.KINDS` but pictures is read."""
+"""How each kind of `pickenv.calibration.reading.description.KINDS` but pictures is read."""
 
 
 def _floor(files: Files) -> NoiseFloor:
@@ -239,3 +243,74 @@ def _floor(files: Files) -> NoiseFloor:
         repeat=float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None,
         digits=float(max(digits)) if digits else None,
     )
+
+
+# Reading targets for a calibrated arm: our own CSV columns, joints (q1_deg, q2_mm, …) or tool poses (x_mm … rz_deg).
+# Poses give the tool's rotation vector; other columns of the file are left alone. Faults are named by row and column.
+
+
+POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+
+
+@dataclass(frozen=True, eq=False)
+class Targets:
+    """What the arm is asked to do.
+
+    Attributes:
+        joints: Nominal joint targets ``(N, n)``, rad or m; None if poses were given.
+        pose: Tool poses, m; None if joints were given.
+        lines: Line of each target in its file ``(N,)``, from 1.
+        source: The file, for messages.
+    """
+
+    joints: Array | None
+    pose: Pose | None
+    lines: tuple[int, ...]
+    source: str
+
+    def __len__(self) -> int:
+        """Number of targets."""
+        return len(self.lines)
+
+
+def read_targets(path: str | Path, geometry: Geometry) -> Targets:
+    """Read joint targets if the file has all joint columns, else pose targets.
+
+    Args:
+        path: CSV file with a header.
+        geometry: The arm, for joint count and types.
+
+    Raises:
+        InputError: Names the file, and the row and column at fault.
+    """
+    table = read_table(path)
+    wanted = joint_columns(geometry.prismatic)
+    as_joints = all(name in table.header for name in wanted)
+    if not as_joints and not all(name in table.header for name in POSE_COLUMNS):
+        raise InputError(
+            f"{path} has neither all joint columns ({', '.join(wanted)}) nor all pose columns "
+            f"({', '.join(POSE_COLUMNS)}); it has {listed(table.header)}"
+        )
+    values = table.values(tuple(wanted) if as_joints else POSE_COLUMNS)
+    lines = tuple(table.lines)
+    if as_joints:
+        scale = np.where(geometry.prismatic, 1e-3, np.radians(1.0))
+        return Targets(values * scale, None, lines, table.where)
+    pose = Pose(values[:, :3] * 1e-3, rotation_matrix(np.radians(values[:, 3:])))
+    return Targets(None, pose, lines, table.where)
+
+
+def joints_of(targets: Targets, geometry: Geometry) -> Array:
+    """The targets as joints ``(N, n)``: as given, or from the inverse kinematics.
+
+    Raises:
+        InputError: If a pose cannot be reached.
+    """
+    if targets.joints is not None:
+        return targets.joints
+    assert targets.pose is not None
+    found = inverse(geometry, targets.pose)
+    if not found.reached.all():
+        row = targets.lines[int(np.argmin(found.reached))]
+        raise InputError(f"{targets.source}: row {row} is a pose that the arm cannot reach; correct or remove the row")
+    return found.joints

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.residuals.regressor import column_std
+from pickenv.calibration.residuals.gaussian_process import column_std
 from pickenv.errors import InputError
 from pickenv.extras import is_there, require
 from pickenv.threads import torch_on_one_thread

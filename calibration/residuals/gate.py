@@ -20,8 +20,8 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.noise import counted
-from pickenv.calibration.model.splits import Rows, blocked_split, contiguous_folds, same_poses
-from pickenv.calibration.residuals.regressor import Fitter
+from pickenv.calibration.model.observations import Rows, blocked_split, contiguous_folds, same_poses
+from pickenv.calibration.residuals.gaussian_process import Fitter
 from pickenv.calibration.residuals.residual_models import FITTERS, fit_residual
 from pickenv.errors import InputError
 

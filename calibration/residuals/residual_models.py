@@ -15,15 +15,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.splits import equally_spaced
+from pickenv.calibration.model.observations import equally_spaced
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.gaussian_process import (
+    Fitter,
     GaussianProcess,
     GaussianProcessSettings,
+    Rbf,
+    Regressor,
+    column_std,
     fit_gaussian_process,
+    fit_rbf,
 )
-from pickenv.calibration.residuals.rbf import Rbf, fit_rbf
-from pickenv.calibration.residuals.regressor import Fitter, Regressor, column_std
 from pickenv.container import named_part, part_of
 from pickenv.errors import InputError
 from pickenv.extras import require

@@ -15,7 +15,7 @@ import numpy as np
 
 from pickenv.arm import Arm, Array, Plant, draw_plants, load_tolerances, plant_at
 from pickenv.calibration import Choices, Measurements, Result, calibrate, simulated_tracker
-from pickenv.calibration.model.splits import Rows, contiguous_folds
+from pickenv.calibration.model.observations import Rows, contiguous_folds
 from pickenv.calibration.pipeline.fitting import fit_remainder
 from pickenv.errors import InputError
 

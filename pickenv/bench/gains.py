@@ -14,7 +14,7 @@ import numpy as np
 
 from pickenv.arm import Array
 from pickenv.bench.gain_folds import BEFORE, LEARNT, LS, NOMINAL, Fold
-from pickenv.calibration.model.splits import BLOCKS
+from pickenv.calibration.model.observations import BLOCKS
 from pickenv.intervals import Ends, statistic_interval
 
 

@@ -21,7 +21,7 @@ import pickenv
 from pickenv.arm import Geometry, Pose, load_arm
 from pickenv.arm.files.urdf_text import urdf_text
 from pickenv.calibration import Measurements, align, complete_model, frames_model, identify, read_measurements
-from pickenv.calibration.model.splits import random_split, same_poses
+from pickenv.calibration.model.observations import random_split, same_poses
 from pickenv.errors import InputError
 
 WORKERS = Path(pickenv.__file__).parents[1] / "scripts" / "peers"

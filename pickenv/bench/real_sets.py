@@ -10,8 +10,7 @@ import numpy as np
 from pickenv.arm import Arm, load_arm
 from pickenv.calibration.identification.diagnosis import checked_rows
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.splits import equally_spaced
+from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 

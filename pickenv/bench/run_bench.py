@@ -22,7 +22,7 @@ from pickenv.bench.gains import Gain, gains_of
 from pickenv.bench.peers import PEERS, judged_peer, judged_pickenv
 from pickenv.bench.real_sets import SETS, learnable
 from pickenv.bench.spread_rows import SPREAD, spread_figures
-from pickenv.calibration.model.splits import same_poses
+from pickenv.calibration.model.observations import same_poses
 from pickenv.errors import InputError
 from pickenv.files import write_json
 from pickenv.provenance import code_fingerprint

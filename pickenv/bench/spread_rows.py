@@ -12,7 +12,7 @@ import numpy as np
 from pickenv.arm import Arm
 from pickenv.bench.real_sets import SETS, RealSet
 from pickenv.calibration import Choices, Observations, Result, calibrate
-from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
+from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 
 NOTE = (
     "Random fifths: mean over ten splits (lowest to highest). Blocks: each tenth of the file judged without itself, "

@@ -139,11 +139,11 @@ def calibrate(
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
-    from pickenv.calibration.camera.lens_files import write_lens
-    from pickenv.calibration.pipeline.choices import Choices
-    from pickenv.calibration.pipeline.pixel_figures import lens_of
-    from pickenv.calibration.pipeline.restation import frames_and_rows
+    from pickenv.calibration.camera.boards import write_lens
+    from pickenv.calibration.pipeline.fitting import lens_of
+    from pickenv.calibration.pipeline.given import Choices
     from pickenv.calibration.pipeline.stages import calibrate as calibrated
+    from pickenv.calibration.pipeline.verification import frames_and_rows
     from pickenv.inspect.runs.run_folder import RECORD
 
     separate(

@@ -67,13 +67,13 @@ def plan_poses(
 ) -> None:
     """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel."""
     from pickenv.arm import load_arm
-    from pickenv.calibration.model.error_model import complete_model, link_model
+    from pickenv.calibration.model.arm_model import complete_model, link_model
     from pickenv.calibration.model.measurements import POSITION_STD
     from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of
     from pickenv.calibration.planning.like import PlanLike, plan_like
     from pickenv.calibration.planning.plan import PosePlan
     from pickenv.calibration.planning.plan import plan_poses as plan
-    from pickenv.calibration.reading.targets import joints_of, read_targets
+    from pickenv.calibration.reading.read import joints_of, read_targets
 
     separate({"--at": at, "--arm": arm, "--from": pool, "--like": like}, {"--out": out, "--json": json_file})
     chosen = load_arm(arm)
@@ -147,7 +147,7 @@ def apply(
     from pickenv.calibration.model.arm_model import Conditions
     from pickenv.calibration.pipeline.apply import apply_calibration
     from pickenv.calibration.pipeline.calibration import Calibration
-    from pickenv.calibration.reading.targets import read_targets
+    from pickenv.calibration.reading.read import read_targets
 
     separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
     given = {"--payload-kg": (payload_kg, "payload_kg"), "--temperature-k": (temperature_k, "temperature_K")}
@@ -209,8 +209,8 @@ def export(
 ) -> None:
     """Hand the calibration over to the robot's own files, its controller, or other programs."""
     from pickenv.arm import load_arm
-    from pickenv.calibration.delivery.arm_mjcf import mjcf_files
     from pickenv.calibration.delivery.export import export as exported
+    from pickenv.calibration.delivery.onto_files import mjcf_files
     from pickenv.calibration.pipeline.calibration import Calibration
 
     files = (

@@ -34,7 +34,7 @@ def verify(
     The verdict comes first; unless it is "still good" the exit code is 3.
     """
     from pickenv.calibration.pipeline.calibration import Calibration
-    from pickenv.calibration.pipeline.restation import frames_and_rows
+    from pickenv.calibration.pipeline.verification import frames_and_rows
     from pickenv.calibration.pipeline.verification import verify as verified
     from pickenv.calibration.reading.read import read_observations
 

@@ -49,8 +49,7 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.lens import Lens, projected
-from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.errors import InputError
 from pickenv.files import write_text
 

@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from pickenv.arm import Geometry, Pose, forward
 from pickenv.arm.kinematics.geometry import Array, identity_pose
 from pickenv.calibration import Calibration
-from pickenv.calibration.pipeline.uncertainty import uncertainty_from
+from pickenv.calibration.pipeline.calibration import uncertainty_from
 from pickenv.texts import read_text, yaml_content
 
 REACH = 0.1

@@ -20,8 +20,7 @@ from pickenv.calibration import (
     paper_eta,
     random_joints,
 )
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import ErrorModel
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 
 PAPER: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "qiao2026_paper.toml").read_text(encoding="utf-8"))
 REMOVED_BY_PAPER = ("a2", "a3", "a5", "d3", "d4", "theta2", "d6")

@@ -15,7 +15,7 @@ from pickenv.arm import forward
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.calibration import complete_model, random_joints, start_filter
-from pickenv.calibration.compensation.filtered_arms import aimed, taught
+from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import LINES, WIDTH, new_figure, rgb
 from pickenv.inspect.recordings.field_day import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK

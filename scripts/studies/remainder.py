@@ -21,7 +21,7 @@ import typer
 
 from pickenv.arm import Array, joint_jacobian, load_arm
 from pickenv.calibration import Choices, Measurements, calibrate
-from pickenv.calibration.identification.harmonics import harmonics_of
+from pickenv.calibration.identification.term_choice import harmonics_of
 from pickenv.calibration.reading.read import read_measurements
 from pickenv.errors import InputError
 from pickenv.files import write_json

@@ -25,7 +25,7 @@ import typer
 from pickenv.agents.evaluation.blocked_gain import ROWS, blocks_apart, grid_joints, measured_gains
 from pickenv.arm import Array, Plant, draw_plants, load_plant, load_tolerances, plant_at
 from pickenv.calibration import BpnnSettings, Choices, Measurements, calibrate, random_joints, simulated_tracker
-from pickenv.calibration.model.splits import BLOCKS
+from pickenv.calibration.model.observations import BLOCKS
 from pickenv.calibration.pipeline.fitting import fit_remainder
 from pickenv.files import write_json
 from pickenv.intervals import mean_interval

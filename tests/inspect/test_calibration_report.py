@@ -12,8 +12,8 @@ from pickenv.calibration import Choices, calibrate, fit, random_joints, simulate
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure, unit_of
 from pickenv.calibration.identification.least_squares import is_angle
-from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.held_out import GEOMETRIC
+from pickenv.calibration.pipeline.fitting import GEOMETRIC
+from pickenv.calibration.pipeline.result import assess
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict
 from pickenv.inspect.reports.calibration_report import calibration_page, write_calibration_report
 from pickenv.inspect.reports.report_page import Bar

@@ -17,7 +17,7 @@ import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents import Reaches, ScriptedReach, episode_seeds, run_reaches
 from pickenv.arm import Plant, forward, load_arm, load_plant
 from pickenv.calibration import BpnnSettings, Calibration, Fit, Measurements, fit, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.assess import assess
+from pickenv.calibration.pipeline.result import assess
 from pickenv.errors import InputError
 from pickenv.inspect.colours import lane
 from pickenv.inspect.recordings.inspections import inspect_calibration, inspect_evaluation

@@ -16,9 +16,8 @@ from pickenv.arm import load_plant, noncompensable_error
 from pickenv.calibration import Choices, calibrate, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure
-from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
-from pickenv.calibration.pipeline.result import Result
+from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
+from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.inspect.reports import calibration_report, demo_report, report_page
 from pickenv.inspect.reports.report_page import Bar, Folded, Interactive, Page, Pair, Picture
 from pickenv.inspect.reports.report_words import between, estimated, parameter_words, percent

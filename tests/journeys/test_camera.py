@@ -20,11 +20,9 @@ from pickenv.calibration import Calibration, random_joints
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import frames_model
-from pickenv.calibration.model.lens import Lens, projected
+from pickenv.calibration.model.arm_model import ArmModel, frames_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.calibration.model.prior import prior_model
 from pickenv.cli import app
 from tests.calibration.camera.conftest import render

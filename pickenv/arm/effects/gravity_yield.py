@@ -1,7 +1,7 @@
 """Joints that yield under the arm's own weight, of which only a calibration's moments are known: neither k nor masses.
 
 A joint's torque is linear in the mass and first moments of every link behind it, so dq = c tau is linear in c g m and
-c g m r: what `pickenv.calibration.model.terms.GravityTerm` identifies. Units: rad or m, rad/m or 1.
+c g m r: what `pickenv.calibration.model.arm_model.GravityTerm` identifies. Units: rad or m, rad/m or 1.
 """
 
 from __future__ import annotations

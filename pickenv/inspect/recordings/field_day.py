@@ -17,7 +17,7 @@ from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.forward import split_joints
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import complete_model, start_filter
-from pickenv.calibration.compensation.filtered_arms import aimed, taught
+from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.inspect.runs.comparison import Comparison
 from pickenv.seeds import stream
 

@@ -11,8 +11,7 @@ from pickenv.arm import Arm, Plant, forward, pose_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.uncertainty import uncertainty_from
+from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.errors import InputError
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors, stage_label

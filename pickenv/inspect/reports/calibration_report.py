@@ -17,7 +17,7 @@ from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.pipeline.held_out import GEOMETRIC, NOMINAL
+from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import SIGMAS, Result, has_moved
 from pickenv.files import write_text
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map

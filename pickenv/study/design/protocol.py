@@ -21,7 +21,7 @@ from pickenv.arm.plant.campaign import Instrument, NormalDraws, normal_draws
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.tolerances import Tolerances, draw_plants
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.error_model import ErrorModel, link_model
+from pickenv.calibration.model.arm_model import ErrorModel, link_model
 from pickenv.calibration.model.measurements import Measurements, random_joints, tracked
 from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.errors import InputError

@@ -23,8 +23,8 @@ from pickenv.calibration.assessment.quality import (
     grade_quality,
 )
 from pickenv.calibration.model.identifiability import Dropped, Identifiability
-from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.uncertainty import pose_uncertainty, uncertainty_from
+from pickenv.calibration.pipeline.calibration import pose_uncertainty, uncertainty_from
+from pickenv.calibration.pipeline.result import assess
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,8 @@ from scipy import stats
 
 from pickenv.arm import forward, parameter_jacobian
 from pickenv.calibration import Measurements, identify, link_model, random_joints
-from pickenv.calibration.assessment.base_frame import base_frame_error
-from pickenv.calibration.assessment.contradictions import said_against
 from pickenv.calibration.assessment.expected_errors import RegionError, Workspace
+from pickenv.calibration.assessment.instrument import base_frame_error, said_against
 from pickenv.calibration.assessment.quality import (
     Completeness,
     base_combinations,
@@ -20,10 +19,9 @@ from pickenv.calibration.assessment.quality import (
 )
 from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.error_model import frames_model
+from pickenv.calibration.model.arm_model import ThermalTerm, frames_model
 from pickenv.calibration.model.identifiability import Dropped, Identifiability
 from pickenv.calibration.model.prior import FRAMES, MADE, ZEROS, prior_model
-from pickenv.calibration.model.terms import ThermalTerm
 
 JUST = 1e-9
 

@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from pickenv.arm import Pose
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.camera.boards import Board, Grey, board_picture
-from pickenv.calibration.model.lens import Lens, undistorted
+from pickenv.calibration.model.pixels import Lens, undistorted
 
 SAMPLES = 3
 """Rays along each side of a pixel."""

@@ -13,9 +13,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose
-from pickenv.calibration.camera.boards import Board, board_picture, opencv_board, write_board
-from pickenv.calibration.camera.corners import _grey_at, corner_std, find_corners, picture_noise
-from pickenv.calibration.model.lens import Lens, projected
+from pickenv.calibration.camera.boards import (
+    Board,
+    _grey_at,
+    board_picture,
+    corner_std,
+    find_corners,
+    opencv_board,
+    picture_noise,
+    write_board,
+)
+from pickenv.calibration.model.pixels import Lens, projected
 from pickenv.errors import InputError
 from pickenv.toml_tables import made
 

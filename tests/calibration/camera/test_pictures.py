@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.calibration.camera.boards import load_board
-from pickenv.calibration.camera.lens_files import read_lens
+from pickenv.calibration.camera.boards import load_board, read_lens
 from pickenv.calibration.identification.diagnosis import without_blind_views
-from pickenv.calibration.model.finished_poses import pose_carrier
+from pickenv.calibration.model.arm_model import pose_carrier
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.calibration.reading.read import read_observations
 from pickenv.cli import app

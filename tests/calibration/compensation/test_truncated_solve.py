@@ -6,7 +6,7 @@ import pytest
 from pickenv.arm import joint_jacobian, load_arm
 from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE, truncated_inverse
 from pickenv.calibration import random_joints
-from pickenv.calibration.compensation.truncated_solve import START, TruncatedSolver, _factorised, _inverse_trace
+from pickenv.calibration.compensation.compensator import START, TruncatedSolver, _factorised, _inverse_trace
 
 
 def components(jacobian, dtype):

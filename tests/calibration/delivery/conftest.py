@@ -14,7 +14,7 @@ from pickenv.arm import Arm, Geometry, forward, rotation_matrix
 from pickenv.arm.kinematics.axes import geometry_from_axes
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration import Calibration, Choices, Measurements, calibrate, random_joints
-from pickenv.calibration.delivery.same_chain import link_frames
+from pickenv.calibration.delivery.corrected_chain import link_frames
 from pickenv.calibration.model.arm_model import ArmModel
 
 UR5 = Path("robots/ur_description/urdf/ur5_robot.urdf")

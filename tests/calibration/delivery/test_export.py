@@ -11,12 +11,10 @@ from pickenv.arm import forward, load_arm, rotation_matrix
 from pickenv.arm.files.arm_file import ARMS
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
-from pickenv.calibration.delivery.arm_toml import arm_toml, write_arm_toml
-from pickenv.calibration.delivery.arm_urdf import write_arm_urdf
-from pickenv.calibration.delivery.onnx_network import write_onnx
-from pickenv.calibration.delivery.origin_lines import provenance
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.terms import ThermalTerm
+from pickenv.calibration.delivery.corrected_chain import provenance
+from pickenv.calibration.delivery.export import write_onnx
+from pickenv.calibration.delivery.onto_files import arm_toml, write_arm_toml, write_arm_urdf
+from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm
 from pickenv.calibration.pipeline.calibration import Remainder
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.errors import InputError

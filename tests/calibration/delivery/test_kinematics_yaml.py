@@ -188,7 +188,7 @@ def test_a_xacro_itself_is_told_where_its_numbers_come_from(made, tmp_path):
 
 @given(st.floats(-1e3, 1e3, allow_nan=False))
 def test_every_number_is_a_number_to_yaml_1_1(value):
-    from pickenv.calibration.delivery.onto_kinematics_yaml import yaml_number
+    from pickenv.calibration.delivery.onto_files import yaml_number
 
     text = yaml_number(value)
     assert yaml.safe_load(text) == value and math.copysign(1, float(text)) == math.copysign(1, value)

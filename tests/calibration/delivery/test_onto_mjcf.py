@@ -11,7 +11,7 @@ import pytest
 from pickenv.arm import forward, load_arm
 from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration import export, random_joints
-from pickenv.calibration.delivery.patched import refuse_lost_files
+from pickenv.calibration.delivery.corrected_chain import refuse_lost_files
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.errors import InputError
 

@@ -19,7 +19,7 @@ from pickenv.arm import forward, load_arm
 from pickenv.arm.files.urdf_text import roll_pitch_yaw, write_urdf
 from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration import Calibration, export, random_joints
-from pickenv.calibration.delivery.same_chain import same_chain
+from pickenv.calibration.delivery.corrected_chain import same_chain
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.errors import InputError
 

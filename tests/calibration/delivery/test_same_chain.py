@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_arm, rotation_matrix
 from pickenv.arm.kinematics.geometry import Pose, behind
-from pickenv.calibration.delivery.same_chain import link_frames, same_chain
+from pickenv.calibration.delivery.corrected_chain import link_frames, same_chain
 from pickenv.errors import InputError
 
 ARMS = ("ur5", "ur10e", "panda", "so101", "wam", "qiao2026", "positioner")

@@ -9,13 +9,11 @@ import pytest
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.calibration.identification.diagnosis import mixed_unit, telling_views
-from pickenv.calibration.identification.rows import choose
-from pickenv.calibration.model.kinds.distances import DistanceObservations
-from pickenv.calibration.model.kinds.reflectors import ReflectorObservations
-from pickenv.calibration.model.lens import Lens
-from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.splits import contiguous_folds, same_poses
-from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.identification.robust import choose
+from pickenv.calibration.model.kinds.distances import DistanceObservations, ReflectorObservations
+from pickenv.calibration.model.observations import contiguous_folds, same_poses
+from pickenv.calibration.model.pixels import Lens, PixelObservations
+from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import tilt

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from pickenv.calibration import identify, link_model
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import ErrorModel, complete_model, with_terms
-from pickenv.calibration.model.terms import LeadTerm
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, LeadTerm, complete_model, with_terms
 from pickenv.errors import InputError
 
 

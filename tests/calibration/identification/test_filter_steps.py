@@ -20,10 +20,15 @@ from pickenv.calibration.identification.extended_kalman_filter import (
     update,
 )
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.error_model import complete_model, link_model, with_terms
+from pickenv.calibration.model.arm_model import (
+    ArmModel,
+    Conditions,
+    ThermalTerm,
+    complete_model,
+    link_model,
+    with_terms,
+)
 from pickenv.calibration.model.measurements import Measurements, random_joints
-from pickenv.calibration.model.terms import ThermalTerm
 from pickenv.errors import InputError
 
 NOISE = MeasurementNoise(2e-4, 5e-4)

@@ -8,23 +8,27 @@ import pytest
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import Calibration, Choices, Measurements, calibrate, complete_model, identify
 from pickenv.calibration.identification import term_choice
-from pickenv.calibration.identification.block_equations import BlockEquations, Linearised, solved
-from pickenv.calibration.identification.harmonics import (
+from pickenv.calibration.identification.term_choice import (
     HIGHEST,
     MOST,
     ROWS_EACH,
     WITHIN,
+    BlockEquations,
+    Linearised,
     _OrderTerm,
+    choose_terms,
     chosen_orders,
     every_order,
     harmonics_of,
+    identify_terms,
+    plain_term,
     pursued,
     refined,
+    solved,
+    terms_of,
 )
-from pickenv.calibration.identification.term_choice import choose_terms, identify_terms, plain_term, terms_of
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.splits import contiguous_folds, same_poses
-from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm, kind_of_term
+from pickenv.calibration.model.arm_model import ArmModel, Conditions, GravityTerm, PeriodicTerm, kind_of_term
+from pickenv.calibration.model.observations import contiguous_folds, same_poses
 from pickenv.errors import InputError
 
 ARM = load_arm("ur5")

@@ -8,7 +8,6 @@ import pytest
 
 from pickenv.arm import Geometry, Plant, displace_pose, forward
 from pickenv.arm.effects.measurement_noise import MeasurementNoise
-from pickenv.calibration.identification.alignment import align
 from pickenv.calibration.identification.extended_kalman_filter import (
     FilterState,
     continue_filter,
@@ -21,7 +20,8 @@ from pickenv.calibration.identification.extended_kalman_filter import (
     update,
 )
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.error_model import complete_model, frames_model, link_model
+from pickenv.calibration.identification.robust import align
+from pickenv.calibration.model.arm_model import complete_model, frames_model, link_model
 from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
 from pickenv.errors import InputError
 

@@ -11,8 +11,7 @@ from pickenv.arm import forward, load_arm, parameter_jacobian, rotation_matrix
 from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import describe_absorption, identify_converged, is_angle
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import ErrorModel
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
 from pickenv.errors import InputError
 

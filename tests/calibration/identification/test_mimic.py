@@ -18,8 +18,7 @@ from pickenv.calibration import (
     write_arm_toml,
     write_arm_urdf,
 )
-from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.terms import ComplianceTerm, GravityTerm, LeadTerm, ThermalTerm
+from pickenv.calibration.model.arm_model import ComplianceTerm, Conditions, GravityTerm, LeadTerm, ThermalTerm
 from pickenv.inspect.runs.links import nominal_points
 
 URDF = """<robot name="lift_arm">

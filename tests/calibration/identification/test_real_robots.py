@@ -5,9 +5,9 @@ import pytest
 
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, complete_model, fit, identify, read_measurements
-from pickenv.calibration.model.splits import contiguous_folds, same_poses
-from pickenv.calibration.pipeline.choices import Choices
-from pickenv.calibration.pipeline.held_out import what_is_left
+from pickenv.calibration.model.observations import contiguous_folds, same_poses
+from pickenv.calibration.pipeline.fitting import what_is_left
+from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError

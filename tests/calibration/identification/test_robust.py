@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Geometry, Plant, rotation_matrix
-from pickenv.calibration.identification.alignment import align
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.identification.robust import LOSSES, robust_align, robust_identify
-from pickenv.calibration.model.error_model import complete_model, frames_model, link_model
+from pickenv.calibration.identification.robust import LOSSES, align, robust_align, robust_identify
+from pickenv.calibration.model.arm_model import complete_model, frames_model, link_model
 from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
 from pickenv.errors import InputError
 

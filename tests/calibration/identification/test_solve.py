@@ -8,7 +8,7 @@ import pytest
 from pickenv.arm import Plant, draw_plants, forward, load_arm, load_tolerances, plant_at, rotation_matrix
 from pickenv.calibration import identify, random_joints, simulated_tracker
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.error_model import complete_model
+from pickenv.calibration.model.arm_model import complete_model
 from pickenv.calibration.model.noise import stated_noise
 from pickenv.calibration.model.prior import ANGLES, LENGTHS, ZEROS, prior_model
 

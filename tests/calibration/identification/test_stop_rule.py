@@ -9,7 +9,7 @@ import torch
 
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import describe_absorption, identify, is_angle, judged_step
-from pickenv.calibration.model.error_model import geometric_model, link_model
+from pickenv.calibration.model.arm_model import geometric_model, link_model
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, identifiability
 from pickenv.errors import InputError
 

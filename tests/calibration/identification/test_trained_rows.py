@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 
 from pickenv.arm import Plant, load_arm, load_plant
 from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker
-from pickenv.calibration.identification.rows import refuse_trained
-from pickenv.calibration.model.splits import SAME_POSE
+from pickenv.calibration.identification.robust import refuse_trained
+from pickenv.calibration.model.observations import SAME_POSE
 from pickenv.cli import app
 from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import KINDS

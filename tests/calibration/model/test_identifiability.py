@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from pickenv.arm import Geometry, Pose, load_arm
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import Identifiability, Measurements, complete_model, frames_model, identifiability, link_model
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import ErrorModel
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 
 PAPER_DROPS = {"a2", "a3", "a5", "d3", "d4", "theta2", "d6"}
 

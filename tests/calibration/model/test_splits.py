@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pickenv.calibration.model.splits import (
+from pickenv.calibration.model.observations import (
     PATH,
     SAME_POSE,
     blocked_split,

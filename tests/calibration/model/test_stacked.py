@@ -11,14 +11,13 @@ import pytest
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.arm.kinematics.geometry import move_pose
 from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.identification.alignment import align
+from pickenv.calibration.identification.robust import align
 from pickenv.calibration.identification.starts import rough_start, stations_of
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.error_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, frames_model
+from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, frames_model
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.stacked import InstrumentStation, Stacked
-from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import touches

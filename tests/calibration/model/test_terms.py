@@ -9,11 +9,11 @@ import pytest
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rotation_matrix
 from pickenv.arm.effects.structure import GRAVITY
 from pickenv.calibration import Measurements, identify, link_model, random_joints, simulated_tracker
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.error_model import with_terms
-from pickenv.calibration.model.terms import (
+from pickenv.calibration.model.arm_model import (
+    ArmModel,
     BendingTerm,
     ComplianceTerm,
+    Conditions,
     GravityTerm,
     LeadTerm,
     PeriodicTerm,
@@ -21,6 +21,7 @@ from pickenv.calibration.model.terms import (
     specification,
     term_from,
     weighed,
+    with_terms,
 )
 from pickenv.errors import InputError
 

@@ -9,10 +9,10 @@ from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rot
 from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
 from pickenv.calibration import random_joints
 from pickenv.calibration.identification.term_choice import plain_term
-from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.terms import (
+from pickenv.calibration.model.arm_model import (
     BendingTerm,
     ComplianceTerm,
+    Conditions,
     GravityTerm,
     LeadTerm,
     ThermalTerm,

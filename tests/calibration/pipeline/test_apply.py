@@ -19,12 +19,11 @@ from pickenv.arm import (
     rotation_vector,
 )
 from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.terms import ThermalTerm
+from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm
 from pickenv.calibration.pipeline.apply import _carried, apply_calibration, toward
-from pickenv.calibration.pipeline.assess import assess
-from pickenv.calibration.pipeline.uncertainty import uncertainty_from
-from pickenv.calibration.reading.targets import Targets, joints_of, read_targets
+from pickenv.calibration.pipeline.calibration import uncertainty_from
+from pickenv.calibration.pipeline.result import assess
+from pickenv.calibration.reading.read import Targets, joints_of, read_targets
 from pickenv.errors import InputError
 
 

@@ -9,11 +9,11 @@ from pickenv.arm import forward
 from pickenv.calibration import Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice
+from pickenv.calibration.model.arm_model import GravityTerm
+from pickenv.calibration.model.observations import BLOCKS
 from pickenv.calibration.model.prior import prior_model
-from pickenv.calibration.model.splits import BLOCKS
-from pickenv.calibration.model.terms import GravityTerm
 from pickenv.calibration.pipeline import stages
-from pickenv.calibration.pipeline.held_out import AS_CHOSEN, HeldOut, pooled
+from pickenv.calibration.pipeline.fitting import AS_CHOSEN, HeldOut, pooled
 from pickenv.errors import InputError
 from pickenv.inspect.reports.calibration_report import calibration_page
 from pickenv.intervals import mean_interval

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.assess import assess
+from pickenv.calibration.pipeline.result import assess
 from pickenv.cli import app
 from pickenv.errors import InputError
 from pickenv.inspect.reports.calibration_report import write_calibration_report

@@ -12,9 +12,8 @@ import pytest
 
 from pickenv.arm import load_plant
 from pickenv.calibration import random_joints, read_measurements, simulated_tracker
-from pickenv.calibration.reading.conventions import CONVENTIONS
-from pickenv.calibration.reading.description import load_description
-from pickenv.calibration.reading.description_file import KINDS
+from pickenv.calibration.reading.csv_table import CONVENTIONS
+from pickenv.calibration.reading.description import KINDS, load_description
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs/calibrating-a-robot.md").read_text(encoding="utf-8")

@@ -9,10 +9,9 @@ from pickenv.arm import parameter_jacobian
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.apply import CorrectedCommands
-from pickenv.calibration.pipeline.assess import assess
+from pickenv.calibration.pipeline.calibration import PoseUncertainty, pose_uncertainty, uncertainty_from
 from pickenv.calibration.pipeline.local_scatter import Within95
-from pickenv.calibration.pipeline.result import GEOMETRIC, NOMINAL
-from pickenv.calibration.pipeline.uncertainty import PoseUncertainty, pose_uncertainty, uncertainty_from
+from pickenv.calibration.pipeline.result import GEOMETRIC, NOMINAL, assess
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict
 
 PRISMATIC = (False, True)

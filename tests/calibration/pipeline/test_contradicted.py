@@ -7,7 +7,7 @@ import pytest
 
 from pickenv.arm import Plant, Pose, draw_plants, load_arm, load_tolerances, plant_at, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
-from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.stages import calibrate
 
 PLAIN = Choices(terms="none", residual="none")

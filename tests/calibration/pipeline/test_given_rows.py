@@ -10,7 +10,7 @@ import pytest
 
 from pickenv.arm import Arm, forward, load_arm
 from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.model.finished_poses import CARRIER
+from pickenv.calibration.model.arm_model import CARRIER
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of

@@ -13,10 +13,10 @@ from scipy.stats import spearmanr
 
 from pickenv.arm import load_arm, load_plant
 from pickenv.calibration import Calibration, Measurements, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.pipeline.calibration import uncertainty_from
+from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.local_scatter import LocalScatter, Within95, local_scatter, within95
 from pickenv.calibration.pipeline.stages import calibrate
-from pickenv.calibration.pipeline.uncertainty import uncertainty_from
 from pickenv.wrappers import CompensationWrapper
 
 SLIDES = (False, False, True)

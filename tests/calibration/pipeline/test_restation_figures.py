@@ -16,18 +16,21 @@ from pickenv.arm.kinematics.geometry import Array, move_pose
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.splits import equally_spaced
-from pickenv.calibration.pipeline import restation
+from pickenv.calibration.model.observations import equally_spaced
+from pickenv.calibration.pipeline import verification
 from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.restation import (
+from pickenv.calibration.pipeline.verification import (
+    Verification,
+    _since,
     _starts,
+    _verdict,
     expected_square,
     frames_and_rows,
     near_rows,
     restationed,
+    verify,
     weighed_by_reach,
 )
-from pickenv.calibration.pipeline.verification import Verification, _since, _verdict, verify
 from pickenv.errors import InputError
 
 HERE = Pose(np.array([2.0, 0.5, -0.3]), rotation_matrix(np.array([0.1, 0.2, -0.7])))
@@ -173,7 +176,7 @@ def test_rows_far_off_are_told_by_more_rows_than_the_frames_are_found_from(
         asked.append(count)
         return SimpleNamespace(calibration=calibration)
 
-    monkeypatch.setattr(restation, "restationed", noted)
+    monkeypatch.setattr(verification, "restationed", noted)
     near_rows(calibration_of(ur5), seen(ur5, rows, False), FRAMES, count)
     near_rows(calibration_of(ur5), seen(ur5, rows, False), (), count)
     assert asked == [taken]

@@ -17,7 +17,7 @@ from pickenv.calibration import Measurements, random_joints, simulated_tracker
 from pickenv.calibration.identification.starts import set_ups
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.stacked import InstrumentStation, Stacked, joinable
-from pickenv.calibration.pipeline.choices import Choices
+from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.calibration.reading.read import read_observations

@@ -9,7 +9,7 @@ from pickenv.calibration import Choices, random_joints, simulated_tracker
 from pickenv.calibration.assessment.expected_errors import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.term_choice import TermChoice
-from pickenv.calibration.model.terms import GravityTerm, PeriodicTerm
+from pickenv.calibration.model.arm_model import GravityTerm, PeriodicTerm
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.pipeline.given import workspace_joints
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict

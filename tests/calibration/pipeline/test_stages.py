@@ -132,7 +132,7 @@ def test_the_pipeline_enters_no_module_twice_but_for_frames_and_the_workspace(dy
     finally:
         sys.setprofile(None)
     names = [Path(file).stem for file in entered]
-    assert names[0] == "given" and names[-1] == "assess" and len(names) > 5
+    assert names[0] == "given" and names[-1] == "result" and len(names) > 5
     assert {name for name in names if names.count(name) > 1} <= {"fitting", "given"}
 
 

@@ -11,12 +11,10 @@ from pickenv.arm import forward, load_arm
 from pickenv.arm.effects.structure import Load
 from pickenv.calibration import Calibration, Choices, Measurements, calibrate, complete_model, identify
 from pickenv.calibration.identification.term_choice import terms_of
-from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.error_model import with_terms
-from pickenv.calibration.model.terms import ComplianceTerm
+from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, Conditions, with_terms
 from pickenv.calibration.pipeline.apply import apply_calibration
-from pickenv.calibration.pipeline.held_out import GEOMETRIC
-from pickenv.calibration.reading.targets import Targets
+from pickenv.calibration.pipeline.fitting import GEOMETRIC
+from pickenv.calibration.reading.read import Targets
 from pickenv.cli import app
 from pickenv.errors import InputError
 

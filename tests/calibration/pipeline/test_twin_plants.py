@@ -24,7 +24,7 @@ from pickenv.arm.effects.structure import Load
 from pickenv.arm.kinematics.geometry import Coupling
 from pickenv.arm.plant.tolerances import it_tolerance
 from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker, twin
-from pickenv.calibration.model.terms import (
+from pickenv.calibration.model.arm_model import (
     BendingTerm,
     ComplianceTerm,
     GravityTerm,

@@ -17,13 +17,11 @@ from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.stacked import Stacked
-from pickenv.calibration.pipeline.choices import Choices
-from pickenv.calibration.pipeline.given import given_rows
-from pickenv.calibration.pipeline.restation import _starts, frames_and_rows, restationed
+from pickenv.calibration.pipeline.calibration import MEASURED_REGION
+from pickenv.calibration.pipeline.given import Choices, given_rows
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate
-from pickenv.calibration.pipeline.uncertainty import MEASURED_REGION
-from pickenv.calibration.pipeline.verification import Verification, verify
+from pickenv.calibration.pipeline.verification import Verification, _starts, frames_and_rows, restationed, verify
 from pickenv.calibration.reading.read import read_observations
 from pickenv.cli import app
 from pickenv.errors import InputError

@@ -10,9 +10,17 @@ import pytest
 from pickenv.arm import parameter_jacobian
 from pickenv.calibration import complete_model, link_model, random_joints
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
-from pickenv.calibration.planning.exchange import exchange, gains
-from pickenv.calibration.planning.plan import CurvePoint, candidate_joints, design_of, plan_poses
-from pickenv.calibration.planning.travel import move_seconds, short_tour, travel_seconds
+from pickenv.calibration.planning.plan import (
+    CurvePoint,
+    candidate_joints,
+    design_of,
+    exchange,
+    gains,
+    move_seconds,
+    plan_poses,
+    short_tour,
+    travel_seconds,
+)
 from pickenv.errors import InputError
 
 COUNT = 15
@@ -199,7 +207,7 @@ def test_the_information_given_from_the_start_is_a_billionth_of_a_candidates(mon
         asked.append(information)
         return gains(candidates, information, weight)
 
-    monkeypatch.setattr("pickenv.calibration.planning.exchange.gains", listening)
+    monkeypatch.setattr("pickenv.calibration.planning.plan.gains", listening)
     chosen, passes = exchange(rows, 3, np.random.default_rng(0))
     traces = [np.trace(one.T @ one) for one in rows]
     np.testing.assert_allclose(asked[0], 1e-9 * np.mean(traces) / 4 * np.eye(4))
@@ -211,7 +219,7 @@ def test_the_information_given_from_the_start_is_a_billionth_of_a_candidates(mon
 def test_exchanges_end_after_twenty_rounds(monkeypatch):
     """Gains that never settle."""
     rng = np.random.default_rng(1)
-    monkeypatch.setattr("pickenv.calibration.planning.exchange.gains", lambda rows, *_: rng.random(len(rows)))
+    monkeypatch.setattr("pickenv.calibration.planning.plan.gains", lambda rows, *_: rng.random(len(rows)))
     assert exchange(np.ones((50, 3, 2)), 4, np.random.default_rng(0))[1] == 20
 
 

@@ -12,11 +12,20 @@ from typer.testing import CliRunner
 
 from pickenv.arm import Pose, displace_pose, forward, load_arm
 from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
-from pickenv.calibration.model.error_model import ErrorModel
-from pickenv.calibration.model.observability import observability, observability_of
-from pickenv.calibration.planning.exchange import exchange, gains
-from pickenv.calibration.planning.plan import candidate_joints, design_of, error_weight, plan_poses, predicted_error
-from pickenv.calibration.planning.travel import move_seconds, short_tour, travel_seconds
+from pickenv.calibration.model.arm_model import ErrorModel
+from pickenv.calibration.model.identifiability import observability, observability_of
+from pickenv.calibration.planning.plan import (
+    candidate_joints,
+    design_of,
+    error_weight,
+    exchange,
+    gains,
+    move_seconds,
+    plan_poses,
+    predicted_error,
+    short_tour,
+    travel_seconds,
+)
 from pickenv.cli import app
 from pickenv.errors import InputError
 

@@ -15,13 +15,12 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import DistanceObservations, Measurements, complete_model, identify, random_joints
 from pickenv.calibration.camera.boards import Board
-from pickenv.calibration.model.error_model import ErrorModel
-from pickenv.calibration.model.lens import Lens, projected
+from pickenv.calibration.model.arm_model import ErrorModel
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.calibration.model.stacked import InstrumentStation, Stacked
-from pickenv.calibration.planning.exchange import exchange
 from pickenv.calibration.planning.like import PlanLike, plan_like
+from pickenv.calibration.planning.plan import exchange
 from pickenv.cli import app
 from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import KINDS, LINE_POINT, STD, from_anchor, from_plane, points_at

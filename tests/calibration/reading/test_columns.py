@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from pickenv.arm import load_arm
 from pickenv.calibration import Measurements, random_joints, read_measurements
-from pickenv.calibration.reading.conventions import CONVENTIONS
+from pickenv.calibration.reading.csv_table import CONVENTIONS
 from pickenv.calibration.reading.description import load_description, shipped_descriptions
 from pickenv.errors import InputError
 

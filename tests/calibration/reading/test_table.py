@@ -7,7 +7,7 @@ import threading
 import numpy as np
 import pytest
 
-from pickenv.calibration.planning.travel import move_seconds, short_tour, travel_seconds
+from pickenv.calibration.planning.plan import move_seconds, short_tour, travel_seconds
 from pickenv.calibration.reading.csv_table import expression_tree, read_table, refuse_repeated
 from pickenv.errors import InputError
 

@@ -10,9 +10,9 @@ from pickenv.arm import Arm, Geometry, Plant, forward
 from pickenv.arm.kinematics.pose_error import rotation_matrix
 from pickenv.calibration import align
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.error_model import complete_model, frames_model
+from pickenv.calibration.model.arm_model import complete_model, frames_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.splits import blocked_split
+from pickenv.calibration.model.observations import blocked_split
 from pickenv.calibration.residuals.gate import gate_residuals
 from pickenv.calibration.residuals.residual_models import Fitter
 from pickenv.errors import InputError

@@ -6,7 +6,7 @@ import pytest
 from pickenv.arm import Geometry, Pose, displace_pose, forward
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.splits import blocked_split
+from pickenv.calibration.model.observations import blocked_split
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
 from pickenv.errors import InputError
 

@@ -9,13 +9,11 @@ import pytest
 
 from pickenv.arm import Plant
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.error_model import link_model
+from pickenv.calibration.model.arm_model import link_model
 from pickenv.calibration.model.measurements import random_joints, simulated_tracker
 from pickenv.calibration.residuals import bpnn
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
-from pickenv.calibration.residuals.gaussian_process import fit_gaussian_process
-from pickenv.calibration.residuals.rbf import fit_rbf, k_means
-from pickenv.calibration.residuals.regressor import Fitter
+from pickenv.calibration.residuals.gaussian_process import Fitter, fit_gaussian_process, fit_rbf, k_means
 from pickenv.calibration.residuals.residual_models import FITTERS, LearntResidual, fit_residual, joint_inputs
 from pickenv.errors import InputError
 

@@ -12,9 +12,14 @@ from sklearn.cluster import KMeans
 
 from pickenv.calibration.residuals import bpnn, gaussian_process, residual_models
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
-from pickenv.calibration.residuals.gaussian_process import GaussianProcessSettings, fit_gaussian_process
-from pickenv.calibration.residuals.rbf import Rbf, fit_rbf, k_means
-from pickenv.calibration.residuals.regressor import column_std
+from pickenv.calibration.residuals.gaussian_process import (
+    GaussianProcessSettings,
+    Rbf,
+    column_std,
+    fit_gaussian_process,
+    fit_rbf,
+    k_means,
+)
 from pickenv.calibration.residuals.residual_models import FITTERS, fit_residual, joint_inputs
 from pickenv.extras import is_there
 

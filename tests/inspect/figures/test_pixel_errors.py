@@ -15,10 +15,8 @@ from PIL import Image
 
 from pickenv.arm import Pose, rotation_matrix
 from pickenv.calibration.camera.boards import Board
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.finished_poses import joints_of_finished_poses, pose_carrier
-from pickenv.calibration.model.lens import Lens, projected
-from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses, pose_carrier
+from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.errors import InputError
