@@ -19,6 +19,7 @@ from pickenv.arm import Arm, Geometry, parameter_jacobian
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.diagnosis import without_blind_views
 from pickenv.calibration.identification.robust import align, robust_identify, unknowns_of
+from pickenv.calibration.identification.solve import UNKNOWN_STD
 from pickenv.calibration.identification.starts import rough_start
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, complete_model, frames_model
 from pickenv.calibration.model.identifiability import identifiable_parameters
@@ -27,6 +28,7 @@ from pickenv.calibration.model.kinds.surfaces import SocketObservations
 from pickenv.calibration.model.measurements import Measurements, write_joints
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.prior import FRAMES, PriorModel
 from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.planning.plan import (
     CRITERIA,
@@ -35,7 +37,9 @@ from pickenv.calibration.planning.plan import (
     CurvePoint,
     candidate_joints,
     exchange,
+    prior_information,
     short_tour,
+    squares_of,
     travel_seconds,
 )
 from pickenv.errors import InputError
@@ -278,6 +282,7 @@ def plan_like(
     criterion: str | None = None,
     test_joints: Array | None = None,
     curve: bool = False,
+    prior: PriorModel | None = None,
 ) -> PlanLike:
     """Choose ``count`` further poses for an instrument that has measured a few, and order them for short travel.
 
@@ -295,6 +300,8 @@ def plan_like(
             out the latter where these are given.
         test_joints: Where accuracy matters ``(M, n)``, rad or m; the candidates when left out.
         curve: Whether to say what half, twice, four and eight times as many poses would bring.
+        prior: The arm's parameters with their priors; poses are then chosen by what they add to these and to the first
+            rows.
 
     Raises:
         InputError: If the first rows are of several kinds, too few or do not fit the arm, there are too few candidates
@@ -316,10 +323,14 @@ def plan_like(
             f"{data.source}: {data.kind} can be measured at {len(joints)} candidates only, too few to choose {count} "
             f"from; give a first measurement of more varied poses, or plan {len(joints) // LEAST_CANDIDATES} poses"
         )
-    rows, known, model, names = _told(arm.nominal, first, joints)
-    _refuse_too_few(first, rows, count, names)
+    if prior is not None and not data.framed:
+        prior = prior.without_base()
+    rows, known, model, names = _told(arm.nominal, first, joints, prior)
+    if prior is None:
+        _refuse_too_few(first, rows, count, names)
     at = joints if test_joints is None else test_joints
-    weight = _error_weight(first, model, at, len(names))
+    frames = np.zeros(len(model.names), dtype=bool) if prior is None else prior.group == FRAMES
+    weight = _error_weight(first, model, frames, at, len(names))
     aim = weight if criterion == "test-poses" else None
     chosen, _ = exchange(rows, count, rng, aim, known=known)
     chosen = chosen[short_tour(joints[chosen], arm.speed)]
@@ -361,30 +372,29 @@ def plan_like(
     )
 
 
-def _told(geometry: Geometry, first: FirstRows, joints: Array) -> tuple[Array, Array, ErrorModel, tuple[str, ...]]:
-    """What each candidate tells ``(N, r, p)``, what the first rows tell ``(p, p)``, and of which parameters.
+def _told(
+    geometry: Geometry, first: FirstRows, joints: Array, prior: PriorModel | None
+) -> tuple[Array, Array, ErrorModel, tuple[str, ...]]:
+    """What each candidate tells ``(N, r, p)``, what is known beforehand ``(p, p)``, and of which parameters.
 
     The last are the arm's own among them, and the names of all.
     """
-    model, data = complete_model(geometry), first.data
+    model, data = complete_model(geometry) if prior is None else prior.parameters, first.data
     own, scale = len(data.unknowns()), np.concatenate([data.tolerances(), model.tolerance])
+    names = (*data.unknowns(), *model.names)
     asked = [asked_at(first, joints[i : i + CHUNK]) for i in range(0, len(joints), CHUNK)]
-    sets = [data, asked[0]]
-    here, there = (_scaled(first, part, model, scale) for part in sets)
-    found = identifiable_parameters(
-        model,
-        sets,
-        first.model,
-        [first.unknowns] * len(sets),
-        np.concatenate([here, there]),
-        (*data.unknowns(), *model.names),
-        scale,
-    )
-    kept, here = found.kept, here[:, found.kept]
+    here, there = (_scaled(first, part, model, scale) for part in (data, asked[0]))
+    known, kept = here.T @ here, np.arange(len(names))
+    if prior is None:
+        stacked, unknowns = np.concatenate([here, there]), [first.unknowns] * 2
+        kept = identifiable_parameters(model, [data, asked[0]], first.model, unknowns, stacked, names, scale).kept
+    else:
+        known[own:, own:] += prior_information(prior)
+        known[range(own), range(own)] += (data.tolerances() / UNKNOWN_STD) ** 2
     arms = kept[kept >= own] - own
     arm_model = ErrorModel(model.columns[arms], tuple(model.names[k] for k in arms), model.tolerance[arms])
     told = np.concatenate([_by_pose(first, part, model, scale)[..., kept] for part in asked])
-    return told, here.T @ here, arm_model, found.kept_names
+    return told, known[np.ix_(kept, kept)], arm_model, tuple(names[k] for k in kept)
 
 
 def _scaled(first: FirstRows, data: Observations, model: ErrorModel, scale: Array) -> Array:
@@ -413,13 +423,13 @@ def _by_pose(first: FirstRows, asked: Observations, model: ErrorModel, scale: Ar
     return np.asarray(np.swapaxes(few, 1, 2))
 
 
-def _error_weight(first: FirstRows, model: ErrorModel, test_joints: Array, count: int) -> Array:
+def _error_weight(
+    first: FirstRows, model: ErrorModel, frames: NDArray[np.bool_], test_joints: Array, count: int
+) -> Array:
     """W ``(p, p)`` such that trace(W M^-1) is the mean squared predicted position error at the test poses, m^2."""
     by_arm = parameter_jacobian(first.model.geometry, test_joints)[:, :3, model.columns] * model.tolerance
-    stacked = by_arm.reshape(-1, len(model.names))
-    weight = np.zeros((count, count))
-    own = count - len(model.names)
-    weight[own:, own:] = stacked.T @ stacked / len(test_joints)
+    weight, own = np.zeros((count, count)), count - len(model.names)
+    weight[own:, own:] = squares_of(by_arm.reshape(-1, len(model.names)), frames) / len(test_joints)
     return weight
 
 

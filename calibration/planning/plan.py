@@ -1,7 +1,8 @@
 """Where to measure: few poses of many candidates that tell the most about the parameters, ordered for short travel.
 
 D-optimal sets (largest determinant of the information matrix: best O1), or the least predicted error at given test
-poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). SI units.
+poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). Where parameters have priors, poses are chosen
+by what they tell beyond these, and the predicted error is the one that a calibration will state. SI units.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ErrorModel, link_model
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Observability, observability
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, random_joints, write_joints
+from pickenv.calibration.model.prior import FRAMES, PriorModel
 from pickenv.errors import InputError
 from pickenv.limits import check_limit
 from pickenv.threads import single_threaded
@@ -180,10 +182,13 @@ class Design:
 
     Attributes:
         joints: Candidates ``(N, n)``, rad or m.
-        rows: Their weighted, scaled Jacobians by the base parameters ``(N, r, p)``.
-        model: The base parameters ``(p,)``.
+        rows: Their weighted, scaled Jacobians by the parameters ``(N, r, p)``.
+        model: The parameters ``(p,)``: all of them where they have priors, else a base set.
         weight: One over the standard uncertainty of each row ``(r,)``.
         kind: "pose" (r = 6) or "position" (r = 3).
+        known: Information ``(p, p)`` that there is beforehand: of the priors, or none.
+        frames: Which parameters are base and tool that may stand anywhere ``(p,)``; what these could take up is no
+            error of the arm.
     """
 
     joints: Array
@@ -191,6 +196,8 @@ class Design:
     model: ErrorModel
     weight: Array
     kind: str
+    known: Array
+    frames: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -254,7 +261,8 @@ class PosePlan:
         design: The candidates.
         criterion: "d-optimal" or "test-poses".
         model: Observability of the parameters planned for.
-        arm: Observability of the arm's own parameters, base and tool taken as known: what papers state.
+        arm: Observability of the arm's own parameters, base and tool taken as known: what papers state. None where the
+            poses are too few to tell all of them without priors.
         travel_seconds: Time of the moves in measuring order, joints moving together at the arm's speeds, s.
         random_travel_seconds: The same in random order, mean of 20, s.
         predicted_error: RMS position error to expect at the test poses from the parameters' uncertainty, m; or None.
@@ -270,7 +278,7 @@ class PosePlan:
     design: Design
     criterion: str
     model: AgainstChance
-    arm: AgainstChance
+    arm: AgainstChance | None
     travel_seconds: float
     random_travel_seconds: float
     predicted_error: float | None
@@ -282,12 +290,12 @@ class PosePlan:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; condition and ratio at the top are those of the arm's own parameters."""
-        arm = self.arm.as_dict()
+        arm = None if self.arm is None else self.arm.as_dict()
         found: dict[str, Any] = {
             "poses": len(self.joints),
             "candidates": len(self.design.joints),
             "kind": self.design.kind,
-            **{key: arm[key] for key in ("condition", "random_condition", "o1_ratio")},
+            **{key: None if arm is None else arm[key] for key in ("condition", "random_condition", "o1_ratio")},
             "arm": arm,
             "model": self.model.as_dict(),
         }
@@ -310,6 +318,8 @@ class PosePlan:
         ]
         parts = {"parameters planned for": self.model, "arm alone, base and tool known": self.arm}
         for label, part in parts.items():
+            if part is None:
+                continue
             lines.append(
                 f"  {label} ({len(part.parameters)}): condition {part.planned.condition:.1f} (poses drawn at random: "
                 f"{part.drawn.condition:.1f}), O1 {part.planned.o1 / part.drawn_o1:.2f} times theirs"
@@ -350,34 +360,44 @@ def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator, m
 
 def design_of(
     geometry: Geometry,
-    model: ErrorModel,
+    model: ErrorModel | PriorModel,
     joints: Array,
     kind: str = "pose",
     *,
     position_std: float = POSITION_STD,
     attitude_std: float = ATTITUDE_STD,
 ) -> Design:
-    """What each candidate tells about a base set of the model's parameters.
+    """What each candidate tells about the parameters.
 
-    The base set is chosen by pivoted QR: within a group of parameters that cannot be told apart, the one with the
-    largest effect stays. A D-optimal set is the same for every choice; its condition number is not.
+    Without priors about a base set of them, chosen by pivoted QR: within a group of parameters that cannot be told
+    apart, the one with the largest effect stays. A D-optimal set is the same for every choice; its condition number is
+    not.
 
     Args:
         geometry: The nominal arm.
-        model: The parameters.
+        model: The parameters, with priors or without.
         joints: Candidates ``(N, n)``, rad or m.
         kind: What will be measured.
         position_std: Standard uncertainty of a position coordinate, m.
         attitude_std: Standard uncertainty of an attitude coordinate, rad.
     """
     weight = 1.0 / np.repeat([position_std, attitude_std], 3)[: 6 if kind == "pose" else 3]
+    if isinstance(model, PriorModel):
+        rows = _rows(geometry, model.parameters, weight, joints)
+        return Design(joints, rows, model.parameters, weight, kind, prior_information(model), model.group == FRAMES)
     rows = _rows(geometry, model, weight, joints)
     triangle = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
     r, order = qr(triangle, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(r))
     kept = np.sort(order[: int(np.sum(diagonal > REDUNDANCY_TOLERANCE * diagonal[0]))])
     base = ErrorModel(model.columns[kept], tuple(model.names[k] for k in kept), model.tolerance[kept])
-    return Design(joints, rows[..., kept], base, weight, kind)
+    none = np.zeros(len(kept))
+    return Design(joints, rows[..., kept], base, weight, kind, np.diag(none), none > 0)
+
+
+def prior_information(model: PriorModel) -> Array:
+    """What the priors tell of the parameters in their tolerances ``(p, p)``."""
+    return np.diag((model.parameters.tolerance / model.width) ** 2)
 
 
 def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -> Array:
@@ -388,7 +408,7 @@ def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -
 @single_threaded()
 def plan_poses(
     arm: Arm,
-    model: ErrorModel,
+    model: ErrorModel | PriorModel,
     count: int,
     rng: np.random.Generator,
     *,
@@ -404,7 +424,9 @@ def plan_poses(
 
     Args:
         arm: The arm, with joint limits and speeds.
-        model: The parameters to identify.
+        model: The parameters to identify. Where they have priors (`pickenv.calibration.model.prior.prior_model`), poses
+            are chosen by what they add to these, and there may be fewer than parameters; scales that are not stated
+            count as 1.
         count: Poses to measure.
         rng: Draws candidates, the order of exchanges and the random sets to compare with.
         candidates: Poses to choose from ``(N, n)``, rad or m, with which random sets are drawn too; or how many to draw
@@ -439,7 +461,8 @@ def plan_poses(
     design = design_of(geometry, model, joints, kind, **std)
     _enough(design, count)
     aim = None if test_joints is None else error_weight(geometry, design, test_joints)
-    chosen, passes = exchange(design.rows, count, rng, aim if criterion == "test-poses" else None)
+    aimed = aim if criterion == "test-poses" else None
+    chosen, passes = exchange(design.rows, count, rng, aimed, known=design.known)
     chosen = chosen[short_tour(joints[chosen], arm.speed)]
 
     def drawn(size: int) -> Array:
@@ -451,27 +474,27 @@ def plan_poses(
     sets = drawn(count)
     links = design_of(geometry, link_model(geometry), joints, kind, **std)
     shuffled = [travel_seconds(joints[rng.permutation(chosen)], arm.speed) for _ in sets]
-    errors = None if aim is None else [predicted_error(_elsewhere(geometry, design, s), aim) for s in sets]
+    errors = None if aim is None else [_error_of(design, _elsewhere(geometry, design, s), aim) for s in sets]
     points: list[CurvePoint] = []
     if curve:
         goal = error_weight(geometry, design, random_joints(geometry, FIELD, rng)) if aim is None else aim
         sizes = _sizes(design, count)
         # Poses added one after the other: the first of a larger set are a smaller one.
-        added, _ = exchange(design.rows, sizes[-1], rng, aim if criterion == "test-poses" else None, most_passes=0)
+        added, _ = exchange(design.rows, sizes[-1], rng, aimed, most_passes=0, known=design.known)
         for size in sizes:
             rows = chosen if size == count else added[:size]
-            others = [predicted_error(_elsewhere(geometry, design, s), goal) for s in drawn(size)]
-            points.append(CurvePoint(size, predicted_error(design.rows[rows], goal), float(np.median(others))))
+            others = [_error_of(design, _elsewhere(geometry, design, s), goal) for s in drawn(size)]
+            points.append(CurvePoint(size, _error_of(design, design.rows[rows], goal), float(np.median(others))))
     return PosePlan(
         joints=joints[chosen],
         chosen=chosen,
         design=design,
         criterion=criterion,
         model=_against_chance(geometry, design, chosen, sets),
-        arm=_against_chance(geometry, links, chosen, sets),
+        arm=None if count < _least(links) else _against_chance(geometry, links, chosen, sets),
         travel_seconds=travel_seconds(joints[chosen], arm.speed),
         random_travel_seconds=float(np.mean(shuffled)),
-        predicted_error=None if aim is None else predicted_error(design.rows[chosen], aim),
+        predicted_error=None if aim is None else _error_of(design, design.rows[chosen], aim),
         random_predicted_error=None if errors is None else float(np.median(errors)),
         passes=passes,
         seconds=time.perf_counter() - begin,
@@ -484,20 +507,23 @@ def _elsewhere(geometry: Geometry, design: Design, joints: Array) -> Array:
     return _rows(geometry, design.model, design.weight, joints)
 
 
-def _observed(rows: Array) -> Observability:
-    """Observability of stacked rows ``(M, r, p)``."""
-    values = np.linalg.svd(rows.reshape(-1, rows.shape[-1]), compute_uv=False)
+def _observed(design: Design, rows: Array) -> Observability:
+    """Observability of stacked rows ``(M, r, p)``, and of what is known beforehand."""
+    stacked = np.vstack([rows.reshape(-1, rows.shape[-1]), np.sqrt(design.known)])
+    values = np.linalg.svd(stacked, compute_uv=False)
     return observability(np.asarray(values, dtype=float), len(rows))
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> AgainstChance:
-    drawn = sorted((_observed(_elsewhere(geometry, design, s)) for s in sets), key=lambda found: found.condition)
+    drawn = sorted((_observed(design, _elsewhere(geometry, design, s)) for s in sets), key=lambda seen: seen.condition)
     o1 = float(np.mean([found.o1 for found in drawn]))
-    return AgainstChance(design.model.names, _observed(design.rows[chosen]), drawn[len(drawn) // 2], o1)
+    return AgainstChance(design.model.names, _observed(design, design.rows[chosen]), drawn[len(drawn) // 2], o1)
 
 
 def _least(design: Design) -> int:
-    """Poses that give a few more equations than parameters."""
+    """Poses that give a few more equations than parameters; one where these have priors."""
+    if design.known.any():
+        return 1
     return -(-len(design.model.names) // int(design.rows.shape[1])) + 1
 
 
@@ -519,11 +545,28 @@ def _enough(design: Design, count: int) -> None:
 
 def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Array:
     """W ``(p, p)`` such that trace(W M^-1) is the mean squared predicted position error at the test poses, m^2."""
-    stacked = _rows(geometry, design.model, np.ones(3), test_joints).reshape(-1, len(design.model.names))
-    return np.asarray(stacked.T @ stacked / len(test_joints))
+    effects = _rows(geometry, design.model, np.ones(3), test_joints).reshape(-1, len(design.model.names))
+    return squares_of(effects, design.frames) / len(test_joints)
 
 
-def predicted_error(rows: Array, weight: Array) -> float:
-    """RMS position error, m, that the uncertainty of parameters seen by ``rows`` ``(M, r, p)`` brings; see above."""
+def squares_of(effects: Array, frames: NDArray[np.bool_]) -> Array:
+    """E^T E ``(p, p)`` of effects ``(R, p)``, but for what parameters of base and tool could take up."""
+    basis = np.linalg.qr(effects[:, frames])[0]
+    rest = effects - basis @ (basis.T @ effects)
+    return np.asarray(rest.T @ rest)
+
+
+def predicted_error(rows: Array, weight: Array, known: Array | float = 0.0) -> float:
+    """RMS position error, m, that the uncertainty of parameters seen by ``rows`` ``(M, r, p)`` brings; see above.
+
+    Args:
+        rows: What poses tell.
+        weight: W ``(p, p)``.
+        known: Information that there is beforehand ``(p, p)``.
+    """
     stacked = rows.reshape(-1, rows.shape[-1])
-    return float(np.sqrt(np.trace(np.linalg.solve(stacked.T @ stacked, weight))))
+    return float(np.sqrt(np.trace(np.linalg.solve(stacked.T @ stacked + known, weight))))
+
+
+def _error_of(design: Design, rows: Array, weight: Array) -> float:
+    return predicted_error(rows, weight, design.known)

@@ -60,6 +60,15 @@ def plan_poses(
     noise_mm: Annotated[
         float | None, typer.Option(help="What one position coordinate will scatter by.", show_default=False)
     ] = None,
+    fit: Annotated[
+        Literal["auto", "offsets", "full"], typer.Option(help="What will be fitted, as `pickenv calibrate` says it.")
+    ] = "auto",
+    tolerances: Annotated[
+        str | None, typer.Option(help="Tolerance class that parts are made to, by name or file.", show_default=False)
+    ] = None,
+    prior_scale: Annotated[
+        float, typer.Option(help="Factor on the class: how much better or worse parts are made.", min=1e-3, max=1e3)
+    ] = 1.0,
     curve: Annotated[bool, typer.Option("--curve", help="Say what half to eight times --n would bring.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of candidates and exchange.", min=0)] = 0,
     out: Annotated[Path | None, typer.Option(help="Write the joints in measuring order (.csv).")] = None,
@@ -67,8 +76,8 @@ def plan_poses(
 ) -> None:
     """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel."""
     from pickenv.arm import load_arm
-    from pickenv.calibration.model.arm_model import complete_model, link_model
     from pickenv.calibration.model.measurements import POSITION_STD
+    from pickenv.calibration.model.prior import prior_model
     from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of
     from pickenv.calibration.planning.like import PlanLike, plan_like
     from pickenv.calibration.planning.plan import PosePlan
@@ -83,6 +92,14 @@ def plan_poses(
         check_limit("--noise-mm", noise_mm, "scatter_mm")
     test_joints = None if at is None else joints_of(read_targets(at, chosen.nominal), chosen.nominal)
     rng = np.random.default_rng(seed)
+    prior = prior_model(
+        chosen.name,
+        chosen.nominal,
+        known=frames == "known",
+        fit=fit,
+        tolerances=tolerances or chosen.tolerance_class,
+        scale=prior_scale,
+    )
     planned: PosePlan | PlanLike
     if like is not None:
         if kind is not None or noise_mm is not None or frames == "known":
@@ -99,12 +116,13 @@ def plan_poses(
             criterion=criterion,
             test_joints=test_joints,
             curve=curve,
+            prior=prior if prior.proper else None,
         )
     else:
         joints, lines = (candidates, None) if pool is None else pool_of(pool, chosen.nominal, columns)
         planned = plan(
             chosen,
-            (complete_model if frames == "fitted" else link_model)(chosen.nominal),
+            prior if prior.proper else prior.parameters,
             n,
             rng,
             candidates=joints,

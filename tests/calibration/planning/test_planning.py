@@ -10,10 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-from pickenv.arm import Pose, displace_pose, forward, load_arm
-from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
+from pickenv.arm import Plant, Pose, displace_pose, draw_plants, forward, load_arm, load_tolerances, plant_at
+from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints, simulated_tracker
+from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ErrorModel
 from pickenv.calibration.model.identifiability import observability, observability_of
+from pickenv.calibration.model.noise import stated_noise
+from pickenv.calibration.model.prior import MADE, prior_model
 from pickenv.calibration.planning.plan import (
     candidate_joints,
     design_of,
@@ -274,3 +278,43 @@ def test_the_curve_is_the_error_that_calibrations_show(qiao, near_them):
         found = identify(link_model(qiao.nominal), qiao.nominal, data).geometry
         left.append(np.sum((forward(found, there).position - truth) ** 2, axis=1).mean())
     assert np.sqrt(np.mean(left)) == pytest.approx(plan.curve[1].error, rel=0.15)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_with_priors_the_predicted_error_is_the_one_that_a_calibration_states(known):
+    """Six poses, fewer equations than parameters: what the plan says is what the posterior of such rows says."""
+    ur5, rng = load_arm("ur5"), np.random.default_rng(3)
+    near = random_joints(ur5.nominal, 60, rng)
+    model = prior_model("ur5", ur5.nominal, known=known, scale=1.0)
+    planned = plan_poses(ur5, model, 6, rng, candidates=300, test_joints=near)
+    assert len(model.std) > 6 * 6
+    arms = draw_plants(Plant("ur5", ur5, ur5.nominal), load_tolerances("cobot"), 1, rng)
+    rows = simulated_tracker(plant_at(arms, 0), planned.joints, rng)
+    rows = replace(rows, std_stated=True)
+    solution = solve(model, rows, stated_noise(rows))
+    workspace = workspace_error(solution, ur5.nominal, rows.joints, near)
+    assert workspace.declared.calibrated == pytest.approx(planned.predicted_error, rel=0.1)
+    assert planned.predicted_error < planned.random_predicted_error < workspace.declared.expected
+
+
+def test_wide_priors_plan_as_none_and_narrow_ones_leave_nothing_to_tell():
+    ur5 = load_arm("ur5")
+    near = random_joints(ur5.nominal, 60, np.random.default_rng(3))
+
+    def error(model):
+        rng = np.random.default_rng(0)
+        return plan_poses(ur5, model, 30, rng, candidates=300, test_joints=near).predicted_error
+
+    model = prior_model("ur5", ur5.nominal, known=True)
+    wide, expected, narrow = (error(replace(model, scales=dict.fromkeys(MADE, s))) for s in (1e4, 1.0, 1e-6))
+    assert wide == pytest.approx(error(model.parameters), rel=0.02)
+    assert narrow < 1e-3 * expected and expected < 1.01 * wide
+
+
+def test_the_command_plans_fewer_poses_than_parameters_where_priors_say_the_rest(tmp_path):
+    out = ["--out", str(tmp_path / "few.csv"), "--json", str(tmp_path / "few.json")]
+    done = CliRunner().invoke(app, ["plan-poses", "--arm", "ur5", "--n", "3", "--candidates", "100", *out])
+    assert done.exit_code == 0 and json.loads((tmp_path / "few.json").read_text())["poses"] == 3
+    with pytest.raises(InputError, match="3 poses are too few for 30 parameters"):
+        plan = ["plan-poses", "--arm", "ur5", "--n", "3", "--candidates", "100", "--fit", "full"]
+        CliRunner().invoke(app, plan, catch_exceptions=False, standalone_mode=False)
