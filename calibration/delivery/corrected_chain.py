@@ -563,7 +563,8 @@ def correction(calibration: Calibration, own: JointRow, path: Path) -> Correctio
     near, turned = apart(tool, tip)
     at_tip = near <= NEAR and turned <= TURNED
     mount = chain.mount if known and at_tip and own.mount is not None and retooled else None
-    return Correction(chain, same, mount, tuple(_notes(calibration, own, chain, same, mount)))
+    beside = apart(behind(inverse_pose(tip), tool), chain.hand)
+    return Correction(chain, same, mount, tuple(_notes(calibration, own, chain, same, mount, beside)))
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
@@ -584,8 +585,14 @@ def is_moved(old: Pose, new: Pose) -> tuple[bool, bool]:
 
 
 def _notes(
-    calibration: Calibration, own: JointRow, chain: CorrectedChain, same: SameChain, mount: Pose | None
+    calibration: Calibration,
+    own: JointRow,
+    chain: CorrectedChain,
+    same: SameChain,
+    mount: Pose | None,
+    beside: tuple[float, float],
 ) -> list[str]:
+    """What the file holds, and what not; ``beside``: how far the tool stands from where joints bring it, m and rad."""
     moves = {
         joint.name: apart(joint.origin, new)
         for joint, new in zip(own.joints, chain.origins, strict=True)
@@ -617,10 +624,10 @@ def _notes(
         )
     elif mount is not None:
         notes.append(f"the tool's correction is in the fixed joint '{own.mount}' before the tip")
-    elif max(retooled := apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING:
+    elif max(beside) > NOTHING:
         notes.append(
-            f"the tool's correction ({retooled[0] * 1e3:.3g} mm, {math.degrees(retooled[1]):.3g} deg) is left out: the "
-            "file's tip is not the calibrated tool on a fixed joint; --as transforms writes it"
+            f"of the tool's correction {beside[0] * 1e3:.3g} mm and {round(math.degrees(beside[1]), 6):g} deg are left out: "
+            "the file's tip is not the calibrated tool on a fixed joint; --as transforms writes them"
         )
     left = left_out(calibration)
     if left:

@@ -278,7 +278,7 @@ def test_a_tools_correction_goes_to_the_fixed_joint_before_the_tip_only_where_fr
     lines = changed(Path(own.partition("#")[0]).read_text(), done.path.read_text())
     assert len(lines) == 2 * 6  # not the gripper's own joint, which hangs on the link and not on the tip
     elsewhere = export(known, tmp_path / "flange.urdf", onto=so101 / "so101_new_calib.urdf")
-    assert any("tool's correction (2.24 mm, 0 deg) is left out" in note for note in elsewhere.notes)
+    assert any("of the tool's correction 2.24 mm and 0 deg are left out" in note for note in elsewhere.notes)
     fitted = replace(known, record={"frames": "fitted"})
     kept = export(fitted, tmp_path / "fitted.urdf", onto=own).path.read_text()
     assert 'xyz="-0.0079 -0.000218121 -0.0981274" rpy="0 3.14159 0"' in kept
