@@ -170,6 +170,13 @@ def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
     return Edit(tag.end, tag.end, rest[: len(rest) - len(rest.lstrip())] + element.encode())
 
 
+def inserted_before(data: bytes, tag: StartTag, *elements: str) -> Edit:
+    """What puts elements before a start tag, on lines as its own."""
+    before = data[: tag.start]
+    gap = before[len(before.rstrip()) :]
+    return Edit(tag.start, tag.start, b"".join(element.encode() + gap for element in elements))
+
+
 def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
     """The text with all its edits."""
     parts, after = [], 0
@@ -531,22 +538,28 @@ class Correction:
         chain: Where the joints stand.
         same: How the file tells of the arm.
         mount: New pose of the tip in the last joint's frame; None where it stays.
+        frame: Pose in the tip of a new frame that is the calibrated tool; None where the tip is, or the file keeps it.
         notes: What the file holds, and what it does not, a sentence each.
     """
 
     chain: CorrectedChain
     same: SameChain
     mount: Pose | None
+    frame: Pose | None
     notes: tuple[str, ...]
 
 
-def correction(calibration: Calibration, own: JointRow, path: Path) -> Correction:
+def correction(calibration: Calibration, own: JointRow, path: Path, frame: str = "") -> Correction:
     """Where the joints of a robot's own file stand after calibration.
+
+    A link that a joint moves has its frame on that joint's axis. Where such a link is the tip, what of the tool lies
+    beside the axis is a frame of its own, fixed to the tip.
 
     Args:
         calibration: The calibration.
         own: The file's joints.
         path: The file, for messages.
+        frame: What a new frame behind the tip would be called; empty where the format has none.
 
     Raises:
         InputError: If the file is of another arm.
@@ -561,10 +574,34 @@ def correction(calibration: Calibration, own: JointRow, path: Path) -> Correctio
     retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
     tool, tip = behind(same.root, forward(calibration.arm, same.zero)), forward(geometry, np.zeros(geometry.joints))
     near, turned = apart(tool, tip)
-    at_tip = near <= NEAR and turned <= TURNED
-    mount = chain.mount if known and at_tip and own.mount is not None and retooled else None
+    told_there = known and retooled and near <= NEAR and turned <= TURNED
+    mount = chain.mount if told_there and own.mount is not None else None
     beside = apart(behind(inverse_pose(tip), tool), chain.hand)
-    return Correction(chain, same, mount, tuple(_notes(calibration, own, chain, same, mount, beside)))
+    lies_beside = max(beside) > NOTHING
+    behind_tip = chain.hand if told_there and own.mount is None and frame and lies_beside else None
+    notes = _notes(calibration, own, chain, same)
+    size = f"{beside[0] * 1e3:.3g} mm and {round(math.degrees(beside[1]), 6):g} deg"
+    if not known:
+        notes.append(
+            "base and tool were fitted: where the instrument stood and what it aimed at are no part of the robot, so "
+            "the file keeps its root and its tip; --as transforms writes both"
+        )
+    elif mount is not None:
+        notes.append(f"the tool's correction is in the fixed joint '{own.mount}' before the tip")
+    elif behind_tip is not None:
+        notes.append(
+            f"the calibrated tool is the new frame '{frame}', fixed to the tip {own.tip}: {size} of the tool's "
+            "correction lie beside the last joint's axis, where no frame of its own link can stand"
+        )
+    elif lies_beside:
+        notes.append(
+            f"of the tool's correction {size} are left out: the file's tip is not the calibrated tool on a fixed "
+            "joint; --as transforms writes them"
+        )
+    missing = left_out(calibration)
+    if missing:
+        notes.append(f"not in the file, because rigid links cannot hold it: {', '.join(missing)}")
+    return Correction(chain, same, mount, behind_tip, tuple(notes))
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
@@ -584,15 +621,8 @@ def is_moved(old: Pose, new: Pose) -> tuple[bool, bool]:
     return position > NOTHING, turn > NOTHING
 
 
-def _notes(
-    calibration: Calibration,
-    own: JointRow,
-    chain: CorrectedChain,
-    same: SameChain,
-    mount: Pose | None,
-    beside: tuple[float, float],
-) -> list[str]:
-    """What the file holds, and what not; ``beside``: how far the tool stands from where joints bring it, m and rad."""
+def _notes(calibration: Calibration, own: JointRow, chain: CorrectedChain, same: SameChain) -> list[str]:
+    """What the file's joints hold, and how they read."""
     moves = {
         joint.name: apart(joint.origin, new)
         for joint, new in zip(own.joints, chain.origins, strict=True)
@@ -617,21 +647,6 @@ def _notes(
             if sign != 1 or zero
         ]
         notes.append(f"joints read otherwise in the file (rad, m): {', '.join(said)}; its own reading is kept")
-    if calibration.record.get("frames") == "fitted":
-        notes.append(
-            "base and tool were fitted: where the instrument stood and what it aimed at are no part of the robot, so "
-            "the file keeps its root and its tip; --as transforms writes both"
-        )
-    elif mount is not None:
-        notes.append(f"the tool's correction is in the fixed joint '{own.mount}' before the tip")
-    elif max(beside) > NOTHING:
-        notes.append(
-            f"of the tool's correction {beside[0] * 1e3:.3g} mm and {round(math.degrees(beside[1]), 6):g} deg are left out: "
-            "the file's tip is not the calibrated tool on a fixed joint; --as transforms writes them"
-        )
-    left = left_out(calibration)
-    if left:
-        notes.append(f"not in the file, because rigid links cannot hold it: {', '.join(left)}")
     return notes
 
 

@@ -1,5 +1,8 @@
 """A calibration onto a robot's own URDF: attributes of joint origins change, and no other byte.
 
+Where the tip is the last joint's own link and the calibrated tool lies beside that joint's axis, the tool is a new link
+`TIP_calibrated` fixed to the tip; in an MJCF a site of that name.
+
 Written against URDF as ROS 2 has it (https://wiki.ros.org/urdf/XML, version 1.0); xacro is expanded first. Lengths in
 metres, rpy in radians about fixed axes.
 """
@@ -12,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -39,6 +43,7 @@ from pickenv.calibration.delivery.corrected_chain import (
     corrected_chain,
     correction,
     edited,
+    inserted_before,
     inserted_first,
     is_moved,
     own_origin,
@@ -67,7 +72,8 @@ def onto_urdf(calibration: Calibration, path: Path, tip: str | None, out: Path) 
         InputError: If the file is unusable, of another arm, or its meshes would be lost.
     """
     chain = urdf_row(path, tip)
-    found = correction(calibration, chain, path)
+    frame = f"{chain.tip}_calibrated"
+    found = correction(calibration, chain, path, frame)
     data = path.read_bytes()
     tags = start_tags(data)
     refuse_lost_files(path, out, [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"])
@@ -78,7 +84,33 @@ def onto_urdf(calibration: Calibration, path: Path, tip: str | None, out: Path) 
     if found.mount is not None and chain.mount is not None:
         place = _joint(tags, chain.mount)
         edits += _moved(data, tags, place, own_origin(_origin(tags, place), chain.tool, found.mount))
+    if found.frame is not None:
+        edits += _behind_tip(data, tags, chain.joints[-1].name, chain.tip, frame, found.frame, path)
     return Document(edited(data, edits), found.notes)
+
+
+def _behind_tip(
+    data: bytes, tags: list[StartTag], last: str, tip: str, frame: str, pose: Pose, path: Path
+) -> list[Edit]:
+    """A link that is fixed to the tip, before the tip's own joint; one that an earlier calibration wrote is moved."""
+    joint = f"{frame}_joint"
+    if any(tag.name == "link" and tag.attributes.get("name") == frame for tag in tags):
+        place = next(
+            (i for i, tag in enumerate(tags) if tag.name == "joint" and tag.attributes.get("name") == joint), -1
+        )
+        parents = [tag.attributes.get("link") for tag in tags if tag.name == "parent" and tag.parent == place]
+        if parents != [tip]:
+            raise InputError(f"{path} has a link '{shortened(frame)}' of its own, where the calibrated tool is written")
+        return _moved(data, tags, place, pose)
+    origin = (
+        f'<origin xyz="{numbers_text(pose.position)}" rpy="{numbers_text(roll_pitch_yaw(np.asarray(pose.rotation)))}"/>'
+    )
+    ends = f"<parent link={quoteattr(tip)}/><child link={quoteattr(frame)}/>"
+    elements = (
+        f"<link name={quoteattr(frame)}/>",
+        f'<joint name={quoteattr(joint)} type="fixed">{origin}{ends}</joint>',
+    )
+    return [inserted_before(data, tags[_joint(tags, last)], *elements)]
 
 
 def urdf_correction(calibration: Calibration, path: Path, tip: str | None) -> tuple[Correction, str, str]:
@@ -143,7 +175,8 @@ def onto_mjcf(calibration: Calibration, path: Path, tip: str | None, out: Path) 
         InputError: If the file is unusable, of another arm, its bodies stand elsewhere, or its meshes would be lost.
     """
     row = mjcf_row(path, tip)
-    found = correction(calibration, row, path)
+    frame = f"{row.tip}_calibrated"
+    found = correction(calibration, row, path, frame)
     values = MjcfValues.of(xml_root(path, "MJCF (.xml)"))
     data = path.read_bytes()
     tags = start_tags(data)
@@ -166,6 +199,14 @@ def onto_mjcf(calibration: Calibration, path: Path, tip: str | None, out: Path) 
         kind, _, name = row.mount.rpartition(" ") if row.mount.startswith("site ") else ("body", "", row.mount)
         tag = _named(tags, kind, name, path)
         edits += _moved_body(data, tag, values, own_origin(values.pose(tag.attributes), row.tool, found.mount))
+    if found.frame is not None:
+        earlier = [tag for tag in tags if tag.name == "site" and tag.attributes.get("name") == frame]
+        if earlier:
+            edits += _moved_body(data, earlier[0], values, found.frame)
+        else:
+            place = f'pos="{numbers_text(found.frame.position)}" quat="{_quaternion(found.frame)}"'
+            site = f"<site name={quoteattr(frame)} {place}/>"
+            edits.append(inserted_first(data, _named(tags, "body", row.tip, path), site))
     return Document(edited(data, edits), found.notes)
 
 
@@ -189,14 +230,19 @@ def _moved_body(data: bytes, tag: StartTag, values: MjcfValues, new: Pose) -> li
     told = next((key for key in ORIENTATIONS if key in tag.attributes), "quat")
     edits: list[Edit] = []
     if turned:
-        *xyz, w = Rotation.from_matrix(np.asarray(new.rotation)).as_quat(canonical=True)
-        quat = numbers_text([w, *xyz])
+        quat = _quaternion(new)
         if told == "quat":
             written["quat"] = quat
         else:
             start, _, end = attribute_spans(data, tag)[0][told]
             edits.append(Edit(start, end + 1, f'quat="{quat}"'.encode()))
     return edits + attribute_edits(data, tag, written)
+
+
+def _quaternion(pose: Pose) -> str:
+    """An orientation as MJCF's quat."""
+    *xyz, w = Rotation.from_matrix(np.asarray(pose.rotation)).as_quat(canonical=True)
+    return numbers_text([w, *xyz])
 
 
 def _files(tags: list[StartTag]) -> list[str]:

@@ -119,6 +119,25 @@ def test_a_known_tools_correction_moves_the_site(model, made, tmp_path):
     np.testing.assert_allclose(again.position, wanted.position, atol=1e-9)
 
 
+def test_a_tool_beside_the_last_axis_is_a_site_on_the_tip(so101, made, in_mujoco, meshes_of, tmp_path):
+    shutil.copytree(so101 / "assets", tmp_path / "assets")
+    own = onto = so101 / "so101_new_calib.xml"
+    arm, rng = load_arm(own), np.random.default_rng(34)
+    joints = random_joints(arm.nominal, 50, rng)
+    for name in ("first.xml", "again.xml"):  # the next calibration moves the same site
+        calibration = made(arm, rng)
+        tool = Pose(arm.nominal.tool.position + rng.normal(size=3) * 1e-3, arm.nominal.tool.rotation)
+        calibration = replace(calibration, model=ArmModel.of(replace(calibration.identified, tool=tool)))
+        done = export(calibration, tmp_path / name, onto=onto)
+        assert any("the new frame 'gripper_calibrated'" in note for note in done.notes)
+        assert done.path.read_text().count("gripper_calibrated") == 1
+        wanted = forward(calibration.identified, joints)
+        seen = in_mujoco(done.path, arm.nominal.joint_names, "gripper_calibrated", joints, meshes_of(own))
+        np.testing.assert_allclose(seen.position, wanted.position, atol=1e-8)
+        np.testing.assert_allclose(seen.rotation, wanted.rotation, atol=1e-8)
+        onto, arm = done.path, load_arm(done.path)
+
+
 def test_bodies_of_an_included_file_are_not_written(so101, made, tmp_path):
     arm = load_arm(so101 / "so101_new_calib.xml")
     with pytest.raises(InputError, match="body 'shoulder' stands in a file that it includes"):

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pickenv.arm import forward, load_arm
+from pickenv.arm import forward, load_arm, rotation_matrix
 from pickenv.arm.files.urdf_text import roll_pitch_yaw, write_urdf
 from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration import Calibration, export, random_joints
@@ -282,6 +282,39 @@ def test_a_tools_correction_goes_to_the_fixed_joint_before_the_tip_only_where_fr
     fitted = replace(known, record={"frames": "fitted"})
     kept = export(fitted, tmp_path / "fitted.urdf", onto=own).path.read_text()
     assert 'xyz="-0.0079 -0.000218121 -0.0981274" rpy="0 3.14159 0"' in kept
+
+
+def test_a_tool_beside_the_last_axis_is_a_link_behind_the_tip(so101, made, in_mujoco, meshes_of, tmp_path):
+    """The tip is the last joint's own link: every other byte stays, and the next calibration moves the same link."""
+    shutil.copytree(so101 / "assets", tmp_path / "assets")
+    own, onto = so101 / "so101_new_calib.urdf", so101 / "so101_new_calib.urdf"
+    arm, rng, link = load_arm(own), np.random.default_rng(60), "gripper_link_calibrated"
+    q = random_joints(arm.nominal, 50, rng)
+    for name in ("first.urdf", "again.urdf"):
+        calibration = made(arm, rng)
+        tool = Pose(
+            arm.nominal.tool.position + rng.normal(size=3) * 1e-3,
+            arm.nominal.tool.rotation @ rotation_matrix(rng.normal(size=3) * 1e-3),
+        )
+        calibration = replace(calibration, model=ArmModel.of(replace(calibration.identified, tool=tool)))
+        done = export(calibration, tmp_path / name, onto=f"{onto}#gripper_link")
+        assert any(f"the new frame '{link}', fixed to the tip gripper_link" in note for note in done.notes)
+        wanted, seen = forward(calibration.identified, q), forward(load_arm(f"{done.path}#{link}").nominal, q)
+        np.testing.assert_allclose(seen.position, wanted.position, atol=1e-9)
+        np.testing.assert_allclose(seen.rotation, wanted.rotation, atol=1e-9)
+        referee = in_mujoco(done.path, arm.nominal.joint_names, link, q, meshes_of(own))
+        np.testing.assert_allclose(referee.position, wanted.position, atol=1e-8)
+        text = done.path.read_text()
+        assert text.count(f'"{link}"') == 2
+        assert load_arm(done.path).source.endswith("tip gripper_link")  # a gripper's link hangs on the tip as well
+        if onto == own:
+            added = re.compile(rf'<link name="{link}"/>\s*<joint name="{link}_joint".*?</joint>\s*')
+            assert without_origins(added.sub("", text)) == without_origins(own.read_text())
+            onto, arm = done.path, load_arm(done.path)
+            text = text.replace('<parent link="gripper_link"/><child', '<parent link="base_link"/><child')
+            (tmp_path / "theirs.urdf").write_text(text)
+    with pytest.raises(InputError, match=rf"has a link '{link}' of its own"):
+        export(calibration, tmp_path / "out.urdf", onto=f"{tmp_path / 'theirs.urdf'}#gripper_link")
 
 
 @given(st.floats(-4, 4), st.sampled_from([-np.pi / 2, np.pi / 2, 0.3]), st.floats(-1e-6, 1e-6), st.floats(-4, 4))

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_arm, rotation_matrix
 from pickenv.arm.kinematics.geometry import Pose, behind
-from pickenv.calibration.delivery.corrected_chain import link_frames, same_chain
+from pickenv.calibration.delivery.corrected_chain import NEAR, link_frames, same_chain
 from pickenv.errors import InputError
 
 ARMS = ("ur5", "ur10e", "panda", "so101", "wam", "qiao2026", "positioner")
@@ -45,12 +45,18 @@ def test_an_arm_whose_first_axes_are_parallel_is_found(told_otherwise, seed):
 
 
 @given(seed=st.integers(0, 2**32 - 1))
+@example(seed=6820)  # the other way's zero is 0.04 mm, which counts as none
+@example(seed=4854)  # and here 0.31 mm, which does not
 @settings(max_examples=20)
 def test_a_slides_zero_is_found_where_later_axes_say_where_it_stands(told_otherwise, seed):
+    """A wrist has two ways, whose zeros differ by any length: one below a file's last digits is no zero.
+
+    The zeros drawn are 5 mm and more, so that a zero left out where both ways have one would part them further.
+    """
     rng, ur5 = np.random.default_rng(seed), load_arm("ur5").nominal
     arm = replace(ur5, prismatic=(False, False, False, False, True, False))
     same = same_chain(arm, told_otherwise(arm, rng, False), "robot.urdf", "arm with a slide")
-    assert same.apart[0] < 1e-8 and same.apart[1] < 1e-8 and same.zero[4] != 0.0
+    assert same.apart[0] < (1e-8 if same.zero[4] else 2 * NEAR) and same.apart[1] < 1e-8
 
 
 @pytest.mark.parametrize("name", ARMS)
