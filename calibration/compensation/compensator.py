@@ -432,19 +432,6 @@ def _truncated_step(inverse: Array, error: Sequence[float], columns: Sequence[Se
 # A compensator as machine code, for a control loop over many arms: the commands of the plain one, to the bit.
 
 
-class Notable(Protocol):
-    """What is compiled: see `pickenv.calibration.compensation.compensator.Compensator`."""
-
-    def __call__(self, joints: ArrayLike) -> Array:
-        """Commands for targets."""
-
-    def checked(self, joints: ArrayLike) -> Array:
-        """Targets, checked."""
-
-    def noted(self, trace: Trace) -> list[Scalar]:
-        """The commands, written down."""
-
-
 class CompiledCompensator:
     """Maps joint targets ``(N, n)`` to joint commands; the few poses that need more than operations go the plain way.
 
@@ -453,7 +440,7 @@ class CompiledCompensator:
         count: For how many targets at once.
     """
 
-    def __init__(self, plain: Notable, count: int) -> None:
+    def __init__(self, plain: Compensator, count: int) -> None:
         from pickenv.arm.kinematics.machine_code import Compiled
 
         self._plain = plain

@@ -80,6 +80,8 @@ def left_out(calibration: Calibration) -> list[str]:
 # and written again, so comments, order, spaces, quotes and line ends are kept.
 
 
+TO_TAG_END = re.compile(rb"""(?:[^>"']|"[^"]*"|'[^']*')*>""")
+"""To the ``>`` of a tag; one within quotes is none."""
 ATTRIBUTE = re.compile(rb"""\s+([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
@@ -123,27 +125,15 @@ def start_tags(data: bytes) -> list[StartTag]:
 
     def start(name: str, attributes: dict[str, str]) -> None:
         first = parser.CurrentByteIndex
-        found.append(StartTag(name, attributes, first, _end(data, first), around[-1] if around else None))
+        text = TO_TAG_END.match(data, first)
+        end = len(data) if text is None else text.end()
+        found.append(StartTag(name, attributes, first, end, around[-1] if around else None))
         around.append(len(found) - 1)
 
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda _: around.pop()
     parser.Parse(data, True)
     return found
-
-
-def _end(data: bytes, start: int) -> int:
-    """The byte after the ``>`` of a tag; one within quotes is none."""
-    quote = b""
-    for place in range(start, len(data)):
-        byte = data[place : place + 1]
-        if quote:
-            quote = b"" if byte == quote else quote
-        elif byte in (b'"', b"'"):
-            quote = byte
-        elif byte == b">":
-            return place + 1
-    return len(data)
 
 
 def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, int, int]], int]:
@@ -429,13 +419,11 @@ class CorrectedChain:
 
     Attributes:
         origins: New origin of each of the file's joints, told as `ChainJoint.origin` is.
-        tip: Pose of the file's tip in its root at zero joints, with the old mount of the tip.
-        hand: Pose of the calibrated tool in the tip.
+        hand: Pose of the calibrated tool in the tip, with the old mount of the tip.
         mount: Pose of the tip in the last joint's frame with which the tip is the calibrated tool.
     """
 
     origins: tuple[Pose, ...]
-    tip: Pose
     hand: Pose
     mount: Pose
 
@@ -478,8 +466,8 @@ def corrected_chain(
         drawn, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
         along = _slid_along(behind(placed, inverse_pose(behind(inverse_pose(old), drawn))), joints[-1])
         origins[-1], new = behind(origins[-1], along), behind(new, along)
-    tip = behind(new, tool)
-    return CorrectedChain(tuple(origins), tip, behind(inverse_pose(tip), hand), behind(inverse_pose(new), hand))
+    mount = behind(inverse_pose(new), hand)
+    return CorrectedChain(tuple(origins), behind(inverse_pose(tool), mount), mount)
 
 
 def _slid_along(moved: Pose, joint: ChainJoint) -> Pose:
@@ -574,7 +562,8 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
     retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
     tool, tip = behind(same.root, forward(calibration.arm, same.zero)), forward(geometry, np.zeros(geometry.joints))
     near, turned = apart(tool, tip)
-    told_there = known and retooled and near <= NEAR and turned <= TURNED
+    at_tip = near <= NEAR and turned <= TURNED
+    told_there = at_tip and known and retooled
     mount = chain.mount if told_there and own.mount is not None else None
     beside = apart(behind(inverse_pose(tip), tool), chain.hand)
     lies_beside = max(beside) > NOTHING
@@ -639,20 +628,14 @@ def _notes(calibration: Calibration, own: JointRow, chain: CorrectedChain, same:
     else:
         notes.append("no joint origin differs from what the file has; nothing is changed")
     if not same.plain():
+        drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
         said = [
             f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
-            for name, joint, sign, zero in zip(
-                calibration.arm.joint_names, _drivers(own), same.sign, same.zero, strict=True
-            )
+            for name, joint, sign, zero in zip(calibration.arm.joint_names, drivers, same.sign, same.zero, strict=True)
             if sign != 1 or zero
         ]
         notes.append(f"joints read otherwise in the file (rad, m): {', '.join(said)}; its own reading is kept")
     return notes
-
-
-def _drivers(own: JointRow) -> list[str]:
-    """Names of the joints that are commanded, in the file's order."""
-    return list(dict.fromkeys(joint.driver for joint in own.joints if joint.ratio))
 
 
 def refuse_lost_files(path: Path, out: Path, names: Sequence[str]) -> None:

@@ -5,7 +5,7 @@ What a file cannot hold of a calibration is told with it (`Delivery.notes`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,19 +14,9 @@ import numpy as np
 
 from pickenv.arm import Arm, Geometry, load_arm, shipped_arms
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.delivery import onto_files
 from pickenv.calibration.delivery.corrected_chain import Document, left_out, provenance
 from pickenv.calibration.delivery.joint_offsets import dh_table, joint_offsets, offset_table, onto_lerobot, ros2_offsets
-from pickenv.calibration.delivery.onto_files import (
-    export_mjcf,
-    onto_kinematics_yaml,
-    onto_mjcf,
-    onto_urdf,
-    static_transforms,
-    ur_kinematics_yaml,
-    urdf_correction,
-    write_arm_toml,
-    write_arm_urdf,
-)
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import Bpnn
 from pickenv.calibration.residuals.residual_models import LearntResidual
@@ -198,21 +188,23 @@ def export(
         raise InputError(
             "a LeRobot file keeps ids and ranges of your motors; give --onto the one that lerobot-calibrate wrote"
         )
-    if chosen == "mjcf" and own is None:
-        first, *others = export_mjcf(calibration, _arm(calibration, arm), out, sample=sample, seed=seed)
-        return _delivered(calibration, first, _new_file_notes(calibration, chosen), tuple(others))
-    if chosen in ("toml", "onnx") or (chosen == "urdf" and own is None):
-        writers: dict[str, Callable[[], Path]] = {
-            "toml": lambda: write_arm_toml(calibration, _arm(calibration, arm), out),
-            "urdf": lambda: write_arm_urdf(calibration, _arm(calibration, arm), out),
-            "onnx": lambda: write_onnx(calibration, out),
-        }
-        return _delivered(calibration, writers[chosen](), _new_file_notes(calibration, chosen))
+    caution = () if calibration.caution is None else (f"caution: {calibration.caution}",)
+    writers: dict[str, Callable[[], list[Path]]] = {
+        "toml": lambda: [onto_files.write_arm_toml(calibration, _arm(calibration, arm), out)],
+        "urdf": lambda: [onto_files.write_arm_urdf(calibration, _arm(calibration, arm), out)],
+        "mjcf": lambda: onto_files.export_mjcf(calibration, _arm(calibration, arm), out, sample=sample, seed=seed),
+        "onnx": lambda: [write_onnx(calibration, out)],
+    }
+    if own is None and chosen in writers:
+        path, *beside = writers[chosen]()
+        return Delivery(path, (*caution, *_new_file_notes(calibration, chosen)), tuple(beside))
     makers: dict[str, Callable[[], Document]] = {
-        "urdf": lambda: onto_urdf(calibration, Path(str(own)), tip, out),
-        "mjcf": lambda: onto_mjcf(calibration, Path(str(own)), tip, out),
+        "urdf": lambda: onto_files.onto_urdf(calibration, Path(str(own)), tip, out),
+        "mjcf": lambda: onto_files.onto_mjcf(calibration, Path(str(own)), tip, out),
         "kinematics-yaml": lambda: (
-            ur_kinematics_yaml(calibration) if own is None else onto_kinematics_yaml(calibration, own)
+            onto_files.ur_kinematics_yaml(calibration)
+            if own is None
+            else onto_files.onto_kinematics_yaml(calibration, own)
         ),
         "table": lambda: dh_table(calibration, out),
         "offsets": lambda: offset_table(calibration, joint_offsets(calibration), out, counts_per_turn),
@@ -222,13 +214,7 @@ def export(
     }
     document = makers[chosen]()
     path = write_whole(out, lambda temporary: temporary.write_bytes(document.data))
-    return _delivered(calibration, path, document.notes)
-
-
-def _delivered(calibration: Calibration, path: Path, notes: Sequence[str], beside: tuple[Path, ...] = ()) -> Delivery:
-    """What was written, with what the calibration's rows do not tell."""
-    caution = calibration.caution
-    return Delivery(path, (*(() if caution is None else (f"caution: {caution}",)), *notes), beside)
+    return Delivery(path, (*caution, *document.notes))
 
 
 def _own_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
@@ -265,10 +251,10 @@ def _arm(calibration: Calibration, arm: Arm | None) -> Arm:
 
 def _transforms(calibration: Calibration, own: Path | None, tip: str | None) -> Document:
     if own is None:
-        return static_transforms(calibration)
+        return onto_files.static_transforms(calibration)
     if own.suffix.lower() != ".urdf":
         raise InputError(f"{own} has no named frames; give --onto the robot's URDF, or leave it out")
-    return static_transforms(calibration, *urdf_correction(calibration, own, tip))
+    return onto_files.static_transforms(calibration, *onto_files.urdf_correction(calibration, own, tip))
 
 
 def _new_file_notes(calibration: Calibration, kind: str) -> tuple[str, ...]:

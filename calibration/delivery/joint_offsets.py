@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from pickenv.arm import Geometry, forward, joint_jacobian, parameter_jacobian, pose_error, rotation_vector
+from pickenv.arm import forward, joint_jacobian, parameter_jacobian, pose_error, rotation_vector
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, LINK_PARAMETERS, Array
 from pickenv.calibration.delivery.corrected_chain import (
     Document,
@@ -355,17 +355,10 @@ def ros2_offsets(calibration: Calibration, found: JointOffsets, onto: Path | Non
     notes = (found.note(),)
     if onto is None:
         lines = ["<!--", *(one_line(line).replace("--", "- -") for line in provenance(calibration))]
-        lines += [
-            "for dynamixel_hardware of July 2026: reported = raw - offset, rad and m; take each off the offset that "
-        ]
-        lines[-1] += "your joint has, if any"
-        lines += ["-->", "<ros2_control>"]
+        what = "reported = raw - offset, rad and m; take each off the offset that your joint has, if any"
+        lines += [f"for dynamixel_hardware of July 2026: {what}", "-->", "<ros2_control>"]
         for name, value in zip(found.names, found.offsets, strict=True):
-            lines += [
-                f'  <joint name="{_escaped(name)}">',
-                f'    <param name="offset">{0.0 - float(value)!r}</param>',
-                "  </joint>",
-            ]
+            lines.append(f'  <joint name="{_escaped(name)}">\n    {_param(value)}\n  </joint>')
         return Document(("\n".join([*lines, "</ros2_control>"]) + "\n").encode(), notes)
     data, tags = _description(onto)
     joints = _control_joints(tags)
@@ -379,11 +372,16 @@ def ros2_offsets(calibration: Calibration, found: JointOffsets, onto: Path | Non
         place = joints[name]
         param = _offset_of(tags, place)
         if param is None:
-            edits.append(inserted_first(data, tags[place], f'<param name="offset">{0.0 - float(value)!r}</param>'))
+            edits.append(inserted_first(data, tags[place], _param(value)))
         else:
             end = data.index(b"<", param.end)
             edits.append(Edit(param.end, end, repr(_value(data[param.end : end], name, onto) - float(value)).encode()))
     return Document(edited(data, edits), notes)
+
+
+def _param(offset: float) -> str:
+    """The parameter of a joint that had none."""
+    return f'<param name="offset">{0.0 - float(offset)!r}</param>'
 
 
 def read_ros2_offsets(path: Path) -> dict[str, float]:
@@ -451,13 +449,13 @@ def dh_table(calibration: Calibration, out: Path) -> Document:
 
     Standard deviations are empty where a parameter kept its nominal value.
     """
-    rows = _rows(calibration)
     notes = [
         "parameters without a standard deviation were not identified and keep their nominal values; others absorb them",
     ]
     left = left_out(calibration)
     if left:
         notes.append(f"not in the table, because no geometry can hold it: {', '.join(left)}")
+    rows = _rows(calibration)
     return Document(table_bytes(rows, out, DH_TABLES_TABLE_FORMAT, (*provenance(calibration), *notes)), tuple(notes))
 
 
@@ -497,12 +495,7 @@ def _rows(calibration: Calibration) -> list[dict[str, Any]]:
                 rows.append(row(table, 0, "base", f"{kind}0", (values[0], values[1]), kind != "a"))
     for frame in ("base", "tool"):
         for i, axis in enumerate(FRAME_PARAMETERS):
-            values = [_frame(g, frame)[i] for g in (nominal, found)]
+            poses = (getattr(g, frame) for g in (nominal, found))
+            values = [float([*pose.position, *rotation_vector(pose.rotation)][i]) for pose in poses]
             rows.append(row(frame, 0, frame, f"{frame}_{axis}", (values[0], values[1]), i > 2))
     return rows
-
-
-def _frame(geometry: Geometry, which: str) -> list[float]:
-    """Position and rotation vector of base or tool, m and rad (6,)."""
-    pose = getattr(geometry, which)
-    return [*pose.position.tolist(), *rotation_vector(pose.rotation).tolist()]
