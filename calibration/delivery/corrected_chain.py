@@ -62,18 +62,15 @@ def provenance(calibration: Calibration) -> tuple[str, ...]:
     versions: Mapping[str, Any] = record.get("versions", {})
     if versions:
         lines.append("versions: " + ", ".join(f"{name} {value}" for name, value in versions.items()))
-    left = left_out(calibration)
-    if left:
-        lines.append(f"not in this file, because no geometry can hold it: {', '.join(left)}")
-    return tuple(lines)
+    return (*lines, *left_out(calibration, "not in this file, because no geometry can hold it"))
 
 
-def left_out(calibration: Calibration) -> list[str]:
-    """What a calibration knows beside its geometry, which files of rigid links cannot hold."""
-    found = [type(term).__name__ for term in calibration.model.terms]
+def left_out(calibration: Calibration, words: str) -> list[str]:
+    """What a calibration knows beside its geometry, which files of rigid links cannot hold, named behind ``words``."""
+    names = [type(term).__name__ for term in calibration.model.terms]
     if calibration.learnt is not None:
-        found.append(f"learnt residual '{calibration.learnt.kind}'")
-    return found
+        names.append(f"learnt residual '{calibration.learnt.kind}'")
+    return [f"{words}: {', '.join(names)}"] if names else []
 
 
 # Editing XML as text: attributes of start tags are replaced, and every other byte stays as it is. Nothing is parsed
@@ -587,9 +584,7 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
             f"of the tool's correction {size} are left out: the file's tip is not the calibrated tool on a fixed "
             "joint; --as transforms writes them"
         )
-    missing = left_out(calibration)
-    if missing:
-        notes.append(f"not in the file, because rigid links cannot hold it: {', '.join(missing)}")
+    notes += left_out(calibration, "not in the file, because rigid links cannot hold it")
     return Correction(chain, same, mount, behind_tip, tuple(notes))
 
 

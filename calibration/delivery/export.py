@@ -210,7 +210,7 @@ def export(
         "offsets": lambda: offset_table(calibration, joint_offsets(calibration), out, counts_per_turn),
         "ros2-control": lambda: ros2_offsets(calibration, joint_offsets(calibration), own),
         "lerobot": lambda: onto_lerobot(joint_offsets(calibration), Path(str(own))),
-        "transforms": lambda: _transforms(calibration, own, tip),
+        "transforms": lambda: onto_files.static_transforms(calibration, own, tip),
     }
     document = makers[chosen]()
     path = write_whole(out, lambda temporary: temporary.write_bytes(document.data))
@@ -249,21 +249,10 @@ def _arm(calibration: Calibration, arm: Arm | None) -> Arm:
     return arm
 
 
-def _transforms(calibration: Calibration, own: Path | None, tip: str | None) -> Document:
-    if own is None:
-        return onto_files.static_transforms(calibration)
-    if own.suffix.lower() != ".urdf":
-        raise InputError(f"{own} has no named frames; give --onto the robot's URDF, or leave it out")
-    return onto_files.static_transforms(calibration, *onto_files.urdf_correction(calibration, own, tip))
-
-
 def _new_file_notes(calibration: Calibration, kind: str) -> tuple[str, ...]:
     if kind == "onnx":
         return ()
-    notes = []
-    left = left_out(calibration)
-    if left:
-        notes.append(f"not in the file, because no geometry can hold it: {', '.join(left)}")
+    notes = left_out(calibration, "not in the file, because no geometry can hold it")
     if kind in ("urdf", "mjcf"):
         notes.append(
             "a skeleton without meshes or true masses, from the robot's base; --onto patches a robot's own file"

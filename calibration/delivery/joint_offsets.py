@@ -452,9 +452,7 @@ def dh_table(calibration: Calibration, out: Path) -> Document:
     notes = [
         "parameters without a standard deviation were not identified and keep their nominal values; others absorb them",
     ]
-    left = left_out(calibration)
-    if left:
-        notes.append(f"not in the table, because no geometry can hold it: {', '.join(left)}")
+    notes += left_out(calibration, "not in the table, because no geometry can hold it")
     rows = _rows(calibration)
     return Document(table_bytes(rows, out, DH_TABLES_TABLE_FORMAT, (*provenance(calibration), *notes)), tuple(notes))
 

@@ -32,7 +32,6 @@ from pickenv.arm.files.urdf_text import leading_links, roll_pitch_yaw, urdf_text
 from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Pose, behind, identity_pose, inverse_pose
 from pickenv.calibration.delivery.corrected_chain import (
-    Correction,
     Document,
     Edit,
     SameChain,
@@ -111,16 +110,6 @@ def _behind_tip(
         f'<joint name={quoteattr(joint)} type="fixed">{origin}{ends}</joint>',
     )
     return [inserted_before(data, tags[_joint(tags, last)], *elements)]
-
-
-def urdf_correction(calibration: Calibration, path: Path, tip: str | None) -> tuple[Correction, str, str]:
-    """How a URDF tells of the calibrated arm, and the names of its root and tip.
-
-    Raises:
-        InputError: If the file is unusable or of another arm.
-    """
-    chain = urdf_row(path, tip)
-    return correction(calibration, chain, path), chain.root, chain.tip
 
 
 def _joint(tags: list[StartTag], name: str) -> int:
@@ -204,8 +193,8 @@ def onto_mjcf(calibration: Calibration, path: Path, tip: str | None, out: Path) 
         if earlier:
             edits += _moved_body(data, earlier[0], values, found.frame)
         else:
-            place = f'pos="{numbers_text(found.frame.position)}" quat="{_quaternion(found.frame)}"'
-            site = f"<site name={quoteattr(frame)} {place}/>"
+            stands = f'pos="{numbers_text(found.frame.position)}" quat="{_quaternion(found.frame)}"'
+            site = f"<site name={quoteattr(frame)} {stands}/>"
             edits.append(inserted_first(data, _named(tags, "body", row.tip, path), site))
     return Document(edited(data, edits), found.notes)
 
@@ -360,32 +349,38 @@ def ur_kinematics_yaml(calibration: Calibration) -> Document:
 # base is the root of a robot's tree.
 
 
-def static_transforms(
-    calibration: Calibration, robot: Correction | None = None, root: str = "base_link", tip: str = "tool0"
-) -> Document:
+def static_transforms(calibration: Calibration, path: Path | None = None, tip: str | None = None) -> Document:
     """A shell script with a line for the measurement's frame and one for the calibrated tool.
 
     Args:
         calibration: The calibration.
-        robot: How the robot's own file tells of the arm; without it the frames are those of the arm's table.
-        root: Name of the robot's base frame.
-        tip: Name of the frame that the tool is told in: the file's tip, or the arm's nominal tool.
+        path: The robot's own URDF, whose frames are named; without it they are those of the arm's table.
+        tip: Its last link, in which the tool is told; the flange when left out.
+
+    Raises:
+        InputError: If the file is unusable, of another arm or has no named frames, or a name is none for ROS.
     """
-    for name in (root, tip):
-        if not re.fullmatch(r"[\w./-]+", name):
-            raise InputError(f"'{one_line(name)}' is no name of a ROS frame; use letters, digits, '_' and '/'")
-    own = calibration.arm
+    own, names = calibration.arm, ("base_link", "tool0")
     measured = behind(own.base, inverse_pose(calibration.identified.base))
     hand = behind(inverse_pose(own.tool), calibration.identified.tool)
-    if robot is not None:
+    if path is not None:
+        if path.suffix.lower() != ".urdf":
+            raise InputError(f"{path} has no named frames; give --onto the robot's URDF, or leave it out")
+        row = urdf_row(path, tip)
+        robot = correction(calibration, row, path)
+        names = (row.root, row.tip)
         measured, hand = behind(robot.same.root, measured), robot.chain.hand
+    for name in names:
+        if not re.fullmatch(r"[\w./-]+", name):
+            raise InputError(f"'{one_line(name)}' is no name of a ROS frame; use letters, digits, '_' and '/'")
+    root, last = names
     lines = ["#!/bin/sh", *(f"# {one_line(line)}" for line in provenance(calibration))]
     lines += [
         "# for tf2_ros of ROS 2 Humble and later; metres and quaternions",
         f"# measurement_frame: what the measurements are told in (tracker, camera or board), seen from {root}",
         _line(measured, root, "measurement_frame") + " &",
-        f"# calibrated_tool: what was measured at the arm's end, seen from {tip}",
-        _line(hand, tip, "calibrated_tool"),
+        f"# calibrated_tool: what was measured at the arm's end, seen from {last}",
+        _line(hand, last, "calibrated_tool"),
     ]
     known = calibration.record.get("frames") != "fitted"
     said = (
