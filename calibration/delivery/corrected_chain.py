@@ -626,8 +626,8 @@ def _notes(
         notes.append(f"the tool's correction is in the fixed joint '{own.mount}' before the tip")
     elif max(beside) > NOTHING:
         notes.append(
-            f"of the tool's correction {beside[0] * 1e3:.3g} mm and {round(math.degrees(beside[1]), 6):g} deg are left out: "
-            "the file's tip is not the calibrated tool on a fixed joint; --as transforms writes them"
+            f"of the tool's correction {beside[0] * 1e3:.3g} mm and {round(math.degrees(beside[1]), 6):g} deg are left "
+            "out: the file's tip is not the calibrated tool on a fixed joint; --as transforms writes them"
         )
     left = left_out(calibration)
     if left:
