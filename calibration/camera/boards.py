@@ -46,13 +46,13 @@ def read_lens(path: str | Path) -> Lens:
     text = read_text(path, "a camera file")
     if text.startswith("%YAML:1.0"):  # OpenCV's header is no YAML
         text = text.partition("\n")[2]
-    found = _content(text, path)
-    if not isinstance(found, dict):
+    content = _content(text, path)
+    if not isinstance(content, dict):
         raise InputError(f"{path}: holds no camera; give a ROS camera_info or OpenCV YAML file")
-    model = found.get("distortion_model", "plumb_bob")
+    model = content.get("distortion_model", "plumb_bob")
     if model not in MODELS:
         raise InputError(f"{path}: distortion_model '{model}' is not known; give a camera calibrated with plumb_bob")
-    matrix, distortion = _numbers(path, found, MATRIX), _numbers(path, found, DISTORTION)
+    matrix, distortion = _numbers(path, content, MATRIX), _numbers(path, content, DISTORTION)
     if matrix.size != 9:
         raise InputError(f"{path}: the camera matrix has {matrix.size} numbers; it needs 9")
     if distortion.size < 4 or np.any(distortion[COEFFICIENTS:]):
@@ -60,12 +60,10 @@ def read_lens(path: str | Path) -> Lens:
     matrix = matrix.reshape(3, 3)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[2, 2] == 1.0):
         raise InputError(f"{path}: the camera matrix is none: focal lengths must be above zero, and its last number 1")
-    values = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *np.resize(distortion, 4), 0.0])
-    if distortion.size >= COEFFICIENTS:
-        values[8] = distortion[4]
-    return Lens(
-        values, (_size(path, found, "width"), _size(path, found, "height")), str(found.get("camera_name", path.stem))
-    )
+    focal_and_centre = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
+    values = np.array([*focal_and_centre, *np.resize(np.append(distortion, 0.0), COEFFICIENTS)])
+    size = _size(path, content, "width"), _size(path, content, "height")
+    return Lens(values, size, str(content.get("camera_name", path.stem)))
 
 
 def write_lens(lens: Lens, path: str | Path, form: LensFormat = "ros") -> Path:
@@ -305,8 +303,7 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
     page = (width + 2 * margin, height + 2 * margin + below)
     figure = Figure(figsize=(page[0] / inch, page[1] / inch))
     canvas(figure)
-    place = (margin / page[0], (margin + below) / page[1], width / page[0], height / page[1])
-    axes = figure.add_axes(place)
+    axes = figure.add_axes((margin / page[0], (margin + below) / page[1], width / page[0], height / page[1]))
     axes.imshow(board_picture(board), cmap="gray", interpolation="none", aspect="auto")
     axes.set_axis_off()
     rule = figure.add_axes((0.0, 0.0, 1.0, (margin + below) / page[1]))
@@ -316,14 +313,8 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
     rule.plot([margin, margin + length], [0.011, 0.011], color="black", linewidth=0.8)
     for end in (margin, margin + length):
         rule.plot([end, end], [0.009, 0.013], color="black", linewidth=0.8)
-    side = f"{1e3 * board.square:g} mm"
-    rule.text(
-        margin,
-        0.004,
-        f"{1e3 * length:g} mm when printed at 100 %; squares {side}; {board.title}",
-        fontsize=6,
-        va="center",
-    )
+    label = f"{1e3 * length:g} mm when printed at 100 %; squares {1e3 * board.square:g} mm; {board.title}"
+    rule.text(margin, 0.004, label, fontsize=6, va="center")
     return write_whole(path, lambda temporary: figure.savefig(temporary, format=path.suffix[1:]))
 
 
@@ -408,15 +399,8 @@ def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) 
 
 def picture_noise(grey: Array) -> float:
     """Standard deviation of a picture's noise in grey values (Immerkaer 1996), robustly: edges do not count."""
-    inner = (
-        grey[:-2, :-2]
-        + grey[:-2, 2:]
-        + grey[2:, :-2]
-        + grey[2:, 2:]
-        + 4.0 * grey[1:-1, 1:-1]
-        - 2.0 * (grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:])
-    )
-    return max(float(np.median(np.abs(inner))) / 0.6745 / 6.0, 0.3)  # no less than rounding to whole grey values
+    twice = np.diff(np.diff(grey, 2, axis=0), 2, axis=1)
+    return max(float(np.median(np.abs(twice))) / 0.6745 / 6.0, 0.3)  # no less than rounding to whole grey values
 
 
 def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
@@ -444,16 +428,14 @@ def _upright(picture: Grey, places: Array, inner: tuple[int, int]) -> Array:
     """A chessboard's corners from its black outer square on; found from the other end, that square is white."""
     grid = places.reshape(inner[1], inner[0], 2).astype(float)
     right, down = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
-    first, second = (
-        _grey_at(picture, grid[0, 0] + 0.5 * (x * right - down)) for x in (-1.0, 1.0)
-    )  # the outer square, and the one beside it, which has the other colour
-    return (grid if first < second else grid[::-1, ::-1]).reshape(-1, 2)
+    # The outer square, and the one beside it, which has the other colour.
+    outer, beside = (_grey_at(picture, grid[0, 0] + 0.5 * (x * right - down)) for x in (-1.0, 1.0))
+    return (grid if outer < beside else grid[::-1, ::-1]).reshape(-1, 2)
 
 
 def _grey_at(picture: Grey, place: Array) -> float:
-    x, y = np.rint(place).astype(int)
-    height, width = picture.shape
-    return float(picture[min(max(y, 0), height - 1), min(max(x, 0), width - 1)])
+    x, y = np.clip(np.rint(place).astype(int), 0, np.array(picture.shape)[::-1] - 1)
+    return float(picture[y, x])
 
 
 def _markers(board: Board, picture: Grey) -> tuple[list[Any], list[int]]:

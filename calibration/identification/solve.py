@@ -17,12 +17,15 @@ from scipy.linalg import solve_triangular
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.model.noise import RowNoise, noise_of, stated_noise
-from pickenv.calibration.model.observations import Observations
+from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
 from pickenv.threads import single_threaded
 
 PASSES = 4
 """Solves at most; each weighs rows and priors by what the one before left."""
+
+MANY, FEW = 4000, 1500
+"""Of more rows than that, noise and scales are sought on so few first, taken evenly."""
 
 SETTLED = 0.1
 """Passes end where no scale changes by more than this share."""
@@ -69,7 +72,14 @@ def solve(
     if near is not None and near.noise is not None and near.noise.scatter.shape == weights.scatter.shape:
         weights, start = noise or near.noise, replace(start, geometry=near.geometry)
     scales = dict(model.scales)
-    free = [name for name in MADE if name not in scales and name in model.group and (data.sized or name != LENGTHS)]
+    if noise is None and len(data.joints) > MANY and not data.unknowns():
+        few = solve(model, data.select(equally_spaced(len(data.joints), FEW)), near=near)
+        assert few.prior is not None
+        start, scales = few.arm_model, dict(few.prior.scales)
+        weights = noise_of(data, start, np.zeros(0), np.zeros(len(data.equations()[0])))
+    free = [
+        name for name in MADE if name not in model.scales and name in model.group and (data.sized or name != LENGTHS)
+    ]
     for _ in range(PASSES):
         weighed = replace(model, scales=scales)
         solution = identify(

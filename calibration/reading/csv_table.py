@@ -74,27 +74,20 @@ def convention_table(geometry: Geometry, joints: Array, position: Array, values:
         values: Attitude columns ``(N, 3 or 4)``, rad or quaternion.
         where: The file, for messages.
     """
-    found: list[tuple[float, str]] = []
+    ranking: list[tuple[float, str]] = []
     for name in GENERAL:
         if columns_of(name) != values.shape[1]:
             continue
         data = Measurements(joints, position, rotations(name, values), geometry.prismatic, source=where)
-        data_mean = _left(geometry, data)
+        try:
+            errors = data.difference(align(geometry, data, frames_model(geometry), judge=False).geometry)
+        except (InputError, np.linalg.LinAlgError):
+            errors = np.full((1, 6), np.inf)
+        length, angle = (float(np.linalg.norm(part, axis=1).mean()) for part in (errors[:, :3], errors[:, 3:]))
         makers = ", ".join(maker for maker, general in SAME_AS.items() if general == name)
         label = f"{name} ({makers})" if makers else name
-        found.append((data_mean[1], f"  {label:<42} {data_mean[0]:9.2f} mm  {data_mean[1]:7.2f} deg"))
-    return "\n".join(line for _, line in sorted(found))
-
-
-def _left(geometry: Geometry, data: Measurements) -> tuple[float, float]:
-    """Mean position and attitude error after fitting base and tool, mm and deg."""
-    try:
-        fitted = align(geometry, data, frames_model(geometry), judge=False).geometry
-    except (InputError, np.linalg.LinAlgError):
-        return np.inf, np.inf
-    left = data.difference(fitted)
-    means = np.linalg.norm(left[:, :3], axis=1).mean() * 1e3, np.degrees(np.linalg.norm(left[:, 3:], axis=1).mean())
-    return float(means[0]), float(means[1])
+        ranking.append((angle, f"  {label:<42} {length * 1e3:9.2f} mm  {np.degrees(angle):7.2f} deg"))
+    return "\n".join(line for _, line in sorted(ranking))
 
 
 SEPARATORS = {";": "';'", "\t": "a tab", "|": "'|'", ",": "','", " ": "a space"}
@@ -190,8 +183,18 @@ class Table:
         """A column by its name, or an expression of columns with + - * / and numbers; `odd names` in backticks."""
         if expression in self.header:
             return self.column(expression)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            values = self._computed(expression)
+        tree, quoted = expression_tree(expression)
+        if tree is None:
+            raise InputError(
+                f"{self.where}: column '{shortened(expression)}' is missing; the file has {listed(self.header)}"
+            )
+        try:
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                values = np.broadcast_to(self._evaluate(tree, expression, quoted), len(self.rows)).astype(float)
+        except (OverflowError, RecursionError) as error:  # a constant of 400 digits, brackets in brackets
+            raise InputError(
+                f"{self.where}: cannot compute '{shortened(expression)}'; give numbers and brackets of ordinary size"
+            ) from error
         if not np.isfinite(values).all():
             line = self.lines[int(np.argmin(np.isfinite(values)))]
             raise InputError(
@@ -202,19 +205,6 @@ class Table:
     def values(self, expressions: tuple[str, ...]) -> Array:
         """Several columns or expressions ``(N, k)``."""
         return np.stack([self.value(expression) for expression in expressions], -1)
-
-    def _computed(self, expression: str) -> Array:
-        tree, quoted = expression_tree(expression)
-        if tree is None:
-            raise InputError(
-                f"{self.where}: column '{shortened(expression)}' is missing; the file has {listed(self.header)}"
-            )
-        try:
-            return np.broadcast_to(self._evaluate(tree, expression, quoted), len(self.rows)).astype(float)
-        except (OverflowError, RecursionError) as error:  # a constant of 400 digits, brackets in brackets
-            raise InputError(
-                f"{self.where}: cannot compute '{shortened(expression)}'; give numbers and brackets of ordinary size"
-            ) from error
 
     def _evaluate(self, node: ast.AST, expression: str, quoted: list[str]) -> Any:
         match node:

@@ -36,6 +36,9 @@ def one_of(names: Iterable[str]) -> Check:
     return Check(allowed.__contains__, f"one of {', '.join(allowed)}")
 
 
+DOUBT = Then(lambda word, _: inf if word == FITTED else 0.0, Annotated[str, one_of((KNOWN, FITTED))])
+"""Reads known or fitted as a standard uncertainty, zero or infinite."""
+
 COLUMN = Check(lambda value: isinstance(value, str), "the name of a column or an expression")
 COLUMNS = Check(
     lambda value: isinstance(value, list) and all(isinstance(item, str) for item in value),
@@ -93,56 +96,31 @@ class ContactTable:
         """Standard uncertainty of the tool point, m; infinite where it is to be found."""
         return inf if self.tool == FITTED else self.tool_std
 
-    @property
-    def position(self) -> tuple[str, ...]:
-        """No columns."""
-        return ()
-
 
 @toml_table
 class SocketsTable(ContactTable):
     """[sockets]."""
 
-    column: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN])] = ()
+    position: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
     spacing: Annotated[float, MM.positive] | None = None
     spacing_std: Annotated[float, MM.positive] = 5e-5
-
-    @property
-    def position(self) -> tuple[str, ...]:
-        """The column that numbers the sockets, where there is one."""
-        return self.column
 
 
 @toml_table
 class ReadingTable(ContactTable):
     """What [wire] and [dial] share: one column of readings."""
 
-    columns: Annotated[tuple[str, ...], COLUMNS]
+    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
     position_unit: Annotated[str, one_of(LENGTHS), Key("unit")]
-    scale: Annotated[str, one_of((KNOWN, FITTED))] = KNOWN
-
-    @property
-    def position(self) -> tuple[str, ...]:
-        """The column."""
-        return self.columns
-
-    @property
-    def scale_std(self) -> float:
-        """Of the reading's scale."""
-        return inf if self.scale == FITTED else 0.0
+    scale_std: Annotated[float, DOUBT, Key("scale")] = 0.0
 
 
 @toml_table
 class WireTable(ReadingTable):
     """[wire]: a draw wire to an anchor."""
 
-    zero: Annotated[str, one_of((KNOWN, FITTED)), Key("zero")] = FITTED
-    begin: Annotated[float, MM, Key("zero_mm")] = 0.0
-
-    @property
-    def zero_std(self) -> float:
-        """Of what is read at length 0, m."""
-        return inf if self.zero == FITTED else 0.0
+    zero_std: Annotated[float, DOUBT, Key("zero")] = inf
+    zero: Annotated[float, MM, Key("zero_mm")] = 0.0
 
 
 @toml_table
@@ -176,8 +154,8 @@ class TiltTable:
     position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
     position_unit: Annotated[str, one_of(TILTS), Key("unit")]
     position_std: Annotated[float, DEG.positive, Key("std_deg")] = 1e-3
-    mount: Annotated[str, one_of((KNOWN, FITTED))] = FITTED
-    base: Annotated[str, one_of((KNOWN, FITTED))] = FITTED
+    axes_std: Annotated[float, DOUBT, Key("mount")] = inf
+    down_std: Annotated[float, DOUBT, Key("base")] = inf
 
 
 # What a column description's file holds, table by table; `description` says what it means.
@@ -222,9 +200,9 @@ class JointsTable:
     def __post_init__(self) -> None:
         if self.units is None and self.unit is None:
             raise InputError(f"unit of [joints] is missing; give {JOINT_UNIT.wanted}")
-        if len(self.each) != len(self.columns):
-            counts = f"{len(self.columns)} columns but {len(self.each)} units"
-            raise InputError(f"[joints] has {counts}; give one per joint")
+        n, units = len(self.columns), len(self.each)
+        if units != n:
+            raise InputError(f"[joints] has {n} columns but {units} units; give one per joint")
 
     @property
     def each(self) -> tuple[str, ...]:
@@ -395,12 +373,12 @@ class DescriptionFile:
             raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(KINDS))
         self._check_views()
         fits, wanted = COUNTS.get(kinds[0], (lambda _: True, ""))
-        if not fits(len(self.measured.position)):
+        count = len(getattr(self.measured, "position", ()))
+        if not fits(count):
             raise InputError(f"[{kinds[0]}] needs {wanted}")
         stds = len(getattr(self.measured, "position_std_columns", ()))
-        if stds and stds != len(self.measured.position):
-            counts = f"{len(self.measured.position)} columns but {stds} std_columns"
-            raise InputError(f"[{kinds[0]}] has {counts}; give one each")
+        if stds and stds != count:
+            raise InputError(f"[{kinds[0]}] has {count} columns but {stds} std_columns; give one each")
         if self.rotation is not None:
             if self.position is None:
                 raise InputError(f"[rotation] belongs to [position], not to [{kinds[0]}]")
@@ -437,7 +415,7 @@ class DescriptionFile:
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
 
 
-MEASURED = ("position_unit", "position_std", "position_std_columns")
+MEASURED = ("position", "position_unit", "position_std", "position_std_columns")
 """What a section says in words of its own for any kind."""
 
 
@@ -477,15 +455,15 @@ class ColumnDescription:
     """
 
     where: str
-    separator: str
-    decimal: str
-    names: tuple[str, ...] | None
     joints: tuple[str, ...]
     joint_units: tuple[str, ...]
-    kind: str
-    position: tuple[str, ...]
-    position_unit: str
-    position_std: float
+    kind: str = "position"
+    position: tuple[str, ...] = ()
+    position_unit: str = "mm"
+    position_std: float = POSITION_STD
+    separator: str = ","
+    decimal: str = "."
+    names: tuple[str, ...] | None = None
     std_stated: bool = False
     position_std_columns: tuple[str, ...] = ()
     rotation: tuple[str, ...] = ()
@@ -518,26 +496,25 @@ def load_description(name: str | Path) -> ColumnDescription:
         )
     file = read(DescriptionFile, path)
     section = file.measured
-    own: dict[str, Any] = {key: value for key, value in vars(section).items() if key in MEASURED}
-    std = own.pop("position_std", None)
-    found = ColumnDescription(
+    own: dict[str, Any] = {key: value for key, value in vars(section).items() if key in MEASURED and value is not None}
+    joints, joint_units = ((), ()) if file.joints is None else (file.joints.columns, file.joints.each)
+    description = ColumnDescription(
         where=str(path),
         separator=file.separator,
         decimal=file.decimal,
         names=file.names,
-        joints=() if file.joints is None else file.joints.columns,
-        joint_units=() if file.joints is None else file.joints.each,
+        joints=joints,
+        joint_units=joint_units,
         kind=file.kind,
         views=None if file.pixels is None else file,
-        **{"position_unit": "mm", **own, "position": section.position},
-        position_std=std or POSITION_STD,
-        std_stated=std is not None,
+        **own,
+        std_stated="position_std" in own,
         section=section,
         **({} if file.rotation is None else {**vars(file.rotation), "rotation_unit": file.rotation.unit()}),
-        conditions=_conditions(file.conditions, () if file.joints is None else file.joints.each),
+        conditions=_conditions(file.conditions, joint_units),
     )
-    _refuse_repeats(found)
-    return found
+    _refuse_repeats(description)
+    return description
 
 
 def _conditions(table: ConditionsTable, joint_units: tuple[str, ...]) -> dict[str, Condition]:
@@ -577,8 +554,11 @@ def _refuse_repeats(description: ColumnDescription) -> None:
         seen[plain] = role
 
 
-OWN_CONDITIONS = ("temperature_degC", "payload_kg")
-"""Columns of our own CSV format beside joints and poses."""
+OWN_CONDITIONS = {
+    "temperature_degC": ("temperature", Condition(("temperature_degC",), (1.0,), 20.0)),
+    "payload_kg": ("payload", Condition(("payload_kg",), (1.0,))),
+}
+"""Columns of our own CSV format beside joints and poses, and what they record."""
 
 
 def own_description(geometry: Geometry, header: list[str], where: str) -> ColumnDescription:
@@ -605,25 +585,15 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
                 f"{where}: column '{shortened(column)}' is none of our format's, which records "
                 f"{' and '.join(OWN_CONDITIONS)}; rename it, describe it in [conditions] (--columns), or remove it"
             )
-    conditions = {}
-    if "temperature_degC" in header:
-        conditions["temperature"] = Condition(("temperature_degC",), (1.0,), 20.0)
-    if "payload_kg" in header:
-        conditions["payload"] = Condition(("payload_kg",), (1.0,))
     return ColumnDescription(
         where=where,
-        separator=",",
-        decimal=".",
-        names=None,
         joints=tuple(joints),
         joint_units=tuple(units),
-        kind="position",
         position=tuple(f"{axis}_{position_unit}" for axis in "xyz"),
         position_unit=position_unit,
-        position_std=POSITION_STD,
         rotation=tuple(f"r{axis}_{rotation_unit}" for axis in "xyz") if has_rotation else (),
         rotation_unit=rotation_unit,
-        conditions=conditions,
+        conditions=dict(condition for column, condition in OWN_CONDITIONS.items() if column in header),
     )
 
 

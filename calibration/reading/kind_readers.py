@@ -10,6 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,6 @@ from pickenv.calibration.model.observations import Observations, Origins, Rows, 
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading.csv_table import Table, read_table, rotations
 from pickenv.calibration.reading.description import (
-    KNOWN,
     BarTable,
     ColumnDescription,
     ContactTable,
@@ -145,20 +145,30 @@ def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> N
         )
 
 
-def refuse_implausible_joints(table: Table, geometry: Geometry, i: int, values: Array, column: str, unit: str) -> None:
-    """Refuse joints that no such arm can take: almost always degrees read as radians, or millimetres as metres."""
-    span = geometry.upper[i] - geometry.lower[i]
-    room = span if geometry.prismatic[i] else max(span, 2 * np.pi)
-    outside = (values < geometry.lower[i] - room) | (values > geometry.upper[i] + room)
-    if outside.any():
-        row = int(np.argmax(outside))
-        other = {"rad": "deg", "deg": "rad", "m": "mm", "mm": "m"}[unit]
-        limits = f"{geometry.lower[i] / TO_SI[unit]:.4g} to {geometry.upper[i] / TO_SI[unit]:.4g} {unit}"
-        mixed = f" ({int(outside.sum())} of {len(values)} rows are so)" if not outside.all() else ""
-        raise InputError(
-            f"{table.where}: row {table.lines[row]}, column '{column}' is {values[row] / TO_SI[unit]:.6g} {unit}, "
-            f"but joint {i + 1} ({geometry.joint_names[i]}) moves over {limits}; its unit is probably {other}{mixed}"
-        )
+def read_joints(table: Table, description: ColumnDescription, geometry: Geometry) -> Array:
+    """Joints of every row ``(N, n)``, rad or m.
+
+    Raises:
+        InputError: If no such arm can take them: almost always degrees read as radians, or millimetres as metres.
+    """
+    columns = []
+    for i, scale in enumerate(joint_scales(description, geometry)):
+        column, unit = description.joints[i], description.joint_units[i]
+        lower, upper = geometry.lower[i], geometry.upper[i]
+        values = table.value(column) * scale
+        room = upper - lower if geometry.prismatic[i] else max(upper - lower, 2 * np.pi)
+        outside = (values < lower - room) | (values > upper + room)
+        if outside.any():
+            row = int(np.argmax(outside))
+            other = {"rad": "deg", "deg": "rad", "m": "mm", "mm": "m"}[unit]
+            mixed = f" ({int(outside.sum())} of {len(values)} rows are so)" if not outside.all() else ""
+            raise InputError(
+                f"{table.where}: row {table.lines[row]}, column '{column}' is {values[row] / scale:.6g} {unit}, but "
+                f"joint {i + 1} ({geometry.joint_names[i]}) moves over {lower / scale:.4g} to {upper / scale:.4g} "
+                f"{unit}; its unit is probably {other}{mixed}"
+            )
+        columns.append(values)
+    return np.stack(columns, -1)
 
 
 def refuse_implausible_conditions(table: Table, name: str, values: Array, columns: tuple[str, ...]) -> None:
@@ -180,10 +190,9 @@ EXPLAINED, UNEXPLAINED = 0.2, 0.5
 """Part of the spread of lengths that a wire's anchor leaves in the right unit at most, and in a wrong one at least."""
 
 
-def _reflectors(files: Files) -> ReflectorObservations:
+def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations:
     """Reflector groups; a reflector counts as lost only as the description says that it is marked."""
-    first, section = files.first, files.first.section
-    assert isinstance(section, ReflectorsTable)
+    first = files.first
     points, seen = [], []
     for table in files.tables:
         blank = np.zeros((len(table.lines), len(first.position)), dtype=bool)
@@ -213,16 +222,14 @@ def _reflectors(files: Files) -> ReflectorObservations:
     )
 
 
-def _wire(files: Files) -> DistanceObservations:
-    section = files.first.section
-    assert isinstance(section, WireTable)
+def _wire(files: Files, section: WireTable) -> DistanceObservations:
     length = files.values()[:, 0]
     for row in np.flatnonzero(length <= 0.0)[:1]:
         raise InputError(f"{files.place(int(row))}: a length of {_mm(length[row])} mm is not above zero; correct it")
     _refuse_no_contact(files, section)
     data = replace(
         _distances(files, section, length),
-        zero=section.begin,
+        zero=section.zero,
         zero_std=section.zero_std,
         scale_std=section.scale_std,
     )
@@ -230,9 +237,7 @@ def _wire(files: Files) -> DistanceObservations:
     return data
 
 
-def _dial(files: Files) -> DistanceObservations:
-    section = files.first.section
-    assert isinstance(section, DialTable)
+def _dial(files: Files, section: DialTable) -> DistanceObservations:
     reading = files.values()[:, 0]
     for row in np.flatnonzero(np.isclose(reading, section.free, rtol=0.0, atol=1e-9))[:1]:
         raise InputError(
@@ -243,10 +248,9 @@ def _dial(files: Files) -> DistanceObservations:
     return replace(_distances(files, section, reading), surface="plane", scale_std=section.scale_std)
 
 
-def _kept(files: Files) -> DistanceObservations:
+def _kept(files: Files, section: ContactTable) -> DistanceObservations:
     """A ball bar, a sphere, an edge or a plane: one distance in all rows, known or not."""
-    section, kind = files.first.section, files.first.kind
-    assert isinstance(section, ContactTable)
+    kind = files.first.kind
     _refuse_no_contact(files, section)
     _refuse_one_pose(files, np.arange(len(files.joints)))
     data = _distances(files, section, np.zeros(len(files.joints)))
@@ -267,16 +271,14 @@ def _distances(files: Files, section: ContactTable, readings: Array) -> Distance
     )
 
 
-def _touches(files: Files) -> SocketObservations:
+def _touches(files: Files, section: ContactTable) -> SocketObservations:
     """One place that was touched in every row."""
-    section, none = files.first.section, np.zeros((0, 2), dtype=np.int64)
-    assert isinstance(section, ContactTable)
     _refuse_no_contact(files, section)
     _refuse_one_pose(files, np.arange(len(files.joints)))
     return SocketObservations(
         joints=files.joints,
         socket=np.zeros(len(files.joints), dtype=np.int64),
-        pairs=none,
+        pairs=np.zeros((0, 2), dtype=np.int64),
         spacing=np.zeros(0),
         std=files.first.position_std,
         kind=files.first.kind,
@@ -286,10 +288,9 @@ def _touches(files: Files) -> SocketObservations:
     )
 
 
-def _sockets(files: Files) -> SocketObservations:
+def _sockets(files: Files, section: SocketsTable) -> SocketObservations:
     """Sockets by a column, in consecutive pairs of their numbers; or one per file, the files of a folder a pair."""
-    first, section = files.first, files.first.section
-    assert isinstance(section, SocketsTable)
+    first = files.first
     _refuse_no_contact(files, section)
     names: tuple[str, ...] = ()
     if first.position:
@@ -325,10 +326,8 @@ def _sockets(files: Files) -> SocketObservations:
     )
 
 
-def _tilt(files: Files) -> TiltObservations:
+def _tilt(files: Files, section: TiltTable) -> TiltObservations:
     """Components of down; angles of inclination are taken as those whose sine the component is."""
-    section = files.first.section
-    assert isinstance(section, TiltTable)
     values = np.concatenate([table.values(section.position) for table in files.tables])
     std = np.full(values.shape, section.position_std)
     if section.position_unit != "g":
@@ -347,8 +346,7 @@ def _tilt(files: Files) -> TiltObservations:
             "gravity, or remove rows in which the arm still moved"
         )
     _refuse_one_pose(files, np.arange(len(files.joints)))
-    known = {word: 0.0 if said == KNOWN else np.inf for word, said in (("axes", section.mount), ("down", section.base))}
-    return TiltObservations(files.joints, values, std, axes_std=known["axes"], down_std=known["down"])
+    return TiltObservations(files.joints, values, std, axes_std=section.axes_std, down_std=section.down_std)
 
 
 def _mm(value: float) -> str:
@@ -397,19 +395,16 @@ def _refuse_other_unit(files: Files, data: DistanceObservations) -> None:
         )
 
 
-KIND_READERS: dict[str, Callable[[Files], Observations]] = {
+KIND_READERS: dict[str, Callable[[Files, Any], Observations]] = {
     "reflectors": _reflectors,
     "wire": _wire,
-    "bar": _kept,
-    "sphere": _kept,
-    "edge": _kept,
-    "plane": _kept,
+    **dict.fromkeys(("bar", "sphere", "edge", "plane"), _kept),
     "dial": _dial,
     "touches": _touches,
     "sockets": _sockets,
     "tilt": _tilt,
 }
-"""How each of these kinds is read."""
+"""How each of these kinds is read, of its files and its section."""
 
 
 # Views of a board: pictures with the arm's joints or finished poses beside them, or a table of corners found in them.
@@ -445,7 +440,11 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
     path = Path(paths[0])
     table, home = _table(path, whole.pixels, description)
     camera = _lens(whole.camera, home)
-    joints = _joints(table, geometry, description)
+    if (poses := whole.poses) is None:
+        joints = read_joints(table, description, geometry)
+    else:
+        turned = rotations(poses.convention, table.values(poses.rotation) * TO_SI[poses.rotation_unit])
+        joints = joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))
     pictures: list[Path] = []
     if whole.pixels.position:
         rows, found = _found_in_table(table, whole.pixels, whole.board, camera)
@@ -500,8 +499,8 @@ def _table(path: Path, pixels: PixelsTable, description: ColumnDescription) -> t
 
 def _entry(file: Path) -> dict[str, str]:
     """A small YAML file of one view's numbers, and its name as column "file"."""
-    found = yaml_content(read_text(file, "a YAML file"), file)
-    entry = {str(key): str(value) for key, value in found.items()} if isinstance(found, dict) else {}
+    content = yaml_content(read_text(file, "a YAML file"), file)
+    entry = {str(key): str(value) for key, value in content.items()} if isinstance(content, dict) else {}
     if not entry:
         raise InputError(f"{file} holds no numbers by name; give one file per view with the pose in it")
     return entry | {"file": file.stem}
@@ -512,27 +511,12 @@ def _by_number(file: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
 
-def _joints(table: Table, geometry: Geometry, description: ColumnDescription) -> Array:
-    """Joints of every row, or those of the arm that carries finished poses."""
-    poses = description.views.poses if description.views else None
-    if poses is None:
-        columns = []
-        for i, scale in enumerate(joint_scales(description, geometry)):
-            columns.append(table.value(description.joints[i]) * scale)
-            refuse_implausible_joints(
-                table, geometry, i, columns[-1], description.joints[i], description.joint_units[i]
-            )
-        return np.stack(columns, -1)
-    turned = rotations(poses.convention, table.values(poses.rotation) * TO_SI[poses.rotation_unit])
-    return joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))
-
-
 def _pictures(table: Table, pixels: PixelsTable, home: Path) -> list[Path]:
     """The path of each row's picture."""
-    assert pixels.picture is not None
-    if STEM in pixels.picture:
-        return [home / pixels.picture.replace(STEM, stem) for stem in table.texts("file")]
-    return [home / name for name in table.texts(pixels.picture)]
+    pattern = str(pixels.picture)
+    if STEM in pattern:
+        return [home / pattern.replace(STEM, stem) for stem in table.texts("file")]
+    return [home / name for name in table.texts(pattern)]
 
 
 def _found_in_pictures(table: Table, board: Board, pictures: Sequence[Path]) -> list[FoundCorners]:

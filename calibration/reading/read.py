@@ -27,13 +27,7 @@ from pickenv.calibration.reading.csv_table import (
     refuse_repeated,
     rotations,
 )
-from pickenv.calibration.reading.description import (
-    LENGTHS,
-    ColumnDescription,
-    joint_scales,
-    load_description,
-    own_description,
-)
+from pickenv.calibration.reading.description import LENGTHS, ColumnDescription, load_description, own_description
 from pickenv.calibration.reading.kind_readers import KIND_READERS, Files, read_views
 from pickenv.errors import InputError
 from pickenv.texts import listed
@@ -87,10 +81,10 @@ def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path 
     Raises:
         InputError: Names the file, row, column or unit at fault.
     """
-    found = read_observations([path], geometry, columns).observations
-    if not isinstance(found, Measurements):
-        raise InputError(f"{path}: holds {found.kind}, not poses or positions; use read_observations")
-    return found
+    rows = read_observations([path], geometry, columns).observations
+    if not isinstance(rows, Measurements):
+        raise InputError(f"{path}: holds {rows.kind}, not poses or positions; use read_observations")
+    return rows
 
 
 def read_observations(
@@ -117,7 +111,7 @@ def read_observations(
     layout = () if description is None else (description.separator, description.decimal, description.names)
     tables = [read_table(path, *layout) for path in paths]
     given = [description or own_description(geometry, table.header, table.where) for table in tables]
-    joints = np.concatenate([_joints(table, each, geometry) for table, each in zip(tables, given, strict=True)])
+    joints = np.concatenate([kind_readers.read_joints(*pair, geometry) for pair in zip(tables, given, strict=True)])
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"
     files = Files(tables, given, geometry, joints, source)
     groups = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
@@ -125,10 +119,10 @@ def read_observations(
     origins = Origins(tuple(table.where for table in tables), groups, lines)
     kind_readers.refuse_repeated_joints(given, joints, geometry)
     frames = {"frames": _frames(tables)} if description is None else {}
-    found: Any = READERS[files.first.kind](files)
-    found = replace(found, source=source, conditions=_conditions(files), origins=origins, **frames)
-    kind_readers.refuse_duplicates(joints, found, origins)
-    return FileReading(found, _floor(files))
+    rows: Any = READERS[files.first.kind](files, files.first.section)
+    rows = replace(rows, source=source, conditions=_conditions(files), origins=origins, **frames)
+    kind_readers.refuse_duplicates(joints, rows, origins)
+    return FileReading(rows, _floor(files))
 
 
 def _frames(tables: list[Table]) -> Frames:
@@ -149,16 +143,6 @@ def _frames(tables: list[Table]) -> Frames:
     return "known" if "known" in said else "fitted"
 
 
-def _joints(table: Table, description: ColumnDescription, geometry: Geometry) -> Array:
-    columns = []
-    for i, scale in enumerate(joint_scales(description, geometry)):
-        columns.append(table.value(description.joints[i]) * scale)
-        kind_readers.refuse_implausible_joints(
-            table, geometry, i, columns[-1], description.joints[i], description.joint_units[i]
-        )
-    return np.stack(columns, -1)
-
-
 def _conditions(files: Files) -> Conditions:
     """Payload, temperature above the reference, and torques, where every file has them."""
     found: dict[str, Array] = {}
@@ -175,7 +159,7 @@ def _conditions(files: Files) -> Conditions:
     return Conditions(**found)
 
 
-def _poses(files: Files) -> Measurements:
+def _poses(files: Files, _section: Any) -> Measurements:
     """Poses or positions; unnamed attitude conventions are refused with what each would leave."""
     first, position = files.first, files.values()
     for table, description in files.pairs():
@@ -222,7 +206,7 @@ def _attitudes(table: Table, description: ColumnDescription) -> Array:
     return values
 
 
-READERS: dict[str, Callable[[Files], Observations]] = {"position": _poses, **KIND_READERS}
+READERS: dict[str, Callable[[Files, Any], Observations]] = {"position": _poses, **KIND_READERS}
 """How each kind of `pickenv.calibration.reading.description.KINDS` but pictures is read."""
 
 
