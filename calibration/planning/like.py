@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from pathlib import Path
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Geometry, parameter_jacobian
+from pickenv.arm import Arm, Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.diagnosis import without_blind_views
 from pickenv.calibration.identification.robust import align, robust_identify, unknowns_of
@@ -25,30 +25,25 @@ from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, complete_m
 from pickenv.calibration.model.identifiability import identifiable_parameters
 from pickenv.calibration.model.kinds.distances import DistanceObservations
 from pickenv.calibration.model.kinds.surfaces import SocketObservations
-from pickenv.calibration.model.measurements import Measurements, write_joints
+from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.prior import FRAMES, PriorModel
 from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.planning.plan import (
-    CRITERIA,
     DRAWS,
     MARGIN,
-    CurvePoint,
+    Design,
+    PosePlan,
     candidate_joints,
-    exchange,
-    prior_information,
-    short_tour,
-    squares_of,
-    travel_seconds,
+    criterion_of,
+    error_weight,
+    finished_plan,
+    plan_sizes,
 )
 from pickenv.errors import InputError
 from pickenv.limits import check_limit
 from pickenv.threads import single_threaded
-
-# Where an instrument can measure at all, as its first rows tell: of wires, touches, contacts, boards in pictures. A
-# candidate keeps the touched point touched, the wire and the dial within the readings they gave, and the board in the
-# picture, about as far off as it was. All else can be measured anywhere. SI units.
 
 ROUNDS = 60
 """Rounds in which candidates are looked for at most."""
@@ -196,80 +191,6 @@ CHUNK = 500
 """Candidates whose equations are held at once."""
 
 
-@dataclass(frozen=True, eq=False)
-class PlanLike:
-    """Poses to measure besides those of a first measurement, in order.
-
-    Attributes:
-        joints: ``(n_poses, n)``, rad or m, in measuring order.
-        chosen: Their rows among the candidates.
-        candidates: Poses at which such an instrument can measure ``(N, n)``.
-        kind: Of the measurements.
-        first: Rows that there are already.
-        parameters: What is planned for: the instrument's own unknowns, then the arm's.
-        criterion: "d-optimal" or "test-poses".
-        predicted_error: RMS position error from the parameters' uncertainty, of first rows and planned poses, m.
-        random_predicted_error: The same with random candidates in place of the planned ones, median of 20 sets, m.
-        where: Where that error is taken, in words.
-        travel_seconds: Time of the moves in measuring order, s.
-        random_travel_seconds: The same in random order, mean of 20, s.
-        seconds: Time of the planning.
-        lines: Lines of the poses in the file that they were chosen from; None where they were looked for.
-        curve: What other numbers of poses would bring.
-    """
-
-    joints: Array
-    chosen: NDArray[np.int64]
-    candidates: Array
-    kind: str
-    first: int
-    parameters: tuple[str, ...]
-    criterion: str
-    predicted_error: float
-    random_predicted_error: float
-    where: str
-    travel_seconds: float
-    random_travel_seconds: float
-    seconds: float
-    lines: NDArray[np.int64] | None = None
-    curve: tuple[CurvePoint, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        names = ("kind", "criterion", "where", "travel_seconds", "random_travel_seconds", "seconds")
-        found = {name: getattr(self, name) for name in names}
-        return found | {
-            "poses": len(self.joints),
-            "first_rows": self.first,
-            "candidates": len(self.candidates),
-            "parameters": list(self.parameters),
-            "predicted_error_mm": self.predicted_error * 1e3,
-            "random_predicted_error_mm": self.random_predicted_error * 1e3,
-            **({} if self.lines is None else {"lines": self.lines.tolist()}),
-            **({"curve": [point.as_dict() for point in self.curve]} if self.curve else {}),
-        }
-
-    def report(self) -> str:
-        """A short report for people."""
-        lines = [
-            f"{len(self.joints)} of {len(self.candidates)} poses at which {self.kind} can be measured, besides the "
-            f"{self.first} measured already; {self.criterion}, {len(self.parameters)} parameters, in "
-            f"{self.seconds:.2f} s",
-            f"  error to expect {self.where} {self.predicted_error * 1e3:.4f} mm RMS from the parameters' uncertainty "
-            f"(poses drawn from the same: {self.random_predicted_error * 1e3:.4f} mm)",
-            f"  moves take {self.travel_seconds:.0f} s in this order, {self.random_travel_seconds:.0f} s in another",
-        ]
-        if self.lines is not None:
-            lines.append(f"  lines of the file, in measuring order: {', '.join(map(str, self.lines))}")
-        if self.curve:
-            lines += ["  how many poses? The same error, and drawn at random:", *(p.text() for p in self.curve)]
-        return "\n".join(lines)
-
-    def write_csv(self, path: str | Path, prismatic: tuple[bool, ...]) -> Path:
-        """Write the joints in measuring order as our own CSV columns."""
-        return write_joints(path, self.joints, prismatic)
-
-
 @single_threaded()
 def plan_like(
     arm: Arm,
@@ -283,7 +204,7 @@ def plan_like(
     test_joints: Array | None = None,
     curve: bool = False,
     prior: PriorModel | None = None,
-) -> PlanLike:
+) -> PosePlan:
     """Choose ``count`` further poses for an instrument that has measured a few, and order them for short travel.
 
     Base, tool and the arm's own parameters are planned for, with the instrument's unknowns.
@@ -307,9 +228,7 @@ def plan_like(
         InputError: If the first rows are of several kinds, too few or do not fit the arm, there are too few candidates
             or poses, or the criterion is unknown.
     """
-    criterion = criterion or ("d-optimal" if test_joints is None else "test-poses")
-    if criterion not in CRITERIA:
-        raise InputError(f"criterion is '{criterion}'; give {' or '.join(CRITERIA)}")
+    criterion = criterion_of(criterion, test_joints)
     begin = time.perf_counter()
     first = first_rows(arm, data)
     if isinstance(candidates, int):
@@ -323,78 +242,58 @@ def plan_like(
             f"{data.source}: {data.kind} can be measured at {len(joints)} candidates only, too few to choose {count} "
             f"from; give a first measurement of more varied poses, or plan {len(joints) // LEAST_CANDIDATES} poses"
         )
-    if prior is not None and not data.framed:
-        prior = prior.without_base()
-    rows, known, model, names = _told(arm.nominal, first, joints, prior)
+    design = _design(arm.nominal, first, joints, prior)
     if prior is None:
-        _refuse_too_few(first, rows, count, names)
-    at = joints if test_joints is None else test_joints
-    frames = np.zeros(len(model.names), dtype=bool) if prior is None else prior.group == FRAMES
-    weight = _error_weight(first, model, frames, at, len(names))
-    aim = weight if criterion == "test-poses" else None
-    chosen, _ = exchange(rows, count, rng, aim, known=known)
-    chosen = chosen[short_tour(joints[chosen], arm.speed)]
-
-    def error(which: NDArray[np.int64]) -> float:
-        seen = rows[which].reshape(-1, rows.shape[-1])
-        return float(np.sqrt(np.trace(np.linalg.solve(known + seen.T @ seen, weight))))
-
-    def chance(size: int) -> float:
-        return float(np.median([error(rng.choice(len(joints), size, replace=False)) for _ in range(DRAWS)]))
-
-    by_chance, points = chance(count), []
-    if curve:
-        sizes = [size for size in (max(1, count // 2), *(count * k for k in (1, 2, 4, 8))) if size <= len(joints)]
-        added, _ = exchange(rows, sizes[-1], rng, aim, most_passes=0, known=known)
-        for size in sizes:
-            points.append(
-                CurvePoint(size, error(chosen), by_chance)
-                if size == count
-                else CurvePoint(size, error(added[:size]), chance(size))
-            )
-    shuffled = [travel_seconds(joints[rng.permutation(chosen)], arm.speed) for _ in range(DRAWS)]
-    return PlanLike(
-        joints=joints[chosen],
-        chosen=chosen,
-        candidates=joints,
-        kind=data.kind,
-        first=len(first.data.joints),
-        parameters=names,
+        _refuse_too_few(first, design.rows, count, (*design.names, *design.model.names))
+    plan = finished_plan(
+        arm,
+        design,
+        count,
+        rng,
+        drawn=cache(lambda size: np.stack([rng.choice(len(joints), size, replace=False) for _ in range(DRAWS)])),
+        rows_at=design.rows.__getitem__,
         criterion=criterion,
-        predicted_error=error(chosen),
-        random_predicted_error=by_chance,
+        goal=error_weight(first.model.geometry, design, joints if test_joints is None else test_joints),
         where="at the candidates" if test_joints is None else "at the test poses",
-        travel_seconds=travel_seconds(joints[chosen], arm.speed),
-        random_travel_seconds=float(np.mean(shuffled)),
+        sizes=plan_sizes(count, 1, len(joints)) if curve else (),
+    )
+    return replace(
+        plan,
+        first=len(first.data.joints),
+        lines=None if lines is None else lines[plan.chosen],
         seconds=time.perf_counter() - begin,
-        lines=None if lines is None else lines[chosen],
-        curve=tuple(points),
     )
 
 
-def _told(
-    geometry: Geometry, first: FirstRows, joints: Array, prior: PriorModel | None
-) -> tuple[Array, Array, ErrorModel, tuple[str, ...]]:
-    """What each candidate tells ``(N, r, p)``, what is known beforehand ``(p, p)``, and of which parameters.
-
-    The last are the arm's own among them, and the names of all.
-    """
-    model, data = complete_model(geometry) if prior is None else prior.parameters, first.data
-    own, scale = len(data.unknowns()), np.concatenate([data.tolerances(), model.tolerance])
-    names = (*data.unknowns(), *model.names)
+def _design(geometry: Geometry, first: FirstRows, joints: Array, prior: PriorModel | None) -> Design:
+    """What each candidate tells, and what the first rows and priors tell: of all parameters, or of a base set."""
+    data, own = first.data, len(first.data.unknowns())
+    if prior is not None and not data.framed:
+        prior = prior.without_base()
+    model = complete_model(geometry) if prior is None else prior.parameters
+    scale = np.concatenate([data.tolerances(), model.tolerance])
     asked = [asked_at(first, joints[i : i + CHUNK]) for i in range(0, len(joints), CHUNK)]
-    here, there = (_scaled(first, part, model, scale) for part in (data, asked[0]))
-    known, kept = here.T @ here, np.arange(len(names))
+    here = _scaled(first, data, model, scale)
     if prior is None:
-        stacked, unknowns = np.concatenate([here, there]), [first.unknowns] * 2
-        kept = identifiable_parameters(model, [data, asked[0]], first.model, unknowns, stacked, names, scale).kept
+        there = _scaled(first, asked[0], model, scale)
+        names = (*data.unknowns(), *model.names)
+        matrix, sets = np.concatenate([here, there]), [data, asked[0]]
+        kept = identifiable_parameters(model, sets, first.model, [first.unknowns] * 2, matrix, names, scale).kept
+        known = np.zeros((len(kept), len(kept)))
     else:
-        known[own:, own:] += prior_information(prior)
-        known[range(own), range(own)] += (data.tolerances() / UNKNOWN_STD) ** 2
-    arms = kept[kept >= own] - own
-    arm_model = ErrorModel(model.columns[arms], tuple(model.names[k] for k in arms), model.tolerance[arms])
-    told = np.concatenate([_by_pose(first, part, model, scale)[..., kept] for part in asked])
-    return told, known[np.ix_(kept, kept)], arm_model, tuple(names[k] for k in kept)
+        kept = np.arange(len(scale))
+        known = np.diag((scale / np.r_[np.full(own, UNKNOWN_STD), prior.width]) ** 2)
+    rows = np.concatenate([_by_pose(first, part, model, scale)[..., kept] for part in asked])
+    return Design(
+        joints,
+        rows,
+        model.some(np.isin(np.arange(own, len(scale)), kept)),
+        np.zeros(0),
+        data.kind,
+        known + here[:, kept].T @ here[:, kept],
+        names=tuple(data.unknowns()[k] for k in kept[kept < own]),
+        framed=prior is not None and bool((prior.group == FRAMES).any()),
+    )
 
 
 def _scaled(first: FirstRows, data: Observations, model: ErrorModel, scale: Array) -> Array:
@@ -421,16 +320,6 @@ def _by_pose(first: FirstRows, asked: Observations, model: ErrorModel, scale: Ar
     values, vectors = np.linalg.eigh(np.swapaxes(whole, 1, 2) @ whole)
     few = np.sqrt(np.maximum(values[:, None, -most:], 0.0)) * vectors[..., -most:]
     return np.asarray(np.swapaxes(few, 1, 2))
-
-
-def _error_weight(
-    first: FirstRows, model: ErrorModel, frames: NDArray[np.bool_], test_joints: Array, count: int
-) -> Array:
-    """W ``(p, p)`` such that trace(W M^-1) is the mean squared predicted position error at the test poses, m^2."""
-    by_arm = parameter_jacobian(first.model.geometry, test_joints)[:, :3, model.columns] * model.tolerance
-    weight, own = np.zeros((count, count)), count - len(model.names)
-    weight[own:, own:] = squares_of(by_arm.reshape(-1, len(model.names)), frames) / len(test_joints)
-    return weight
 
 
 def _refuse_too_few(first: FirstRows, rows: Array, count: int, names: tuple[str, ...]) -> None:

@@ -8,7 +8,10 @@ by what they tell beyond these, and the predicted error is the one that a calibr
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +21,7 @@ from scipy.linalg import qr
 
 from pickenv.arm import Arm, Geometry, parameter_jacobian
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.arm_model import ErrorModel, link_model
+from pickenv.calibration.model.arm_model import ErrorModel, frames_model, link_model
 from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Observability, observability
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, random_joints, write_joints
 from pickenv.calibration.model.prior import FRAMES, PriorModel
@@ -182,13 +185,13 @@ class Design:
 
     Attributes:
         joints: Candidates ``(N, n)``, rad or m.
-        rows: Their weighted, scaled Jacobians by the parameters ``(N, r, p)``.
-        model: The parameters ``(p,)``: all of them where they have priors, else a base set.
-        weight: One over the standard uncertainty of each row ``(r,)``.
-        kind: "pose" (r = 6) or "position" (r = 3).
-        known: Information ``(p, p)`` that there is beforehand: of the priors, or none.
-        frames: Which parameters are base and tool that may stand anywhere ``(p,)``; what these could take up is no
-            error of the arm.
+        rows: Their weighted, scaled Jacobians by the parameters ``(N, r, p)``, an instrument's own unknowns first.
+        model: The arm's parameters, which come last among the columns.
+        weight: One over the standard uncertainty of each row ``(r,)``; none where an instrument's first rows tell it.
+        kind: "pose" (r = 6) or "position" (r = 3), or what else is measured.
+        known: Information ``(p, p)`` that there is already, of priors and of rows measured before.
+        names: Names of an instrument's own unknowns.
+        framed: Whether what base and tool could take up is no error of the arm, for they are fitted.
     """
 
     joints: Array
@@ -197,7 +200,8 @@ class Design:
     weight: Array
     kind: str
     known: Array
-    frames: NDArray[np.bool_]
+    names: tuple[str, ...] = ()
+    framed: bool = False
 
 
 @dataclass(frozen=True)
@@ -260,15 +264,17 @@ class PosePlan:
         chosen: Their rows among the candidates.
         design: The candidates.
         criterion: "d-optimal" or "test-poses".
-        model: Observability of the parameters planned for.
-        arm: Observability of the arm's own parameters, base and tool taken as known: what papers state. None where the
-            poses are too few to tell all of them without priors.
         travel_seconds: Time of the moves in measuring order, joints moving together at the arm's speeds, s.
         random_travel_seconds: The same in random order, mean of 20, s.
-        predicted_error: RMS position error to expect at the test poses from the parameters' uncertainty, m; or None.
+        predicted_error: RMS position error to expect from the parameters' uncertainty, m; None where nobody says where.
         random_predicted_error: The same for drawn poses, median of 20 sets, m; or None.
+        where: Where that error is taken, in words.
         passes: Rounds of exchange.
         seconds: Time of the planning.
+        model: Observability of the parameters planned for; None where an instrument's first rows were planned on.
+        arm: The same of the arm's own parameters, base and tool taken as known: what papers state. None where the poses
+            are too few to tell all of them without priors, too.
+        first: Rows measured already.
         lines: Lines of the poses in the file that they were chosen from; None where they were drawn.
         curve: What other numbers of poses would bring.
     """
@@ -277,59 +283,75 @@ class PosePlan:
     chosen: NDArray[np.int64]
     design: Design
     criterion: str
-    model: AgainstChance
-    arm: AgainstChance | None
     travel_seconds: float
     random_travel_seconds: float
     predicted_error: float | None
     random_predicted_error: float | None
+    where: str
     passes: int
     seconds: float
+    model: AgainstChance | None = None
+    arm: AgainstChance | None = None
+    first: int = 0
     lines: NDArray[np.int64] | None = None
     curve: tuple[CurvePoint, ...] = ()
 
+    @property
+    def candidates(self) -> Array:
+        """Poses that were chosen from ``(N, n)``."""
+        return self.design.joints
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """What is planned for: the instrument's own unknowns, then the arm's."""
+        return (*self.design.names, *self.design.model.names)
+
     def as_dict(self) -> dict[str, Any]:
         """For JSON; condition and ratio at the top are those of the arm's own parameters."""
-        arm = None if self.arm is None else self.arm.as_dict()
-        found: dict[str, Any] = {
+        figures: dict[str, Any] = {
             "poses": len(self.joints),
-            "candidates": len(self.design.joints),
+            "first_rows": self.first,
+            "candidates": len(self.candidates),
             "kind": self.design.kind,
-            **{key: None if arm is None else arm[key] for key in ("condition", "random_condition", "o1_ratio")},
-            "arm": arm,
-            "model": self.model.as_dict(),
+            "parameters": list(self.parameters),
         }
-        names = ("criterion", "travel_seconds", "random_travel_seconds", "passes", "seconds")
-        found |= {name: getattr(self, name) for name in names}
+        for name in ("criterion", "where", "travel_seconds", "random_travel_seconds", "passes", "seconds"):
+            figures[name] = getattr(self, name)
+        if self.model is not None:
+            arm = None if self.arm is None else self.arm.as_dict()
+            figures |= {"arm": arm, "model": self.model.as_dict()}
+            for key in ("condition", "random_condition", "o1_ratio"):
+                figures[key] = None if arm is None else arm[key]
         if self.predicted_error is not None and self.random_predicted_error is not None:
-            found["predicted_error_mm"] = self.predicted_error * 1e3
-            found["random_predicted_error_mm"] = self.random_predicted_error * 1e3
+            figures["predicted_error_mm"] = self.predicted_error * 1e3
+            figures["random_predicted_error_mm"] = self.random_predicted_error * 1e3
         if self.lines is not None:
-            found["lines"] = self.lines.tolist()
+            figures["lines"] = self.lines.tolist()
         if self.curve:
-            found["curve"] = [point.as_dict() for point in self.curve]
-        return found
+            figures["curve"] = [point.as_dict() for point in self.curve]
+        return figures
 
     def report(self) -> str:
         """A short report for people."""
         lines = [
-            f"{len(self.joints)} of {len(self.design.joints)} candidates, {self.criterion}, {self.design.kind} "
-            f"measurements, in {self.seconds:.2f} s",
+            f"{len(self.joints)} of {len(self.candidates)} candidates, {self.criterion}, {self.design.kind} "
+            f"measurements, {len(self.parameters)} parameters, in {self.seconds:.2f} s"
         ]
+        if self.first:
+            lines.append(f"  besides the {self.first} measured already, at poses where such rows can be measured")
         parts = {"parameters planned for": self.model, "arm alone, base and tool known": self.arm}
         for label, part in parts.items():
-            if part is None:
-                continue
-            lines.append(
-                f"  {label} ({len(part.parameters)}): condition {part.planned.condition:.1f} (poses drawn at random: "
-                f"{part.drawn.condition:.1f}), O1 {part.planned.o1 / part.drawn_o1:.2f} times theirs"
-            )
+            if part is not None:
+                lines.append(
+                    f"  {label} ({len(part.parameters)}): condition {part.planned.condition:.1f} (poses drawn at "
+                    f"random: {part.drawn.condition:.1f}), O1 {part.planned.o1 / part.drawn_o1:.2f} times theirs"
+                )
         lines.append(
             f"  moves take {self.travel_seconds:.0f} s in this order, {self.random_travel_seconds:.0f} s in another"
         )
         if self.predicted_error is not None and self.random_predicted_error is not None:
             lines.append(
-                f"  error to expect at the test poses {self.predicted_error * 1e3:.4f} mm RMS "
+                f"  error to expect {self.where} {self.predicted_error * 1e3:.4f} mm RMS "
                 f"(poses drawn at random: {self.random_predicted_error * 1e3:.4f} mm)"
             )
         if self.lines is not None:
@@ -367,42 +389,48 @@ def design_of(
     position_std: float = POSITION_STD,
     attitude_std: float = ATTITUDE_STD,
 ) -> Design:
-    """What each candidate tells about the parameters.
+    """What each candidate tells about the parameters: all of them where these have priors, else a base set.
 
-    Without priors about a base set of them, chosen by pivoted QR: within a group of parameters that cannot be told
-    apart, the one with the largest effect stays. A D-optimal set is the same for every choice; its condition number is
-    not.
+    The base set is chosen by pivoted QR: within a group of parameters that cannot be told apart, the one with the
+    largest effect stays. A D-optimal set is the same for every choice; its condition number is not.
 
     Args:
         geometry: The nominal arm.
-        model: The parameters, with priors or without.
+        model: The parameters, with or without priors.
         joints: Candidates ``(N, n)``, rad or m.
         kind: What will be measured.
         position_std: Standard uncertainty of a position coordinate, m.
         attitude_std: Standard uncertainty of an attitude coordinate, rad.
     """
+    parameters = model.parameters if isinstance(model, PriorModel) else model
     weight = 1.0 / np.repeat([position_std, attitude_std], 3)[: 6 if kind == "pose" else 3]
+    rows = _rows(geometry, parameters, weight, joints)
     if isinstance(model, PriorModel):
-        rows = _rows(geometry, model.parameters, weight, joints)
-        return Design(joints, rows, model.parameters, weight, kind, prior_information(model), model.group == FRAMES)
-    rows = _rows(geometry, model, weight, joints)
+        known = np.diag((parameters.tolerance / model.width) ** 2)
+        return Design(joints, rows, parameters, weight, kind, known, framed=bool((model.group == FRAMES).any()))
     triangle = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
     r, order = qr(triangle, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(r))
     kept = np.sort(order[: int(np.sum(diagonal > REDUNDANCY_TOLERANCE * diagonal[0]))])
-    base = ErrorModel(model.columns[kept], tuple(model.names[k] for k in kept), model.tolerance[kept])
-    none = np.zeros(len(kept))
-    return Design(joints, rows[..., kept], base, weight, kind, np.diag(none), none > 0)
-
-
-def prior_information(model: PriorModel) -> Array:
-    """What the priors tell of the parameters in their tolerances ``(p, p)``."""
-    return np.diag((model.parameters.tolerance / model.width) ** 2)
+    base = parameters.some(np.isin(np.arange(len(order)), kept))
+    return Design(joints, rows[..., kept], base, weight, kind, np.zeros((len(kept), len(kept))))
 
 
 def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -> Array:
     jacobian = parameter_jacobian(geometry, joints)[:, : len(weight), model.columns]
     return np.asarray(jacobian * model.tolerance * weight[:, None])
+
+
+def criterion_of(criterion: str | None, test_joints: Array | None) -> str:
+    """The criterion, or what is usual where it is left out.
+
+    Raises:
+        InputError: If it is unknown.
+    """
+    criterion = criterion or ("d-optimal" if test_joints is None else "test-poses")
+    if criterion not in CRITERIA:
+        raise InputError(f"criterion is '{criterion}'; give {' or '.join(CRITERIA)}")
+    return criterion
 
 
 @single_threaded()
@@ -421,6 +449,9 @@ def plan_poses(
     curve: bool = False,
 ) -> PosePlan:
     """Choose ``count`` poses to measure, and order them for short travel.
+
+    Where parameters have priors, the error to expect is that of the posterior, as `pickenv.calibrate` states it: what
+    base and tool could take up is left out where they are fitted.
 
     Args:
         arm: The arm, with joint limits and speeds.
@@ -441,13 +472,12 @@ def plan_poses(
             without them, at poses drawn evenly from the joint ranges.
 
     Raises:
-        InputError: If there are too few poses for the parameters, too few candidates, no test poses where needed, or
-            an unknown kind or criterion.
+        InputError: If there are too few poses for parameters without priors, too few candidates, no test poses where
+            needed, or an unknown kind or criterion.
     """
-    criterion = criterion or ("d-optimal" if test_joints is None else "test-poses")
-    for name, given, known in (("kind", kind, KINDS), ("criterion", criterion, CRITERIA)):
-        if given not in known:
-            raise InputError(f"{name} is '{given}'; give {' or '.join(known)}")
+    if kind not in KINDS:
+        raise InputError(f"kind is '{kind}'; give {' or '.join(KINDS)}")
+    criterion = criterion_of(criterion, test_joints)
     begin = time.perf_counter()
     geometry = arm.nominal
     if isinstance(candidates, int):
@@ -460,51 +490,98 @@ def plan_poses(
     std = {"position_std": position_std, "attitude_std": attitude_std}
     design = design_of(geometry, model, joints, kind, **std)
     _enough(design, count)
-    aim = None if test_joints is None else error_weight(geometry, design, test_joints)
-    aimed = aim if criterion == "test-poses" else None
-    chosen, passes = exchange(design.rows, count, rng, aimed, known=design.known)
-    chosen = chosen[short_tour(joints[chosen], arm.speed)]
 
+    @cache
     def drawn(size: int) -> Array:
         """Random sets ``(DRAWS, size, n)`` of what could have been measured instead."""
         if isinstance(candidates, int):
             return random_joints(geometry, DRAWS * size, rng).reshape(DRAWS, size, -1)
         return np.stack([joints[rng.choice(len(joints), size, replace=False)] for _ in range(DRAWS)])
 
-    sets = drawn(count)
-    links = design_of(geometry, link_model(geometry), joints, kind, **std)
-    shuffled = [travel_seconds(joints[rng.permutation(chosen)], arm.speed) for _ in sets]
-    errors = None if aim is None else [_error_of(design, _elsewhere(geometry, design, s), aim) for s in sets]
+    field = random_joints(geometry, FIELD, np.random.default_rng(0)) if test_joints is None else test_joints
+    plan = finished_plan(
+        arm,
+        design,
+        count,
+        rng,
+        drawn=drawn,
+        rows_at=lambda joints: _rows(geometry, design.model, design.weight, joints),
+        criterion=criterion,
+        goal=error_weight(geometry, design, field),
+        where="over the joint ranges" if test_joints is None else "at the test poses",
+        sizes=plan_sizes(count, _least(design), len(joints)) if curve else (),
+    )
+    if test_joints is None and not design.known.any():
+        plan = replace(plan, predicted_error=None, random_predicted_error=None)
+    links, sets = design_of(geometry, link_model(geometry), joints, kind, **std), drawn(count)
+    return replace(
+        plan,
+        model=_against_chance(geometry, design, plan.chosen, sets),
+        arm=None if count < _least(links) else _against_chance(geometry, links, plan.chosen, sets),
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def finished_plan(
+    arm: Arm,
+    design: Design,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    drawn: Callable[[int], Array],
+    rows_at: Callable[[Array], Array],
+    criterion: str,
+    goal: Array,
+    where: str,
+    sizes: Sequence[int],
+) -> PosePlan:
+    """The best poses of a design, in a short order, beside what chance and other numbers of poses would bring.
+
+    Args:
+        arm: The arm, with joint speeds.
+        design: What candidates tell.
+        count: Poses to measure.
+        rng: Draws the order of exchanges, and orders to compare with.
+        drawn: `DRAWS` random sets of so many poses, as joints or as numbers of candidates; the same when asked again.
+        rows_at: What the poses of one such set tell ``(size, r, p)``.
+        criterion: See `plan_poses`.
+        goal: W ``(p, p)`` of `error_weight`.
+        where: Where that error is taken, in words.
+        sizes: Other numbers of poses.
+    """
+    begin, joints, aim = time.perf_counter(), design.joints, goal if criterion == "test-poses" else None
+    chosen, passes = exchange(design.rows, count, rng, aim, known=design.known)
+    chosen = chosen[short_tour(joints[chosen], arm.speed)]
+
+    def error(rows: Array) -> float:
+        return predicted_error(rows, goal, design.known)
+
+    def chance(size: int) -> float:
+        return float(np.median([error(rows_at(poses)) for poses in drawn(size)]))
+
+    by_chance = chance(count)
+    shuffled = [travel_seconds(joints[rng.permutation(chosen)], arm.speed) for _ in range(DRAWS)]
     points: list[CurvePoint] = []
-    if curve:
-        goal = error_weight(geometry, design, random_joints(geometry, FIELD, rng)) if aim is None else aim
-        sizes = _sizes(design, count)
+    if len(sizes):
         # Poses added one after the other: the first of a larger set are a smaller one.
-        added, _ = exchange(design.rows, sizes[-1], rng, aimed, most_passes=0, known=design.known)
+        added, _ = exchange(design.rows, sizes[-1], rng, aim, most_passes=0, known=design.known)
         for size in sizes:
-            rows = chosen if size == count else added[:size]
-            others = [_error_of(design, _elsewhere(geometry, design, s), goal) for s in drawn(size)]
-            points.append(CurvePoint(size, _error_of(design, design.rows[rows], goal), float(np.median(others))))
+            rows = design.rows[chosen if size == count else added[:size]]
+            points.append(CurvePoint(size, error(rows), chance(size)))
     return PosePlan(
         joints=joints[chosen],
         chosen=chosen,
         design=design,
         criterion=criterion,
-        model=_against_chance(geometry, design, chosen, sets),
-        arm=None if count < _least(links) else _against_chance(geometry, links, chosen, sets),
         travel_seconds=travel_seconds(joints[chosen], arm.speed),
         random_travel_seconds=float(np.mean(shuffled)),
-        predicted_error=None if aim is None else _error_of(design, design.rows[chosen], aim),
-        random_predicted_error=None if errors is None else float(np.median(errors)),
+        predicted_error=error(design.rows[chosen]),
+        random_predicted_error=by_chance,
+        where=where,
         passes=passes,
         seconds=time.perf_counter() - begin,
         curve=tuple(points),
     )
-
-
-def _elsewhere(geometry: Geometry, design: Design, joints: Array) -> Array:
-    """Rows ``(M, r, p)`` of the design's base parameters at other joints ``(M, n)``."""
-    return _rows(geometry, design.model, design.weight, joints)
 
 
 def _observed(design: Design, rows: Array) -> Observability:
@@ -515,22 +592,21 @@ def _observed(design: Design, rows: Array) -> Observability:
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> AgainstChance:
-    drawn = sorted((_observed(design, _elsewhere(geometry, design, s)) for s in sets), key=lambda seen: seen.condition)
-    o1 = float(np.mean([found.o1 for found in drawn]))
+    rows = (_rows(geometry, design.model, design.weight, joints) for joints in sets)
+    drawn = sorted((_observed(design, part) for part in rows), key=attrgetter("condition"))
+    o1 = float(np.mean([part.o1 for part in drawn]))
     return AgainstChance(design.model.names, _observed(design, design.rows[chosen]), drawn[len(drawn) // 2], o1)
 
 
 def _least(design: Design) -> int:
     """Poses that give a few more equations than parameters; one where these have priors."""
-    if design.known.any():
-        return 1
-    return -(-len(design.model.names) // int(design.rows.shape[1])) + 1
+    return 1 if design.known.any() else -(-len(design.model.names) // int(design.rows.shape[1])) + 1
 
 
-def _sizes(design: Design, count: int) -> list[int]:
+def plan_sizes(count: int, least: int, most: int) -> list[int]:
     """Half, once, twice, four and eight times as many poses, as far as the candidates go."""
-    sizes = {max(_least(design), count // 2), *(count * times for times in (1, 2, 4, 8))}
-    return sorted(size for size in sizes if size <= len(design.joints))
+    sizes = {max(least, count // 2), *(count * times for times in (1, 2, 4, 8))}
+    return sorted(size for size in sizes if size <= most)
 
 
 def _enough(design: Design, count: int) -> None:
@@ -545,28 +621,16 @@ def _enough(design: Design, count: int) -> None:
 
 def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Array:
     """W ``(p, p)`` such that trace(W M^-1) is the mean squared predicted position error at the test poses, m^2."""
-    effects = _rows(geometry, design.model, np.ones(3), test_joints).reshape(-1, len(design.model.names))
-    return squares_of(effects, design.frames) / len(test_joints)
-
-
-def squares_of(effects: Array, frames: NDArray[np.bool_]) -> Array:
-    """E^T E ``(p, p)`` of effects ``(R, p)``, but for what parameters of base and tool could take up."""
-    basis = np.linalg.qr(effects[:, frames])[0]
-    rest = effects - basis @ (basis.T @ effects)
-    return np.asarray(rest.T @ rest)
+    place = partial(_rows, geometry, weight=np.ones(3), joints=test_joints)
+    stacked = place(design.model).reshape(-1, len(design.model.names))
+    if design.framed:
+        frames = frames_model(geometry)
+        basis = np.linalg.qr(place(frames).reshape(-1, len(frames.names)))[0]
+        stacked = stacked - basis @ (basis.T @ stacked)
+    return np.pad(stacked.T @ stacked / len(test_joints), (len(design.names), 0))
 
 
 def predicted_error(rows: Array, weight: Array, known: Array | float = 0.0) -> float:
-    """RMS position error, m, that the uncertainty of parameters seen by ``rows`` ``(M, r, p)`` brings; see above.
-
-    Args:
-        rows: What poses tell.
-        weight: W ``(p, p)``.
-        known: Information that there is beforehand ``(p, p)``.
-    """
+    """RMS position error, m, of parameters seen by ``rows`` ``(M, r, p)`` and ``known`` before; see above."""
     stacked = rows.reshape(-1, rows.shape[-1])
     return float(np.sqrt(np.trace(np.linalg.solve(stacked.T @ stacked + known, weight))))
-
-
-def _error_of(design: Design, rows: Array, weight: Array) -> float:
-    return predicted_error(rows, weight, design.known)

@@ -31,6 +31,9 @@ MARGIN = 0.02
 FOLDS = 5
 """Contiguous folds of the cross-validation within the training rows."""
 
+SLOW = ("bpnn",)
+"""Models that take seconds to learn: tried last, and of several only where another one gains on the held-out blocks."""
+
 Refit = Callable[[Measurements], Geometry | ArmModel]
 """Identifies the arm from training rows alone; a constant function where the arm was identified from other data."""
 
@@ -41,7 +44,7 @@ class GateVerdict:
 
     Attributes:
         model: Name of the residual model.
-        blocked_rms: On the held-out blocks, with the residual; None where it could not be fitted.
+        blocked_rms: On the held-out blocks, with the residual; None where it was not, or could not be, fitted.
         geometric_blocked_rms: On the same blocks without it.
         blocked_attitude_rms: Attitude on the held-out blocks; None for position measurements.
         geometric_blocked_attitude_rms: The same without the residual.
@@ -104,7 +107,8 @@ def gate_residuals(
     accepted if it cuts the blocked RMS by more than `MARGIN`, does not make attitudes worse by more than that, and
     wins likewise when cross-validated over contiguous folds of the blocked split's training rows. That cross-validation
     ranks the accepted models. So the held-out blocks may veto a model but never rank models: picking the best of
-    several on the rows that then state its error would flatter it.
+    several on the rows that then state its error would flatter it. A network takes seconds, so it is tried last, and
+    beside others only where one of them gains on the held-out blocks (`SLOW`).
 
     Args:
         measurements: Poses or positions, in the order they were measured.
@@ -119,7 +123,7 @@ def gate_residuals(
     """
     if not models:
         raise InputError(f"no residual model was named; give some of {', '.join(FITTERS)}")
-    seeds = [int(rng.integers(2**63)) for _ in models]
+    seeds = {name: int(rng.integers(2**63)) for name in models}
     blocks = blocked_split(same_poses(measurements.joints), len(measurements) // 5)
     blocked = _Trial.of(measurements, counted(measurements.joints), refit, *blocks)
 
@@ -129,18 +133,27 @@ def gate_residuals(
         folds = contiguous_folds(rows.groups, same_poses(rows.joints), FOLDS)
         return [_Trial.of(rows, counted(rows.joints), refit, *fold) for fold in folds]
 
-    verdicts = []
-    for number, (name, seed) in enumerate(zip(models, seeds, strict=True)):
+    untouched, counts = blocked.test_residual, blocked.counts
+    bare = GateVerdict("", None, position_rms(untouched, counts), None, _attitude_rms(untouched, counts))
+    verdicts: dict[str, GateVerdict] = {}
+    for number, name in enumerate(sorted(models, key=SLOW.__contains__)):
         if progress is not None:
             progress(number, len(models))
-        fitter = (fitters or {}).get(name)
-        verdicts.append(_verdict(name, partial(_left_by, name, seed, fitter), blocked, inner))
+        others = [verdict for verdict in verdicts.values() if verdict.model not in SLOW]
+        if name in SLOW and others and not any(map(_wins_outside, others)):
+            tried = " nor ".join(verdict.model for verdict in others)
+            verdicts[name] = replace(bare, model=name, reason=f"not tried: no gain by {tried}, which learn sooner")
+            continue
+        learn = partial(_left_by, name, seeds[name], (fitters or {}).get(name))
+        verdicts[name] = _verdict(replace(bare, model=name), learn, blocked, inner)
     if progress is not None:
         progress(len(models), len(models))
-    chosen = min((verdict for verdict in verdicts if verdict.accepted), key=attrgetter("inner_rms"), default=None)
-    blocked_rms = verdicts[0].geometric_blocked_rms if chosen is None else chosen.blocked_rms
+    chosen = min(
+        (verdict for verdict in verdicts.values() if verdict.accepted), key=attrgetter("inner_rms"), default=None
+    )
+    blocked_rms = bare.geometric_blocked_rms if chosen is None else chosen.blocked_rms
     assert blocked_rms is not None  # whatever was chosen was judged
-    return GateReport(tuple(verdicts), None if chosen is None else chosen.model, blocked_rms)
+    return GateReport(tuple(verdicts[name] for name in models), None if chosen is None else chosen.model, blocked_rms)
 
 
 def position_rms(residuals: Array, counts: Array | None = None) -> float:
@@ -184,18 +197,16 @@ def _left_by(name: str, seed: int, fitter: Fitter | None, trial: _Trial) -> Arra
     return trial.test_residual - model.predict(test.joints, test.conditions.inputs())
 
 
+def _wins_outside(verdict: GateVerdict) -> bool:
+    """Whether positions gain on the held-out blocks."""
+    return verdict.blocked_rms is not None and verdict.blocked_rms < (1.0 - MARGIN) * verdict.geometric_blocked_rms
+
+
 def _verdict(
-    name: str, left_by: Callable[[_Trial], Array], blocked: _Trial, inner: Callable[[], Sequence[_Trial]]
+    verdict: GateVerdict, left_by: Callable[[_Trial], Array], blocked: _Trial, inner: Callable[[], Sequence[_Trial]]
 ) -> GateVerdict:
     """How a model fares; the inner trials are made for those that win on the outer blocks."""
     untouched, counts = blocked.test_residual, blocked.counts
-    verdict = GateVerdict(
-        model=name,
-        blocked_rms=None,
-        geometric_blocked_rms=position_rms(untouched, counts),
-        blocked_attitude_rms=None,
-        geometric_blocked_attitude_rms=_attitude_rms(untouched, counts),
-    )
     try:
         left = left_by(blocked)
     except InputError as error:

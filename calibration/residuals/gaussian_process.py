@@ -7,6 +7,7 @@ which some take everything for noise, so it is climbed from several starts. One 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -144,16 +145,12 @@ def fit_rbf(
 
 def k_means(points: Array, count: int, rng: np.random.Generator, rounds: int) -> Array:
     """Lloyd's k-means from ``count`` of the points: centres ``(count, F)``; an empty cluster keeps its centre."""
+    from scipy.cluster.vq import kmeans2
+
     centres = points[rng.choice(len(points), count, replace=False)]
-    for _ in range(rounds):
-        nearest = np.argmin(_squared_distances(points, centres), axis=1)
-        members = np.bincount(nearest, minlength=count)
-        sums = np.zeros_like(centres)
-        np.add.at(sums, nearest, points)
-        filled = members > 0
-        centres = centres.copy()
-        centres[filled] = sums[filled] / members[filled, None]
-    return centres
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # which says that a cluster is empty
+        return np.asarray(kmeans2(points, centres, rounds, minit="matrix")[0])
 
 
 def _squared_distances(points: Array, centres: Array) -> Array:

@@ -79,8 +79,7 @@ def plan_poses(
     from pickenv.calibration.model.measurements import POSITION_STD
     from pickenv.calibration.model.prior import prior_model
     from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of
-    from pickenv.calibration.planning.like import PlanLike, plan_like
-    from pickenv.calibration.planning.plan import PosePlan
+    from pickenv.calibration.planning.like import plan_like
     from pickenv.calibration.planning.plan import plan_poses as plan
     from pickenv.calibration.reading.read import joints_of, read_targets
 
@@ -100,7 +99,6 @@ def plan_poses(
         tolerances=tolerances or chosen.tolerance_class,
         scale=prior_scale,
     )
-    planned: PosePlan | PlanLike
     if like is not None:
         if kind is not None or noise_mm is not None or frames == "known":
             raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")

@@ -19,8 +19,8 @@ from pickenv.calibration.model.arm_model import ErrorModel
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.calibration.model.stacked import InstrumentStation, Stacked
-from pickenv.calibration.planning.like import PlanLike, plan_like
-from pickenv.calibration.planning.plan import exchange
+from pickenv.calibration.planning.like import plan_like
+from pickenv.calibration.planning.plan import PosePlan, exchange
 from pickenv.cli import app
 from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import KINDS, LINE_POINT, STD, from_anchor, from_plane, points_at
@@ -120,7 +120,7 @@ def instrument(kind: str, arm: Arm) -> tuple[Geometry, Callable[..., Any], np.nd
     return geometry, lambda g, joints, rng: views(g, joints, mount, rng), near[good][:FIRST]
 
 
-def planned(kind: str, arm: Arm) -> tuple[PlanLike, Geometry, Callable[..., Any], np.ndarray]:
+def planned(kind: str, arm: Arm) -> tuple[PosePlan, Geometry, Callable[..., Any], np.ndarray]:
     geometry, read, first = instrument(kind, arm)
     data = read(geometry, first, np.random.default_rng(1))
     plan = plan_like(
@@ -129,7 +129,7 @@ def planned(kind: str, arm: Arm) -> tuple[PlanLike, Geometry, Callable[..., Any]
     return plan, geometry, read, first
 
 
-def planned_model(plan: PlanLike, nominal: Geometry, sized: bool) -> tuple[ErrorModel, np.ndarray]:
+def planned_model(plan: PosePlan, nominal: Geometry, sized: bool) -> tuple[ErrorModel, np.ndarray]:
     """The parameters planned for, with the link that is held where no length is known, and which are planned for."""
     whole = complete_model(nominal)
     lengths = {f"a{i}": abs(a) for i, a in enumerate(nominal.a)} | {
