@@ -1,6 +1,7 @@
 """Plans over priors: few poses are enough, what they promise is what calibrations then state, and chance does worse."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from pickenv.calibration.assessment.expected_errors import workspace_error
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.noise import stated_noise
 from pickenv.calibration.model.prior import PriorModel, prior_model
-from pickenv.calibration.planning.like import plan_like
+from pickenv.calibration.planning.like import first_rows, plan_like
 from pickenv.calibration.planning.plan import PosePlan, plan_poses
 from pickenv.cli import app
 from pickenv.errors import InputError
@@ -123,6 +124,36 @@ def test_other_instruments_are_planned_for_over_priors_too(kind: str) -> None:
         return
     with pytest.raises(InputError, match="too few for"):
         plan_like(arm, few, 3, np.random.default_rng(1), candidates=150)
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_the_error_to_expect_of_other_instruments_is_the_posteriors_too(kind: str) -> None:
+    """One pose more than the first rows, of any kind: the plan's error and that of a fit to all these rows."""
+    arm = load_arm("ur5")
+    near = random_joints(arm.nominal, 100, np.random.default_rng(5))
+    data: Any = KINDS[kind](arm.nominal, 26, np.random.default_rng(0), 1.0)
+    model, few = expected(arm, False, scale=1.0), data.select(np.arange(25))
+    plan = plan_like(
+        arm,
+        few,
+        1,
+        np.random.default_rng(1),
+        candidates=data.joints,
+        criterion="test-poses",
+        test_joints=near,
+        prior=model,
+    )
+    all_rows = data.select(np.r_[:25, data_row(data, plan)])
+    first = first_rows(arm, few).model
+    solution = solve(replace(model, start=first), all_rows, stated_noise(all_rows))
+    stated = workspace_error(solution, first.geometry, all_rows.joints, near)
+    assert stated is not None
+    assert stated.declared.calibrated == pytest.approx(plan.predicted_error, rel=0.15)
+
+
+def data_row(data: Any, plan: PosePlan) -> int:
+    """The row of the one pose planned."""
+    return int(np.argmin(np.linalg.norm(data.joints - plan.joints[0], axis=1)))
 
 
 def test_the_command_takes_the_class_and_its_factor(tmp_path: Any) -> None:
