@@ -20,26 +20,17 @@ from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, specification, term_from
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
-from pickenv.calibration.pipeline.local_scatter import (
-    ANCHORS,
-    LocalScatter,
-    Within95,
-    joint_features,
-    local_scatter,
-    within95,
-)
+from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, same_poses
 from pickenv.calibration.residuals.residual_models import FITTERS, LearntResidual
 from pickenv.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
 
 # How well the calibrated arm's tool pose is known, anywhere: u^2 = J C J^T + u_repeat^2 (GUM, JCGM 100:2008, 5.1.2).
-# C is the covariance of the identified parameters; u_repeat is what one reach scatters by that the parameters do not
-# say: repeatability, and what the model leaves out, which differs from pose to pose (`local_scatter`). How many u
-# hold 95 of 100 errors is not assumed but counted. A calibration keeps all of it in its record, so that a command can
-# be given with its uncertainty later. SI units.
-
+# C is the posterior covariance of the parameters; u_repeat is what one reach scatters by that they do not say:
+# repeatability, and what the model leaves out. How many u hold 95 of 100 errors is not assumed but counted on rows held
+# out, block by block (split conformal; Barber, Candes, Ramdas and Tibshirani 2021, CV+). A calibration keeps all of it
+# in its record, so that a command can be given with its uncertainty later. SI units.
 
 ALIKE, SPACING = 0.3, 1.5
 """Poses whose joints lie so far apart, rad or m, are alike in what a model leaves out; or so many times farther than
@@ -51,8 +42,26 @@ VAGUE = 2.0
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `region_of`."""
 
-LOCAL, WITHIN = ("position_local", "attitude_local"), ("position_within95", "attitude_within95")
-"""What differs from pose to pose, and what holds 95 of 100 errors: positions first."""
+WITHIN = ("position_within95", "attitude_within95")
+"""What holds 95 of 100 errors: positions first."""
+
+ANCHORS = 400
+"""Poses at most that stand for where an arm was measured."""
+
+SHARE = 0.95
+
+
+@dataclass(frozen=True)
+class Within95:
+    """How far errors go beyond their expected size.
+
+    Attributes:
+        factor: 95 of 100 errors are smaller than this many times their expected root mean square.
+        covered: Share of the held-out errors within it, each judged by a factor and a size found without its block.
+    """
+
+    factor: float
+    covered: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,8 +73,6 @@ class PoseUncertainty:
         covariance: Of their errors ``(p, p)``, m and rad.
         position_repeat: Standard deviation of one position coordinate that the parameters do not explain, m.
         attitude_repeat: The same of one attitude coordinate, rad; None where only positions were measured.
-        position_local: How the position's scatter differs from pose to pose; None where it is taken as the same.
-        attitude_local: The attitude's.
         position_within95: What holds 95 of 100 position errors; None where too few errors show it.
         attitude_within95: The same of attitudes.
     """
@@ -74,8 +81,6 @@ class PoseUncertainty:
     covariance: Array
     position_repeat: float
     attitude_repeat: float | None
-    position_local: LocalScatter | None = None
-    attitude_local: LocalScatter | None = None
     position_within95: Within95 | None = None
     attitude_within95: Within95 | None = None
 
@@ -86,11 +91,8 @@ class PoseUncertainty:
         """
         columns = [model.parameter_names.index(name) for name in self.names]
         found = model.pose_covariance(columns, self.covariance, joints, conditions)
-        repeats = ((self.position_local, self.position_repeat), (self.attitude_local, self.attitude_repeat or 0.0))
-        for first, (local, repeat) in zip((0, 3), repeats, strict=True):
-            own = np.broadcast_to(repeat**2 if local is None else local.at(joints) / 3.0, found.shape[:-2])
-            found[..., range(first, first + 3), range(first, first + 3)] += own[..., None]
-        return found
+        scatter = np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
+        return np.asarray(found + np.diag(scatter))
 
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -133,9 +135,9 @@ class PoseUncertainty:
             if radius is not None and known is not None:
                 low, middle, high = np.percentile(radius * scale, [5, 50, 95])
                 said = f"{figure(middle)} {unit} ({figure(low)} to {figure(high)})"
-                rows.append((what, said, f"{100 * known.covered:.1f} %", f"{known.rank_correlation:.2f}"))
-        heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so", "told where (rank correlation)")
-        note = "by pose; held and told: of held-out rows, each judged by what was found without its block"
+                rows.append((what, said, f"{100 * known.covered:.1f} %"))
+        heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so")
+        note = "by pose; held: of held-out rows, each judged by what was found without its block"
         return Block("How far errors go", heads, tuple(rows), note)
 
     def within95_record(self) -> dict[str, Any]:
@@ -150,7 +152,6 @@ class PoseUncertainty:
             "covariance": self.covariance.tolist(),
             "position_repeat_m": self.position_repeat,
             "attitude_repeat_rad": self.attitude_repeat,
-            **{name: part.as_record() for name in LOCAL if (part := getattr(self, name)) is not None},
             **{name: vars(part) for name in WITHIN if (part := getattr(self, name)) is not None},
         }
 
@@ -169,7 +170,7 @@ def pose_uncertainty(
         found: The identification.
         errors: Measured minus predicted poses, best held-out ones, ``(N, 6)`` or positions ``(N, 3)``, m and rad; their
             RMS per coordinate is taken as u_repeat, so it includes the instrument's noise and errs on the large side.
-        joints: Where each error was found ``(N, n)``; then its size may differ from pose to pose.
+        joints: Where each error was found ``(N, n)``; then what holds 95 of 100 is counted.
         blocks: The block of each error, where errors of one block are alike.
         conditions: Payload and temperature of each, where known.
         unit: "deg" where the errors are misses of directions ``(N, k)``, rad: of positions no more is known then than
@@ -186,18 +187,54 @@ def pose_uncertainty(
     )
     if joints is None or not np.isfinite(sure.covariance).all():
         return sure
-    model, slides = found.arm_model, found.geometry.prismatic
+    model = found.arm_model
     columns = [model.parameter_names.index(name) for name in sure.names]
     variance = np.diagonal(model.pose_covariance(columns, sure.covariance, joints, conditions), axis1=1, axis2=2)
-    parts: dict[str, Any] = {}
-    for first, local, within in zip((0, 3), LOCAL, WITHIN, strict=True):
-        part = positions if first == 0 else attitudes
-        if not part.size:
-            continue
-        squares = np.sum(part**2, axis=1)
-        parts[local] = local_scatter(joints, squares, slides)
-        parts[within] = within95(joints, squares, variance[:, first : first + 3].sum(axis=1), slides, blocks)
+    parts = {
+        name: within95(joints, np.sum(part**2, axis=1), variance[:, first : first + 3].sum(axis=1), blocks)
+        for name, first, part in zip(WITHIN, (0, 3), (positions, attitudes), strict=True)
+        if part.size
+    }
     return replace(sure, **parts)
+
+
+def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> Within95 | None:
+    """The factor that covers 95 of 100, and what it covers of errors that it was found without.
+
+    Args:
+        joints: Of each error ``(R, n)``.
+        squares: Squared errors ``(R,)``.
+        variance: What the parameters' uncertainty adds to each expected square ``(R,)``.
+        blocks: The block of each error; contiguous tenths of the poses where there are none.
+    """
+    count = len(squares)
+    if count < 2 * BLOCKS:
+        return None
+    if blocks is None:
+        poses = same_poses(joints)
+        blocks = poses * BLOCKS // (int(poses.max()) + 1)
+    numbers = np.unique(blocks)
+    if len(numbers) < 2:
+        return None
+    ratio = np.zeros(count)
+    for number in numbers:
+        here = blocks == number
+        ratio[here] = np.sqrt(squares[here]) / np.sqrt(squares[~here].mean() + variance[here])
+    inside = [ratio[blocks == number] <= _quantile(ratio[blocks != number]) for number in numbers]
+    return Within95(_quantile(ratio), float(np.concatenate(inside).mean()))
+
+
+def _quantile(ratio: Array) -> float:
+    """The smallest of them that holds 95 of 100 of these and one more."""
+    rank = int(np.ceil(SHARE * (len(ratio) + 1)))
+    return float(np.sort(ratio)[min(rank, len(ratio)) - 1])
+
+
+def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
+    """Sines and cosines of joints that turn, and joints that slide as they are."""
+    straight = np.array(slides)
+    turning = joints[:, ~straight]
+    return np.concatenate([np.sin(turning), np.cos(turning), joints[:, straight]], axis=1)
 
 
 def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
@@ -246,8 +283,9 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
     covariance = np.array(kept["covariance"], dtype=float)
     if not np.isfinite(covariance).all():
         return None
-    parts: dict[str, Any] = {name: LocalScatter.from_record(kept[name]) for name in LOCAL if name in kept}
-    parts |= {name: Within95(**kept[name]) for name in WITHIN if name in kept}
+    parts: dict[str, Any] = {
+        name: Within95(kept[name]["factor"], kept[name]["covered"]) for name in WITHIN if name in kept
+    }
     return PoseUncertainty(
         tuple(kept["parameters"]), covariance, float(kept["position_repeat_m"]), kept["attitude_repeat_rad"], **parts
     )

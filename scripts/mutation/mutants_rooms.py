@@ -217,9 +217,9 @@ ROOMS = {
     ),
     "uncertainty": room(
         "calibration",
-        "pipeline/uncertainty pipeline/local_scatter identification/robust identification/diagnosis",
+        "pipeline/uncertainty identification/robust identification/diagnosis",
         "tests/calibration",
-        "pipeline/command_figures identification/robust pipeline/local_scatter identification/diagnosis",
+        "pipeline/command_figures identification/robust pipeline/within95 identification/diagnosis",
         most=SECOND,
     ),
     "inverse": room(

@@ -134,27 +134,25 @@ def test_ur5_solves_in_few_steps(tracker, ur5):
 
 JACOBI, LANDGRAF = "ur5_wam_jacobi2025/UR5/*grid*.csv", "ur10_ipa_landgraf2021/Series_"
 HARMONIC = {
-    "UR5": ("ur5", "ur5_jacobi2025", JACOBI, 0.070, 0.3),
-    "A": ("ur10", "ur10_landgraf2021", f"{LANDGRAF}A/measurements_grid.csv", 0.20, 0.0),
-    "B": ("ur10", "ur10_landgraf2021_repeats", f"{LANDGRAF}B/measurements_joint_configurations.csv", 0.29, 0.05),
-    "C": ("ur10", "ur10_landgraf2021_repeats", f"{LANDGRAF}C/measurements_random_poses.csv", 0.20, 0.0),
-    "D": ("ur10", "ur10_landgraf2021_repeats", f"{LANDGRAF}D/measurements_iso_cubes.csv", 0.32, 0.3),
+    "UR5": ("ur5", "ur5_jacobi2025", JACOBI, 0.070),
+    "A": ("ur10", "ur10_landgraf2021", f"{LANDGRAF}A/measurements_grid.csv", 0.20),
+    "B": ("ur10", "ur10_landgraf2021_repeats", f"{LANDGRAF}B/measurements_joint_configurations.csv", 0.29),
+    "C": ("ur10", "ur10_landgraf2021_repeats", f"{LANDGRAF}C/measurements_random_poses.csv", 0.20),
+    "D": ("ur10", "ur10_landgraf2021_repeats", f"{LANDGRAF}D/measurements_iso_cubes.csv", 0.32),
 }
-"""Arm, columns, file, what a plain linear fit with harmonics chosen by hand left over blocks, mm, and how well the size
-of what remains is told: it differs little from pose to pose on UR10 B and C (0.09 and 0.05), more on UR5 and D. On B it
-was 0.17 while one reading of a pose could tell of the other; both are held out together now."""
+"""Arm, columns, file, and what a plain linear fit with harmonics chosen by hand left over blocks, mm."""
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("series", HARMONIC)
 def test_harmonics_chosen_without_each_block_leave_less_than_a_plain_fit_with_them_did(data_folder, series):
     """Of 0.119 mm (UR5) and 0.44 to 0.49 mm (UR10) that geometry leaves."""
-    arm, columns, file, most, told = HARMONIC[series]
+    arm, columns, file, most = HARMONIC[series]
     found = held_out(*read_set(data_folder, arm, columns, file), "blocked", terms="auto")
     assert found.position[found.best_model].rms <= most < 0.75 * found.position["geometric"].rms
     assert any("periodic" in used for used in found.held_out.used)
     known = found.uncertainty.position_within95
-    assert 0.93 <= known.covered <= 0.97 and known.rank_correlation > told
+    assert 0.93 <= known.covered <= 0.97
 
 
 @pytest.mark.slow
