@@ -282,12 +282,11 @@ class HeldOut:
         return f" ({self.no_interval})" if self.no_interval else ""
 
 
-def held_out_of(fits: Mapping[str, Fit], train: Observations, test: Observations) -> HeldOut:
+def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
     """Errors on rows held out once.
 
     Args:
         fits: The calibration of the geometry alone and what was added to it, step by step, by name.
-        train: Rows that they were fitted to.
         test: Rows held out.
     """
     bare, (used, best) = next(iter(fits.values())), list(fits.items())[-1]

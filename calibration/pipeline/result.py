@@ -507,7 +507,7 @@ def assess(
         fits = {GEOMETRIC: unlearnt} if learnt is None else {GEOMETRIC: unlearnt, f"geometry+{learnt.kind}": fit}
     bare = next(iter(fits.values()))
     aligned = bare.aligned
-    held_out = held_out or held_out_of(fits, train, test)
+    held_out = held_out or held_out_of(fits, test)
     after = list(held_out.errors.values())[-1]
     before = None if arm.name == CARRIER else held_out.errors[NOMINAL]
     if isinstance(test, Measurements) and isinstance(train, Measurements):

@@ -21,7 +21,7 @@ from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.robust import choose, refuse_trained
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
-from pickenv.calibration.model.arm_model import CARRIER, ArmModel, Term, kind_of_term
+from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term
 from pickenv.calibration.model.measurements import FRAMES, Measurements
 from pickenv.calibration.model.observations import (
     BLOCKS,
@@ -33,7 +33,7 @@ from pickenv.calibration.model.observations import (
     same_poses,
 )
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
-from pickenv.calibration.model.prior import FIT_WORDS, PriorModel, prior_model
+from pickenv.calibration.model.prior import FIT_WORDS, prior_model
 from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.fitting import (
     Fit,
@@ -90,10 +90,8 @@ class Draft:
         progress: Called with (what is done, how many are done, how many there are).
         left_out: Rows far off that were left out.
         aligned: Evidence of the base and tool fit; None where they are known.
-        model: The parameters of the geometry with their priors.
         fits: What was fitted so far, by name, in order; the last will be used.
-        terms: Terms that are part of it.
-        term_choice: How they were chosen.
+        term_choice: How terms were chosen.
         gate: The residual models' verdicts.
     """
 
@@ -105,9 +103,7 @@ class Draft:
     progress: Callable[[str, int, int], None] | None = None
     left_out: tuple[LeftOut, ...] = ()
     aligned: Identification | None = None
-    model: PriorModel | None = None
     fits: Mapping[str, Fit] = field(default_factory=dict)
-    terms: tuple[Term, ...] = ()
     term_choice: TermChoice | None = None
     gate: GateReport | None = None
 
@@ -193,21 +189,17 @@ def calibrate(
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
-        return replace(result, floor=floor, unit=unit, stations=stations)
-    if test is None:
+    elif test is None:
         rows = choose(train, test_rows, np.random.default_rng(choices.seed))
         train, held_out = (train.select(np.sort(part)) for part in rows)
+        result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
     else:
         like = None if choices.refit else train
         held_out, _ = given_rows(arm, test, columns, stations, known=known or bool(choices.refit), like=like)
         refuse_trained(train, held_out)
-    if choices.refit:
-        draft = _through(STAGES, Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
-        return replace(_judged_elsewhere(draft, held_out), floor=floor, unit=unit, stations=stations)
-    draft = _through(STAGES, Draft(arm, choices, train, held_out, rng, progress))
-    return replace(
-        _assessed(draft, held_out_of(draft.fits, draft.train, draft.test)), floor=floor, unit=unit, stations=stations
-    )
+        judge = _judged_elsewhere if choices.refit else _judged_once
+        result = judge(Draft(arm, choices, train, held_out, rng, progress))
+    return replace(result, floor=floor, unit=unit, stations=stations)
 
 
 def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
@@ -229,6 +221,12 @@ def _assessed(draft: Draft, held_out: HeldOut) -> Result:
         left_out=draft.left_out,
         workspace=workspace_joints(draft.choices.workspace, draft.arm.nominal),
     )
+
+
+def _judged_once(draft: Draft) -> Result:
+    """The calibration judged on its rows held out."""
+    draft = _through(STAGES, draft)
+    return _assessed(draft, held_out_of(draft.fits, draft.test))
 
 
 def _judged_by_blocks(draft: Draft) -> Result:
@@ -256,7 +254,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
                 fold = _with_residual(fold, residual, fold.tracked, None)
         except InputError as error:
             raise InputError(f"without block {number + 1} of {len(folds)}: {error}") from None
-        parts.append(held_out_of(fold.fits, here, there))
+        parts.append(held_out_of(fold.fits, there))
         if draft.progress is not None:
             draft.progress("judging blocks", number + 1, len(folds))
     judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
@@ -266,8 +264,10 @@ def _judged_by_blocks(draft: Draft) -> Result:
     return _assessed(judged, held_out)
 
 
-def _judged_elsewhere(draft: Draft, test: Observations) -> Result:
+def _judged_elsewhere(draft: Draft) -> Result:
     """The calibration judged on another station, whose own frames are found from a few of its rows."""
+    test = draft.test
+    draft = _through(STAGES, replace(draft, test=draft.train.select(np.arange(0))))
     if not isinstance(test, Measurements):
         raise InputError(f"--refit is for poses and positions, but {test.source} holds {test.kind}; leave it out")
     choices = draft.choices
@@ -345,7 +345,7 @@ def _identify(draft: Draft) -> Draft:
         tolerances=choices.tolerances or draft.arm.tolerance_class,
         scale=choices.prior_scale,
     )
-    return replace(draft, model=model).with_fit(GEOMETRY, fit_geometry(draft.arm, draft.train, draft.aligned, model))
+    return draft.with_fit(GEOMETRY, fit_geometry(draft.arm, draft.train, draft.aligned, model))
 
 
 def _add_terms(draft: Draft) -> Draft:
@@ -367,7 +367,7 @@ def _add_terms(draft: Draft) -> Draft:
             draft = draft.with_fit(f"{name}+{'+'.join(kinds)}", Fit(calibration, found, geometric.aligned))
             break
         terms = terms[:-1]
-    return replace(draft, terms=terms, term_choice=choice)
+    return replace(draft, term_choice=choice)
 
 
 def _learn(draft: Draft) -> Draft:

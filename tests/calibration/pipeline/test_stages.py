@@ -53,7 +53,7 @@ def test_every_stage_hands_on_a_new_draft_and_leaves_the_old(dynamic, sets):
         handed = stage(draft)
         assert vars(draft) == before and handed.arm is dynamic.arm
         draft = handed
-    assert list(draft.fits) == ["geometry"] and draft.model.start is draft.fits["geometry"].identification.prior.start
+    assert list(draft.fits) == ["geometry"] and draft.fits["geometry"].identification.prior.proper
 
 
 def test_the_command_and_the_function_give_the_same_numbers(dynamic, sets, tmp_path):
