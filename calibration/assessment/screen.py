@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pickenv.calibration.assessment.metrics import ErrorStatistics
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.identification.term_choice import harmonics_of
 from pickenv.calibration.model.arm_model import ComplianceTerm, Conditions
@@ -34,6 +35,12 @@ def figure(value: float | None) -> str:
     if value == 0 or 1e-3 <= abs(value) < 1e4:
         return f"{value:#.4g}".rstrip(".")
     return f"{value:.0f}" if 1e4 <= abs(value) < 1e9 else f"{value:.3e}"
+
+
+def error_cells(errors: ErrorStatistics) -> tuple[str, ...]:
+    """Statistics of errors as a row of a table: RMS, mean, its 95 % interval, 95th percentile and maximum."""
+    interval = "none" if errors.mean_ci95 is None else " to ".join(map(figure, errors.mean_ci95))
+    return figure(errors.rms), figure(errors.mean), interval, figure(errors.p95), figure(errors.max)
 
 
 def is_number(cell: str) -> bool:

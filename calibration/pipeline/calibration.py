@@ -107,9 +107,7 @@ class PoseUncertainty:
 
     def from_parameters(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Standard uncertainty of position ``(...)``, m, by the parameters alone: large where nobody measured."""
-        columns = [model.parameter_names.index(name) for name in self.names]
-        found = model.pose_covariance(columns, self.covariance, joints, conditions)
-        return np.asarray(np.sqrt(np.trace(found[..., :3, :3], axis1=-2, axis2=-1)))
+        return replace(self, position_repeat=0.0).standard(model, joints, conditions)[0]
 
     def within95(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -187,10 +185,9 @@ def pose_uncertainty(
     )
     if joints is None or not np.isfinite(sure.covariance).all():
         return sure
-    model = found.arm_model
-    columns = [model.parameter_names.index(name) for name in sure.names]
-    variance = np.diagonal(model.pose_covariance(columns, sure.covariance, joints, conditions), axis1=1, axis2=2)
-    parts = {
+    told = replace(sure, position_repeat=0.0, attitude_repeat=None)
+    variance = np.diagonal(told.pose_covariance(found.arm_model, joints, conditions), axis1=1, axis2=2)
+    parts: dict[str, Any] = {
         name: within95(joints, np.sum(part**2, axis=1), variance[:, first : first + 3].sum(axis=1), blocks)
         for name, first, part in zip(WITHIN, (0, 3), (positions, attitudes), strict=True)
         if part.size

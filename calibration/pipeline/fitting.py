@@ -33,6 +33,7 @@ from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.verification import errors_there, restationed
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
+from pickenv.calibration.residuals.gate import position_rms
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, fit_residual
 from pickenv.errors import InputError
 from pickenv.intervals import LEAST, Ends, mean_interval
@@ -289,19 +290,24 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
         fits: The calibration of the geometry alone and what was added to it, step by step, by name.
         test: Rows held out.
     """
-    bare, (used, best) = next(iter(fits.values())), list(fits.items())[-1]
+    bare = next(iter(fits.values()))
     if isinstance(test, Measurements):
         before = test.difference(ArmModel.of(bare.calibration.nominal))
     else:
         assert bare.aligned is not None
         before = missed_by(bare.aligned, test)
-    names = (GEOMETRIC, *list(fits)[1:])
-    errors = {name: what_is_left(fit, test) for name, fit in zip(names, fits.values(), strict=True)}
     pixels: tuple[Array, ...] = ()
     if isinstance(test, PixelObservations):
         found, views = bare.identification, [test.select(np.array([view])) for view in range(len(test.joints))]
         pixels = tuple(view.pixel_errors(found.arm_model, unknowns_of(found, view)) for view in views)
-    return HeldOut({NOMINAL: before, **errors}, what_is_left(without_residual(best), test), (used,), pixels=pixels)
+    return replace(_step_by_step(fits, before, lambda fit: what_is_left(fit, test)), pixels=pixels)
+
+
+def _step_by_step(fits: Mapping[str, Fit], nominal: Array, left: Callable[[Fit], Array]) -> HeldOut:
+    """Errors of the nominal arm and of what each step leaves."""
+    used, best = list(fits.items())[-1]
+    errors = {name: left(fit) for name, fit in zip((GEOMETRIC, *list(fits)[1:]), fits.values(), strict=True)}
+    return HeldOut({NOMINAL: nominal, **errors}, left(without_residual(best)), (used,))
 
 
 def held_out_elsewhere(
@@ -321,18 +327,15 @@ def held_out_elsewhere(
     Raises:
         InputError: If there are too few rows.
     """
-    bare, (used, best) = next(iter(fits.values())), list(fits.items())[-1]
+    bare, best = next(iter(fits.values())), list(fits.values())[-1]
     at = restationed(best.calibration, test, own, count)
 
-    def left(calibration: Calibration) -> Array:
-        return errors_there(restationed(calibration, test, own, count, at.used), calibration, test)
+    def left(fit: Fit) -> Array:
+        return errors_there(restationed(fit.calibration, test, own, count, at.used), fit.calibration, test)
 
-    nominal = replace(bare.calibration, model=ArmModel.of(bare.calibration.nominal))
-    names = (GEOMETRIC, *list(fits)[1:])
-    errors = {name: left(fit.calibration) for name, fit in zip(names, fits.values(), strict=True)}
+    nominal = replace(bare, calibration=replace(bare.calibration, model=ArmModel.of(bare.calibration.nominal)))
     refit = f", {' and '.join(own)} found from {count} others of the same station"
-    parametric = left(best.calibration.without_residual())
-    return HeldOut({NOMINAL: left(nominal), **errors}, parametric, (used,), refit=refit), at.rest
+    return replace(_step_by_step(fits, left(nominal), left), refit=refit), at.rest
 
 
 def by_station(held_out: HeldOut, train: Stacked, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:
@@ -375,7 +378,7 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
 
 def without_residual(fit: Fit) -> Fit:
     """The fit without what was learnt."""
-    return Fit(fit.calibration.without_residual(), fit.identification, fit.aligned)
+    return replace(fit, calibration=fit.calibration.without_residual())
 
 
 def what_is_left(fit: Fit, data: Observations) -> Array:
@@ -479,9 +482,9 @@ def pixel_figures(fit: Fit, data: PixelObservations, test: PixelObservations, he
     return PixelFigures(
         views=len(data.joints),
         corners=int(data.seen.sum()),
-        rms_px=_rms(data.pixel_errors(found.arm_model, unknowns_of(found, data))),
-        leave_one_out_px=_rms(np.concatenate(held_out.pixels)),
-        view_rms_px=tuple(_rms(view) for view in held_out.pixels),
+        rms_px=position_rms(data.pixel_errors(found.arm_model, unknowns_of(found, data))),
+        leave_one_out_px=position_rms(np.concatenate(held_out.pixels)),
+        view_rms_px=tuple(position_rms(view) for view in held_out.pixels),
         board_mm=error_statistics(1e3 * metres, views),
         lens=dict(zip(LENS_NAMES, data.lens_values(unknowns_of(found, data)).tolist(), strict=True)),
         names=view_names(test),
@@ -495,10 +498,6 @@ def view_names(views: PixelObservations) -> tuple[str, ...]:
     return tuple(
         f"{Path(file).name}: row {line}" for file, line in map(origins_of(views).place, range(len(views.joints)))
     )
-
-
-def _rms(errors: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
 def lens_of(fit: Fit, data: Observations) -> Lens:

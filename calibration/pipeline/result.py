@@ -33,6 +33,7 @@ from pickenv.calibration.assessment.screen import (
     OWN,
     UNBOUNDED,
     Block,
+    error_cells,
     figure,
     harmonic_block,
     harmonic_rows,
@@ -43,7 +44,6 @@ from pickenv.calibration.assessment.screen import (
 )
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.diagnosis import LeftOut, said_of_files, said_of_rows, said_of_stations
-from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.robust import said_of_repeats
 from pickenv.calibration.identification.starts import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
@@ -75,7 +75,7 @@ from pickenv.calibration.pipeline.fitting import (
 from pickenv.calibration.pipeline.given import workspace_joints
 from pickenv.calibration.pipeline.twin import SCATTER, scatter_of, twin
 from pickenv.calibration.reading.read import NoiseFloor
-from pickenv.calibration.residuals.gate import GateReport
+from pickenv.calibration.residuals.gate import GateReport, position_rms
 from pickenv.extras import require
 from pickenv.intervals import Ends
 from pickenv.texts import folded, screen_width
@@ -324,9 +324,8 @@ class Result:
         for name, s in self.position.items():
             if name == NOMINAL and not self.has_nominal:
                 continue
-            interval = "none" if s.mean_ci95 is None else " to ".join(map(figure, s.mean_ci95))
-            cells = (self._label(name), figure(s.rms), figure(s.mean), interval, figure(s.p95), figure(s.max))
-            rows.append(cells + ((figure(self.attitude[name].mean),) if name in self.attitude else ()))
+            turned = (figure(self.attitude[name].mean),) if name in self.attitude else ()
+            rows.append((self._label(name), *error_cells(s), *turned))
         note = f"{self.held_out.text(len(self.test.joints), len(self.train.joints))}; used: {self.best_model}"
         return Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note)
 
@@ -406,6 +405,7 @@ class Result:
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         found = self.geometric.identification
+        prior = found.prior
         nominal, geometric, best = self.position[NOMINAL], self.position[GEOMETRIC], self.best
         unit = self.miss_unit
         held_out: dict[str, Any] = {
@@ -441,7 +441,7 @@ class Result:
             "changes": self.parameters(),
             "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
             "workspace": None if self.quality.workspace is None else self.quality.workspace.as_dict(),
-            "prior": _prior_record(found),
+            "prior": None if prior is None else {"source": prior.source, "scales": dict(prior.scales)},
             "condition": self.quality.observability.condition,
             "converged": self.fit.identification.converged,
             "solve_seconds": found.solve_seconds,
@@ -457,20 +457,7 @@ class Result:
         }
 
 
-def _prior_record(found: Identification) -> dict[str, Any] | None:
-    """What was expected beforehand, and the scales that the rows gave it (JSON)."""
-    prior = found.prior
-    return None if prior is None else {"source": prior.source, "scales": dict(prior.scales)}
-
-
 # A calibration judged on rows that it never saw: everything that a result says is worked out here.
-
-
-def _pixels(fit: Fit, train: Observations, test: Observations, held_out: HeldOut) -> PixelFigures | None:
-    """Reprojection errors, where there are pictures."""
-    if isinstance(train, PixelObservations) and isinstance(test, PixelObservations):
-        return pixel_figures(fit, train, test, held_out)
-    return None
 
 
 def assess(
@@ -529,8 +516,11 @@ def assess(
         if train.miss_unit != "mm":
             left = np.full_like(left, np.nan)
         base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
+    pixels = None
+    if isinstance(train, PixelObservations) and isinstance(test, PixelObservations):
+        pixels = pixel_figures(bare, train, test, held_out)
     name, region = workspace or workspace_joints(None, arm.nominal)
-    remains = float(np.sqrt(np.mean(np.sum(after[:, :3] ** 2, axis=1)))) if train.miss_unit == "mm" else 0.0
+    remains = position_rms(after) if train.miss_unit == "mm" else 0.0
     over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name, remains)
     model = fitted_model(arm.name, bare.calibration.nominal, aligned is None)
     return Result(
@@ -567,5 +557,5 @@ def assess(
         terms=terms,
         gate=gate,
         left_out=left_out,
-        pixels=_pixels(bare, train, test, held_out),
+        pixels=pixels,
     )

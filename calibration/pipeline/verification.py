@@ -17,7 +17,7 @@ from pickenv.arm import Geometry, forward, rotation_matrix
 from pickenv.arm.kinematics.geometry import Array, identity_pose
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import no_gain
-from pickenv.calibration.assessment.screen import Block, figure
+from pickenv.calibration.assessment.screen import Block, error_cells, figure
 from pickenv.calibration.identification.diagnosis import MANY_FAR, LeftOut
 from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.identification.robust import OUTLIER_SIGMA, align, apart, registered, sizes_of
@@ -36,6 +36,7 @@ from pickenv.calibration.model.prior import Prior
 from pickenv.calibration.model.stacked import OWN
 from pickenv.calibration.pipeline.calibration import MEASURED_REGION, Calibration, measured_there, uncertainty_from
 from pickenv.calibration.planning.plan import exchange
+from pickenv.calibration.residuals.gate import position_rms
 from pickenv.errors import InputError
 
 # A calibrated arm seen from another station: base and tool found anew from a few rows, the arm left as it is. An
@@ -111,13 +112,15 @@ def restationed(
     Args:
         calibration: The calibration.
         data: Poses or positions at the other station.
-        own: Which of "base" and "tool" are found.
+        own: Which of "base" and "tool" are found; with none all rows judge the calibration as it is.
         count: Rows to find them from; they are chosen so that positions elsewhere are told best (I-optimal).
         used: These rows, where they were chosen already.
 
     Raises:
         InputError: If there are too few rows.
     """
+    if not own:
+        return Restationed(calibration, np.arange(0), np.arange(len(data)), promised(calibration, data), {}, {})
     least = 3 * len(tuple(own))
     if count < least or len(data) < count + 3:
         raise InputError(
@@ -296,10 +299,7 @@ class Verification:
     def text(self) -> str:
         """For the terminal: the verdict first."""
         heads = ("arm", "RMS (mm)", "mean (mm)", "95 % interval (mm)", "p95 (mm)", "max (mm)")
-        rows = []
-        for name, s in (("nominal", self.nominal), ("calibrated", self.calibrated)):
-            interval = "none" if s.mean_ci95 is None else " to ".join(map(figure, s.mean_ci95))
-            rows.append((name, figure(s.rms), figure(s.mean), interval, figure(s.p95), figure(s.max)))
+        rows = [(name, *error_cells(s)) for name, s in (("nominal", self.nominal), ("calibrated", self.calibrated))]
         how = f"base and tool as they were; expected of the calibrated arm: {figure(self.expected)} mm RMS"
         if self.refitted:
             how = (
@@ -380,18 +380,11 @@ def verify(
         raise InputError(f"{data.source}: {len(data)} rows judge nothing; measure at least 3")
     nominal = replace(calibration, model=ArmModel.of(calibration.nominal), learnt=None)
     data, left_out = near_rows(calibration, data, refit, refit_rows)
-    moved: dict[str, tuple[float, float]] = {}
-    untold: dict[str, tuple[int, int]] = {}
-    there = calibration
-    if refit:
-        at = restationed(calibration, data, refit, refit_rows)
-        rest, expected, moved, untold, there = at.rest, at.expected, at.moved, at.untold, at.calibration
-        errors = errors_there(at, calibration, data)
-        # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
-        before = errors_there(restationed(nominal, data, refit, refit_rows, at.used), nominal, data)
-    else:
-        errors, before, rest = calibration.errors(data), nominal.errors(data), np.arange(len(data))
-        expected = promised(calibration, data)
+    at = restationed(calibration, data, refit, refit_rows)
+    rest, expected = at.rest, at.expected
+    errors = errors_there(at, calibration, data)
+    # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
+    before = errors_there(restationed(nominal, data, refit, refit_rows, at.used), nominal, data)
     blocks = np.arange(len(rest)) * BLOCKS // len(rest) if len(rest) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
     judged = data.select(rest)
@@ -405,24 +398,23 @@ def verify(
         theirs,
         float(np.sqrt(expected.mean())) * 1e3,
         len(rest),
-        refit_rows if refit else 0,
-        moved,
+        len(at.used),
+        at.moved,
         _since(data, rest, errors, expected) if known else None,
         left_out,
         next(no_gain(before, errors, np.arange(len(rest)), "mm", len(rest), "rows"), None),
         measured,
-        untold,
+        at.untold,
     )
-    status, reason = _verdict(found, lambda: _cause(there, judged, errors, expected, inside, refit))
+    status, reason = _verdict(found, lambda: _cause(at.calibration, judged, errors, expected, inside, refit))
     return replace(found, status=status, reason=reason)
 
 
 def promised(calibration: Calibration, data: Measurements) -> Array:
     """Mean square that errors should have at these rows ``(N,)``, m^2, by the calibration's own uncertainty."""
-    least = np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
     sure = uncertainty_from(calibration.record)
     if sure is None:
-        return least
+        return np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
     own = sure.standard(calibration.model, data.joints, data.conditions)[0] ** 2
     return np.asarray(np.maximum(own, expected_square(data)))
 
@@ -440,8 +432,7 @@ def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> st
     if len(rest) < 4 * BLOCKS:
         return None
     parts = np.array_split(np.arange(len(rest)), BLOCKS)
-    ratio = [float(np.sqrt(np.mean(np.sum(errors[part, :3] ** 2, axis=1)) / expected[part].mean())) for part in parts]
-    large = np.array(ratio) > GROWN
+    large = np.array([position_rms(errors[part]) > GROWN * np.sqrt(expected[part].mean()) for part in parts])
     if not large[-1] or large.all():
         return None
     first = int(np.flatnonzero(~large)[-1]) + 1
@@ -461,13 +452,12 @@ def _cause(
     refit: Collection[str],
 ) -> Cause:
     """What explains that errors are larger than promised: frames that moved, a region not measured, joints' zeros."""
-    squares, most = np.sum(errors[:, :3] ** 2, axis=1), GROWN * float(np.sqrt(expected.mean()))
-    size = float(np.sqrt(squares.mean()))
+    most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
     far = size > ELSEWHERE * most / GROWN
     if far and not refit and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
         return "frames"
     if inside is not None and not inside.all() and not far:
-        kept = inside.any() and np.mean(squares[inside]) <= GROWN**2 * np.mean(expected[inside])
+        kept = inside.any() and position_rms(errors[inside]) ** 2 <= GROWN**2 * np.mean(expected[inside])
         if kept or inside.mean() < 0.5:
             return "elsewhere"
     zeros = joint_zeros_model(there.identified)
@@ -490,7 +480,7 @@ def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
         return np.inf
     left = data.difference(found.arm_model) + learnt
     spare = 1.0 - found.identifiability.rank / (len(data) * data.rows_per_pose)
-    return float(np.sqrt(np.mean(np.sum(left[:, :3] ** 2, axis=1)) / spare))
+    return position_rms(left) / float(np.sqrt(spare))
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:

@@ -6,7 +6,6 @@ Lengths in mm, angles in degrees, each named where it stands.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -277,7 +276,7 @@ def _uncertainty(r: Result) -> Drawing | None:
     if not np.isfinite(known.covariance).all() or model.terms:
         return None
     joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
-    spread, _ = replace(known, position_repeat=0.0, attitude_repeat=None).standard(model, joints)
+    spread = known.from_parameters(model, joints)
     x, y, height = ((model.pose(joints).position - geometry.base.position) * 1e3).T
     return Drawing(
         "uncertainty_map",
