@@ -296,7 +296,8 @@ def grade_quality(
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
     reason = findings[0].text
     if grade == "good":
-        reason = f"on {count} held-out {called} the error {_fall(before, unit)} {_rms(after, unit):#.4g} {unit} RMS"
+        fall = "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
+        reason = f"on {count} held-out {called} the error {fall} {_rms(after, unit):#.4g} {unit} RMS"
     return Quality(
         grade=grade,
         reason=reason,
@@ -310,10 +311,6 @@ def grade_quality(
 
 def _rms(errors: Array, unit: str) -> float:
     return float(np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1)))) * MISS_UNITS[unit]
-
-
-def _fall(before: Array | None, unit: str) -> str:
-    return "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
 
 
 def no_gain(

@@ -253,22 +253,21 @@ def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dic
     }
 
 
-def measured_there(
-    record: Mapping[str, Any], sure: PoseUncertainty, model: ArmModel, joints: Array, conditions: Conditions
-) -> NDArray[np.bool_]:
-    """Which joints ``(N, n)`` lie where an arm was measured: rows were near, and the parameters tell the pose.
+def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:
+    """Which rows ``(N,)`` lie where an arm was measured: others were near, and the parameters tell the pose.
 
     Args:
-        record: What `region_of` gave.
-        sure: Uncertainty of the arm.
+        record: The calibration's; None is returned where it does not say.
         model: The arm.
-        joints: Joints, rad or m.
-        conditions: Payload and temperature there.
+        data: The rows.
     """
+    region, sure = record.get(MEASURED_REGION), uncertainty_from(record)
+    if region is None or sure is None:
+        return None
     slides = model.geometry.prismatic
-    known = KDTree(joint_features(np.array(record["joints"]), slides))
-    near = known.query(joint_features(joints, slides))[0] <= record["near"]
-    told = sure.from_parameters(model, joints, conditions) <= VAGUE * record["position_p95_m"]
+    known = KDTree(joint_features(np.array(region["joints"]), slides))
+    near = known.query(joint_features(data.joints, slides))[0] <= region["near"]
+    told = sure.from_parameters(model, data.joints, data.conditions) <= VAGUE * region["position_p95_m"]
     return np.asarray(near & told)
 
 
@@ -314,7 +313,10 @@ class Remainder:
     def predict(self, joints: ArrayLike) -> Array:
         """Pose residual ``(..., 6)``, m and rad, at joints ``(..., n)``; one learnt from positions turns nothing."""
         joints = np.asarray(joints, dtype=float)
-        learnt = None if self.learnt is None else self._learnt(self.learnt, joints)
+        learnt = None
+        if self.learnt is not None:
+            inputs = self.conditions.repeated(joints.shape[:-1]).inputs() if self.learnt.inputs.conditions else None
+            learnt = self.learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
         if not self.model.terms and learnt is not None and learnt.shape[-1] == 6:
             return learnt
         total = np.zeros((*joints.shape[:-1], 6))
@@ -323,11 +325,6 @@ class Remainder:
         if learnt is not None:
             total[..., : learnt.shape[-1]] += learnt
         return total
-
-    def _learnt(self, learnt: LearntResidual, joints: Array) -> Array:
-        """What the residual model says under the conditions."""
-        inputs = self.conditions.repeated(joints.shape[:-1]).inputs() if learnt.inputs.conditions else None
-        return learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -390,11 +390,9 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
 def missed_by(found: Identification, data: Observations) -> Array:
     """What an identified arm leaves of data, likewise."""
     tracked = tracked_rows(found, data)
-    return (
-        data.misses(found.arm_model, unknowns_of(found, data))
-        if tracked is None
-        else tracked.difference(found.arm_model)
-    )
+    if tracked is None:
+        return data.misses(found.arm_model, unknowns_of(found, data))
+    return tracked.difference(found.arm_model)
 
 
 def tracked_rows(found: Identification, data: Observations) -> Measurements | None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from pickenv.arm import Arm, Plant
 from pickenv.arm.effects.measurement_noise import MeasurementNoise
@@ -130,9 +131,7 @@ def twin(
     rng = np.random.default_rng(seed)
     layout, carry = _layout(calibration.model.terms, calibration.identified)
     names = calibration.model.parameter_names
-    links = len(calibration.identified.parameter_names)
-    matrix = np.eye(links)
-    matrix = np.block([[matrix, np.zeros((links, carry.shape[1]))], [np.zeros((carry.shape[0], links)), carry]])
+    matrix = block_diag(np.eye(len(calibration.identified.parameter_names)), carry)
     known = [i for i, each in enumerate(sure.names) if each in names]
     factor = np.zeros((len(names), len(known)))
     factor[[names.index(sure.names[i]) for i in known]] = _root(sure.covariance[np.ix_(known, known)])
@@ -140,10 +139,16 @@ def twin(
     scatter = Scatter() if rows is None else scatter_of(rows)
     if SCATTER in calibration.record:
         scatter = Scatter(**calibration.record[SCATTER])
-    field, root, rough, scatter, notes = _residual(calibration, rows, scatter, sure.position_repeat, rng)
-    if field is not None:
-        turn = arm.nominal.base.rotation @ calibration.nominal.base.rotation.T
-        field = replace(field, turn=tuple(map(tuple, turn.tolist())))
+    smooth, inputs, said = _process(calibration, rows, sure.position_repeat, rng)
+    scatter = _no_more_than(smooth.noise, scatter)
+    instrument = np.repeat([scatter.position_std, scatter.attitude_std], 3)[: len(smooth.noise)]
+    rough = np.sqrt(np.maximum(smooth.noise**2 - instrument**2, 0.0))
+    own = np.sqrt(np.mean(rough[:3] ** 2)) * 1e3
+    told = (
+        f"of the scatter {scatter.position_std * 1e3:.4f} mm per coordinate are the instrument's, by {scatter.source}; "
+        f"the arm's own is {own:.4f} mm: it stays the same where a command is repeated to the bit, and no smooth "
+        "function tells it"
+    )
     posterior = Posterior(
         identified=calibration.identified,
         aligned=(calibration.nominal.base, calibration.nominal.tool),
@@ -152,10 +157,10 @@ def twin(
         factor=matrix @ factor,
         unseen=unseen,
         traces=matrix @ traces,
-        field=field,
-        field_factor=root,
+        field=_field(smooth, inputs, arm.nominal.base.rotation @ calibration.nominal.base.rotation.T),
+        field_factor=smooth.factor,
         rough=rough,
-        notes=(*notes, *_missing(calibration)),
+        notes=(said, told, *_missing(calibration)),
     )
     noise = MeasurementNoise(scatter.position_std, scatter.attitude_std)
     return twin_plant(name or f"{arm.name}_twin", arm, posterior, noise)
@@ -259,32 +264,6 @@ def _missing(calibration: Calibration) -> list[str]:
     return found
 
 
-def _residual(
-    calibration: Calibration, rows: Measurements | None, scatter: Scatter, repeat: float, rng: np.random.Generator
-) -> tuple[ResidualField | None, Array, Array, Scatter, list[str]]:
-    """The residual's mean, its posterior's factor, the arm's scatter, the instrument's, and what is said of them."""
-    process, inputs, said = _process(calibration, rows, rng)
-    if process is None or inputs is None:
-        joints = calibration.identified.joints
-        noise = np.full(3, repeat)
-        nothing = (np.zeros((3, joints, 0)), np.zeros((3, 0)), np.zeros((3, 0, 0)), np.zeros(3))
-        smooth = FeatureProcess(*nothing, noise)
-        inputs = JointInputs(np.zeros(joints, dtype=bool), 0, np.zeros(joints), np.ones(joints))
-    else:
-        smooth = feature_process(process, SMOOTH, rng)
-    outputs = len(smooth.noise)
-    scatter = _no_more_than(smooth.noise, scatter)
-    instrument = np.repeat([scatter.position_std, scatter.attitude_std], 3)
-    rough = np.sqrt(np.maximum(smooth.noise**2 - instrument[:outputs] ** 2, 0.0))
-    own = np.sqrt(np.mean(rough[:3] ** 2)) * 1e3
-    told = (
-        f"of the scatter {scatter.position_std * 1e3:.4f} mm per coordinate are the instrument's, by {scatter.source}; "
-        f"the arm's own is {own:.4f} mm: it stays the same where a command is repeated to the bit, and no smooth "
-        "function tells it"
-    )
-    return _field(smooth, inputs), smooth.factor, rough, scatter, [said, told]
-
-
 def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
     """The instrument's share, which is never more than all of what the rows scatter by ``(3,)`` or ``(6,)``.
 
@@ -298,25 +277,31 @@ def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
 
 
 def _process(
-    calibration: Calibration, rows: Measurements | None, rng: np.random.Generator
-) -> tuple[GaussianProcess | None, JointInputs | None, str]:
-    """The Gaussian process on what geometry and terms leave, its inputs, and where it is from."""
+    calibration: Calibration, rows: Measurements | None, repeat: float, rng: np.random.Generator
+) -> tuple[FeatureProcess, JointInputs, str]:
+    """The process on what geometry and terms leave, its inputs, and where it is from; without rows it is scatter."""
     learnt = calibration.learnt
     if learnt is not None and isinstance(learnt.model, GaussianProcess):
-        return learnt.model, learnt.inputs, "the residual is the calibration's own Gaussian process"
+        process = feature_process(learnt.model, SMOOTH, rng)
+        return process, learnt.inputs, "the residual is the calibration's own Gaussian process"
     if rows is None and learnt is not None:
         raise InputError(
             f"the residual model '{learnt.kind}' of the calibration does not know how sure it is; give the rows that "
             "it was fitted to (--rows), or calibrate with --residual gp"
         )
     if rows is None:
-        return None, None, "no residual was learnt: what geometry and terms leave is taken as scatter"
+        joints = calibration.identified.joints
+        nothing = (np.zeros((3, joints, 0)), np.zeros((3, 0)), np.zeros((3, 0, 0)), np.zeros(3))
+        inputs = JointInputs(np.zeros(joints, dtype=bool), 0, np.zeros(joints), np.ones(joints))
+        said = "no residual was learnt: what geometry and terms leave is taken as scatter"
+        return FeatureProcess(*nothing, np.full(3, repeat)), inputs, said
     found = fit_residual("gp", rows.joints, rows.difference(calibration.model), rows.prismatic, rng)
     assert isinstance(found.model, GaussianProcess)
-    return found.model, found.inputs, "the residual is a Gaussian process on what geometry and terms leave of the rows"
+    process = feature_process(found.model, SMOOTH, rng)
+    return process, found.inputs, "the residual is a Gaussian process on what geometry and terms leave of the rows"
 
 
-def _field(smooth: FeatureProcess, inputs: JointInputs) -> ResidualField:
+def _field(smooth: FeatureProcess, inputs: JointInputs, turn: Array) -> ResidualField:
     """The mean as a function of the joints, with waves for the arm's own scatter, whose weights are zero on average."""
     joints = len(inputs.periodic) + int(inputs.periodic.sum())  # conditions come after them, and stay at their mean
     scaled = smooth.frequency[:, :joints] / inputs.std[:joints, None]
@@ -331,5 +316,5 @@ def _field(smooth: FeatureProcess, inputs: JointInputs) -> ResidualField:
         tuple(inputs.periodic.tolist()),
         outputs,
     )
-    unturned = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    return ResidualField(features, weight.astype(np.float32), tuple(smooth.offset.tolist()), unturned)
+    axes = tuple(map(tuple, turn.tolist()))
+    return ResidualField(features, weight.astype(np.float32), tuple(smooth.offset.tolist()), axes)

@@ -34,7 +34,7 @@ from pickenv.calibration.model.observations import (
 )
 from pickenv.calibration.model.prior import Prior
 from pickenv.calibration.model.stacked import OWN
-from pickenv.calibration.pipeline.calibration import MEASURED_REGION, Calibration, measured_there, uncertainty_from
+from pickenv.calibration.pipeline.calibration import Calibration, measured_there, uncertainty_from
 from pickenv.calibration.planning.plan import exchange
 from pickenv.calibration.residuals.gate import position_rms
 from pickenv.errors import InputError
@@ -388,7 +388,7 @@ def verify(
     blocks = np.arange(len(rest)) * BLOCKS // len(rest) if len(rest) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
     judged = data.select(rest)
-    inside = inside_what_was_measured(calibration, judged)
+    inside = measured_there(calibration.record, calibration.model, judged)
     measured = None if inside is None else float(inside.mean())
     known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
     found = Verification(
@@ -417,14 +417,6 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
         return np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
     own = sure.standard(calibration.model, data.joints, data.conditions)[0] ** 2
     return np.asarray(np.maximum(own, expected_square(data)))
-
-
-def inside_what_was_measured(calibration: Calibration, data: Measurements) -> NDArray[np.bool_] | None:
-    """Which rows ``(N,)`` lie where the calibration was measured; None where its record does not say."""
-    region, sure = calibration.record.get(MEASURED_REGION), uncertainty_from(calibration.record)
-    if region is None or sure is None:
-        return None
-    return measured_there(region, sure, calibration.model, data.joints, data.conditions)
 
 
 def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> str | None:
