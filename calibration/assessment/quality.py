@@ -163,17 +163,15 @@ def axis_errors(errors: Array, unit: str = "mm") -> tuple[AxisErrors, ...]:
         errors: m and rad.
         unit: "deg" where they are misses of directions ``(N, 1 to 3)``, rad.
     """
-    scale = np.repeat([1e3, np.degrees(1.0)], 3)[: errors.shape[1]]
-    rows = []
     axes: tuple[str, ...] = AXES if errors.shape[1] > 1 else ("length",)
     if unit == "deg":
-        scale, axes = np.full(errors.shape[1], MISS_UNITS[unit]), ("r1", "r2", "r3")
-    for axis, column in zip(axes, (errors * scale).T, strict=False):
-        rmse = float(np.sqrt(np.mean(column**2)))
-        unit = "deg" if axis.startswith("r") else "mm"
-        rows.append(
-            AxisErrors(axis, unit, float(column.mean()), float(column.std()), rmse, float(np.abs(column).max()))
-        )
+        axes = ("r1", "r2", "r3")
+    rows = []
+    for axis, column in zip(axes, errors.T, strict=False):
+        shown = "deg" if axis.startswith("r") else "mm"
+        column = column * MISS_UNITS[shown]
+        sizes = column.mean(), column.std(), np.sqrt(np.mean(column**2)), np.abs(column).max()
+        rows.append(AxisErrors(axis, shown, *map(float, sizes)))
     return tuple(rows)
 
 
@@ -279,14 +277,16 @@ def grade_quality(
     told = before is not None and _told(before, after, workspace, blocks, count)
     because = "" if before is None else _cause(found, before, after, unlearnt, unit)
     gain = () if told else no_gain(before, after, blocks, unit, count, called, because)
-    hidden = told and before is not None and _undecided(before, after, blocks)
+    if told and before is not None and workspace is not None and _undecided(before, after, blocks):
+        here = workspace.measured
+        beyond.append(
+            f"on {count} held-out {called} scatter ({_rms(after, unit):#.4g} {unit} RMS) hides what all rows together "
+            f"say: geometry errs by {here.calibrated * 1e3:#.3g} mm there, and by {here.nominal * 1e3:#.3g} mm as "
+            "drawn; measure more, or with less noise, to see it"
+        )
     texts: dict[Weight, list[str]] = {
         "fail": [*(() if found.converged else (NOT_CONVERGED,)), *gain],
-        "caution": [
-            *beyond,
-            *(_hidden(after, workspace, unit, count, called) if hidden and workspace is not None else ()),
-            *_cautions(found, trained, unlearnt, workspace, unit),
-        ],
+        "caution": [*beyond, *_cautions(found, trained, unlearnt, workspace, unit)],
         "note": notes,
     }
     for weight, text in said:
@@ -358,16 +358,6 @@ def _told(
     """Whether all rows together say so at the poses measured, and several held out do not contradict it."""
     sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
     return sure and _chance(after, before, blocks) > SIGNIFICANCE
-
-
-def _hidden(after: Array, workspace: Workspace, unit: str, count: int, called: str) -> Iterator[str]:
-    """A gain that the scatter of single rows hides."""
-    here = workspace.measured
-    yield (
-        f"on {count} held-out {called} scatter ({_rms(after, unit):#.4g} {unit} RMS) hides what all rows together "
-        f"say: geometry errs by {here.calibrated * 1e3:#.3g} mm there, and by {here.nominal * 1e3:#.3g} mm as "
-        "drawn; measure more, or with less noise, to see it"
-    )
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:

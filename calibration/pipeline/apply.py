@@ -188,11 +188,9 @@ def apply_calibration(
     reached[list(reasons)] = False
     uncertainty = uncertainty_from(calibration.record)
     sure: tuple[Array | None, Array | None] = (None, None)
-    within: tuple[Array | None, Array | None] = (None, None)
     if uncertainty is not None:
         here = None if conditions is None else conditions.repeated((len(commands),))
         sure = uncertainty.standard(calibration.model, commands, here)
-        within = uncertainty.within95(calibration.model, commands, here)
     return CorrectedCommands(
         targets=wanted_joints,
         joints=commands,
@@ -202,7 +200,7 @@ def apply_calibration(
         impossible=impossible,
         position_uncertainty=sure[0],
         attitude_uncertainty=sure[1],
-        within95=within,
+        within95=(None, None) if compensator.within95 is None else compensator.within95(commands),
         reasons=dict(sorted(reasons.items())),
         lines=targets.lines,
         prismatic=geometry.prismatic,

@@ -174,7 +174,8 @@ def fit_remainder(
         "data_fingerprint": data.fingerprint(),
         "poses": len(data),
         "settings": None if settings is None else asdict(settings),
-        "generator": _generator_state(rng),
+        # The generator's state as it stands, in plain numbers: what reproduces the network to the bit.
+        "generator": json.loads(json.dumps(rng.bit_generator.state, default=lambda value: value.tolist())),
     }
     paper = None if settings is None else partial(train_bpnn, settings=settings, progress=progress)
     model = fit_residual(
@@ -207,12 +208,6 @@ def _refuse_misfit(found: Identification, data: Observations) -> None:
             f"{data.source}: after fitting the frames the arm still misses by {missed} RMS; check the arm, the units, "
             "the joint order and signs, and which row belongs to what"
         )
-
-
-def _generator_state(rng: np.random.Generator) -> Any:
-    """The generator's state as it stands, in plain numbers: what reproduces the network to the bit."""
-    numbers: Any = json.loads(json.dumps(rng.bit_generator.state, default=lambda value: value.tolist()))
-    return numbers
 
 
 # Errors on rows that no fit saw: of rows held out once, or of all blocks of a file, each judged without itself. Rows

@@ -72,14 +72,14 @@ class Choices:
 
 def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
-    given = {"--frames known": choices.frames == "known"}
     parts = train.parts if isinstance(train, Stacked) else (train,)
     tracked = all(isinstance(part, Measurements) for part in parts)
-    given[f"--residual {choices.residual}"] = not tracked and choices.residual not in ("auto", "none")
+    learnt = choices.residual not in ("auto", "none")
+    options = {"--frames known": choices.frames == "known", f"--residual {choices.residual}": learnt and not tracked}
     if choices.lens is not None and not isinstance(train, PixelObservations):
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
     one, several = (" of one station", " of several") if tracked else ("", "")
-    for option, wanted in given.items():
+    for option, wanted in options.items():
         if wanted:
             raise InputError(
                 f"{option} is for poses and positions{one}, but {train.source} holds {train.kind}{several}; "

@@ -244,29 +244,26 @@ class Result:
 
     def blocks(self) -> tuple[Block, ...]:
         """What both the terminal and the page show, in order, after verdict and frames."""
-        found = [self._errors(), self._parameters()]
+        over = self.quality.workspace
+        blocks = [self._errors(), set_up_block(self.set_ups, self.stations)]
+        blocks += [] if over is None else [over.block()]
+        blocks.append(self._parameters())
         if self.left_out:
             places = tuple((item.text(),) for item in self.left_out)
             kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
             what = self.held_out.rows.capitalize()
-            found.append(Block(f"{what} far off, and kept" if kept else f"{what} left out", (), places, note))
-        if self.quality.workspace is not None:
-            found.insert(1, self.quality.workspace.block())
-        found.insert(1, set_up_block(self.set_ups, self.stations))
+            blocks.append(Block(f"{what} far off, and kept" if kept else f"{what} left out", (), places, note))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"
-            found.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note))
-        found += [stiffness_block(self.stiffnesses), harmonic_block(self.harmonics)]
-        if self.gate is not None:
-            found.append(self._gate(self.gate))
-        if self.pixels is not None:
-            found.append(self.pixels.block())
+            blocks.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note))
+        blocks += [stiffness_block(self.stiffnesses), harmonic_block(self.harmonics)]
+        blocks += [] if self.gate is None else [self._gate(self.gate)]
+        blocks += [] if self.pixels is None else [self.pixels.block()]
         sure = self.uncertainty.block(self.fit.calibration.model, self.test.joints, self.test.conditions)
-        found += [sure, self._facts()]
-        return tuple(block for block in found if block.rows)
+        return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
 
     def __str__(self) -> str:
         """The report."""
@@ -312,20 +309,17 @@ class Result:
             [*(part for line in lines for part in folded(line, width)), *(b.text() for b in self.blocks())]
         )
 
-    def _label(self, name: str) -> str:
-        labels = {NOMINAL: "nominal" if self.known_frames else "nominal, base and tool fitted", GEOMETRIC: "geometry"}
-        return labels.get(name, name)
-
     def _errors(self) -> Block:
         figures = ("RMS", "mean", "95 % interval", "p95", "max")
         header: tuple[str, ...] = ("model", *(f"{name} ({self.miss_unit})" for name in figures))
         header += ("attitude mean (deg)",) if self.attitude else ()
+        labels = {NOMINAL: "nominal" if self.known_frames else "nominal, base and tool fitted", GEOMETRIC: "geometry"}
         rows = []
         for name, s in self.position.items():
             if name == NOMINAL and not self.has_nominal:
                 continue
             turned = (figure(self.attitude[name].mean),) if name in self.attitude else ()
-            rows.append((self._label(name), *error_cells(s), *turned))
+            rows.append((labels.get(name, name), *error_cells(s), *turned))
         note = f"{self.held_out.text(len(self.test.joints), len(self.train.joints))}; used: {self.best_model}"
         return Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note)
 
@@ -350,13 +344,9 @@ class Result:
             unit, scale = unit_of(name, model.geometry.parameter_names)
             row = {"name": name, "unit": unit, "change": float(change[name] * scale), "std": float(std * scale)}
             known = np.isfinite(before)
-            rows.append(
-                row
-                | {
-                    "prior_std": float(before * scale) if known else None,
-                    "narrowed": float(narrowed) if known else None,
-                }
-            )
+            row["prior_std"] = float(before * scale) if known else None
+            row["narrowed"] = float(narrowed) if known else None
+            rows.append(row)
         return rows
 
     def plain_parameters(self) -> list[dict[str, Any]]:

@@ -108,13 +108,6 @@ class Draft:
     gate: GateReport | None = None
 
     @property
-    def poses(self) -> tuple[Measurements, Measurements] | None:
-        """Training and held-out poses or positions; None for other kinds."""
-        if isinstance(self.train, Measurements) and isinstance(self.test, Measurements):
-            return self.train, self.test
-        return None
-
-    @property
     def tracked(self) -> Measurements | None:
         """Training poses or positions, of stations as the first one would have measured them; None for other kinds."""
         return tracked_rows(self.best[1].identification, self.train)
@@ -299,31 +292,29 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
 
 def _check(draft: Draft) -> Draft:
     """Refuse options that do not apply; leave out rows that are far off."""
-    choices, poses = draft.choices, draft.poses
+    choices, train, test = draft.choices, draft.train, draft.test
     if choices.frames is not None and choices.frames not in FRAMES:
         raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
     if choices.fit not in FIT_WORDS:
         raise InputError(f"fit is '{choices.fit}'; give {', '.join(FIT_WORDS[:-1])} or {FIT_WORDS[-1]}")
     if choices.residual not in ("auto", "none"):  # said now, and not after the work
         require_residual(choices.residual)
-    if type(draft.train) is not type(draft.test):
+    if type(train) is not type(test):
         raise InputError(
-            f"{draft.train.source} holds {draft.train.kind}, but {draft.test.source}, to judge by, {draft.test.kind}; "
-            "give rows of one kind"
+            f"{train.source} holds {train.kind}, but {test.source}, to judge by, {test.kind}; give rows of one kind"
         )
-    train, test, known = draft.train, draft.test, False
     left_out: tuple[LeftOut, ...] = ()
-    if poses is None:
+    if isinstance(train, Measurements) and isinstance(test, Measurements):
+        if choices.frames is None and train.frames != test.frames:
+            raise InputError(
+                f"{train.source} says that base and tool are {train.frames}, {test.source} that they are "
+                f"{test.frames}; give --frames"
+            )
+        choices = replace(choices, frames=choices.frames or train.frames)
+    else:
         refuse_options(train, choices)
         train, left_out = without_blind_views(train)
-    else:
-        if choices.frames is None and poses[0].frames != poses[1].frames:
-            raise InputError(
-                f"{train.source} says that base and tool are {poses[0].frames}, {test.source} that they are "
-                f"{poses[1].frames}; give --frames"
-            )
-        choices = replace(choices, frames=choices.frames or poses[0].frames)
-        known = choices.frames == "known"
+    known = choices.frames == "known"
     train, test, far = checked_rows(draft.arm, train, test, known=known, robust=choices.robust)
     return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
 
