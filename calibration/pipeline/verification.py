@@ -112,15 +112,13 @@ def restationed(
     Args:
         calibration: The calibration.
         data: Poses or positions at the other station.
-        own: Which of "base" and "tool" are found; with none all rows judge the calibration as it is.
+        own: Which of "base" and "tool" are found.
         count: Rows to find them from; they are chosen so that positions elsewhere are told best (I-optimal).
         used: These rows, where they were chosen already.
 
     Raises:
         InputError: If there are too few rows.
     """
-    if not own:
-        return Restationed(calibration, np.arange(0), np.arange(len(data)), promised(calibration, data), {}, {})
     least = 3 * len(tuple(own))
     if count < least or len(data) < count + 3:
         raise InputError(
@@ -380,11 +378,15 @@ def verify(
         raise InputError(f"{data.source}: {len(data)} rows judge nothing; measure at least 3")
     nominal = replace(calibration, model=ArmModel.of(calibration.nominal), learnt=None)
     data, left_out = near_rows(calibration, data, refit, refit_rows)
-    at = restationed(calibration, data, refit, refit_rows)
+    if refit:
+        at = restationed(calibration, data, refit, refit_rows)
+        errors = errors_there(at, calibration, data)
+        # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
+        before = errors_there(restationed(nominal, data, refit, refit_rows, at.used), nominal, data)
+    else:
+        at = Restationed(calibration, np.arange(0), np.arange(len(data)), promised(calibration, data), {}, {})
+        errors, before = calibration.errors(data), nominal.errors(data)
     rest, expected = at.rest, at.expected
-    errors = errors_there(at, calibration, data)
-    # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
-    before = errors_there(restationed(nominal, data, refit, refit_rows, at.used), nominal, data)
     blocks = np.arange(len(rest)) * BLOCKS // len(rest) if len(rest) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
     judged = data.select(rest)

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm import Arm, Geometry, Pose, forward, inverse, load_arm, rotation_matrix, rotation_vector
-from pickenv.calibration import Measurements, random_joints
+from pickenv.arm import Arm, Geometry, Plant, Pose, forward, inverse, load_arm, rotation_matrix, rotation_vector
+from pickenv.calibration import Measurements, random_joints, simulated_tracker
 from pickenv.calibration.assessment.metrics import block_interval, error_statistics
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.model.arm_model import ArmModel
@@ -95,6 +95,21 @@ def test_new_rows_of_the_same_set_up_find_it_still_good(result: Result, true: Ge
     assert found.calibrated.rms == pytest.approx(found.expected, rel=0.15)
     assert found.calibrated.rms == pytest.approx(NOISE * 1e3 * np.sqrt(3), rel=0.2)
     assert found.nominal.rms > 5 * found.calibrated.rms
+
+
+@pytest.mark.parametrize("refit", [(), ("base", "tool")])
+def test_terms_are_the_calibrated_arm_s_alone(dynamic: Plant, refit: tuple[str, ...]) -> None:
+    """The nominal arm has none of the parameters that say how sure the calibrated one is."""
+    rng = np.random.default_rng(6)
+    train, new = (simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (150, 40))
+    found = calibrate(dynamic.arm, train, choices=Choices(terms="gravity", residual="none")).calibration
+    assert found.model.terms
+    judged = verify(found, new, refit)
+    assert judged.status == "still good" and judged.refitted == (6 if refit else 0)
+    assert judged.rows == len(new) - judged.refitted and judged.nominal.rms > 5 * judged.calibrated.rms
+    if not refit:
+        missed = np.linalg.norm(found.errors(new)[:, :3], axis=1)
+        assert judged.calibrated.rms == 1e3 * np.sqrt(np.mean(missed**2))
 
 
 @pytest.mark.parametrize("poses", [False, True], ids=["positions", "poses"])
