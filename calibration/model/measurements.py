@@ -19,7 +19,7 @@ from pickenv.arm import Geometry, Plant, Pose, pose_error, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.campaign import TRACKER, Instrument, NormalDraws, load_instrument, measured_poses, normal_draws
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.observations import OneGroup, Origins, Rows, hash_of, selected
+from pickenv.calibration.model.observations import OneGroup, Origins, Rows, hash_of
 from pickenv.errors import InputError
 from pickenv.files import write_whole
 
@@ -69,6 +69,8 @@ class Measurements(OneGroup):
     origins: Origins | None = None
     frames: Frames = "fitted"
     std_stated: bool = False
+    framed = True
+    per_row = ("position", "rotation")
 
     def __len__(self) -> int:
         """Number of poses."""
@@ -84,10 +86,6 @@ class Measurements(OneGroup):
         """Number of scalar observations per pose: 6 for poses, 3 for positions."""
         return 3 if self.rotation is None else 6
 
-    def select(self, rows: ArrayLike) -> Measurements:
-        """The data set that holds only the given rows (indices or a mask)."""
-        return selected(self, rows, "position", "rotation")
-
     @property
     def row_weights(self) -> Array:
         """One over the standard uncertainty of each row of a pose."""
@@ -99,15 +97,6 @@ class Measurements(OneGroup):
         if self.rotation is None:
             return np.asarray(self.position - predicted.position)
         return pose_error(predicted, Pose(self.position, self.rotation))
-
-    @property
-    def framed(self) -> bool:
-        """Poses and positions are stated in the instrument's frame."""
-        return True
-
-    def start(self, model: ArmModel) -> Array:
-        """Nothing to start."""
-        return np.zeros(0)
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Measured minus predicted pose, in standard uncertainties."""

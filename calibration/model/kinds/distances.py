@@ -19,8 +19,6 @@ from pickenv.calibration.model.kinds.surfaces import (
     ORIGIN,
     SURFACES,
     TIP,
-    Stated,
-    Surface,
     SurfaceName,
     Tip,
     direction,
@@ -29,16 +27,7 @@ from pickenv.calibration.model.kinds.surfaces import (
     tool_points_jacobian,
     unit_length,
 )
-from pickenv.calibration.model.observations import (
-    NONE_KNOWN,
-    OneGroup,
-    Origins,
-    Rows,
-    one_channel,
-    point_jacobian,
-    repeated_at,
-    selected,
-)
+from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, Origins, Rows, Stated, point_jacobian
 
 SCALE_TOLERANCE = 1e-3
 """Scale of a deviation of a wire's own scale."""
@@ -81,104 +70,57 @@ class DistanceObservations(OneGroup):
     kind: str = "distance"
     framed: bool = False
     origins: Origins | None = None
+    per_row = ("length",)
 
     @property
-    def sized(self) -> bool:
+    def sized(self) -> bool:  # type: ignore[override]
         """Whether lengths are read on a known scale, or the distance kept is known."""
         if np.ptp(self.length) > 0.0:
             return bool(np.isfinite(self.scale_std))
         return bool(self.surface != "plane" and np.isfinite(self.zero_std) and self.length[0] != self.zero)
 
-    @property
-    def _place(self) -> Surface:
-        return SURFACES[self.surface]
-
     @cached_property
-    def _stated(self) -> Stated:
-        """The instrument's own numbers: zero, scale and tool point."""
+    def numbers(self) -> Stated:
+        """Where the point, line or plane is, and the instrument's own: zero, scale and tool point."""
+        place, zero_std = SURFACES[self.surface], 0.0 if self.surface == "plane" else self.zero_std
         return Stated(
-            ("zero", "scale", *TIP),
-            np.array([self.zero, 0.0, *self.tip]),
-            np.array([0.0 if self.surface == "plane" else self.zero_std, self.scale_std, *[self.tip_std] * 3]),
-            np.array([LENGTH_TOLERANCE, SCALE_TOLERANCE, *[LENGTH_TOLERANCE] * 3]),
+            (*place.names, "zero", "scale", *TIP),
+            np.array([*np.ones(len(place.names)), self.zero, 0.0, *self.tip]),
+            np.array([*[np.inf] * len(place.names), zero_std, self.scale_std, *[self.tip_std] * 3]),
+            np.array([*place.tolerances, LENGTH_TOLERANCE, SCALE_TOLERANCE, *[LENGTH_TOLERANCE] * 3]),
         )
 
-    def _parts(self, unknowns: Array) -> tuple[Array, Array, Array]:
-        """The surface's numbers, the fitted ones of the instrument, and all of these."""
-        own = unknowns[len(self._place.names) :]
-        return unknowns[: len(self._place.names)], own, self._stated.whole(own)
-
-    def imagined(self, joints: Array) -> Self:
-        """What it would be asked at other joints ``(M, n)``."""
-        return repeated_at(self, joints, "length")
-
-    def select(self, rows: Rows) -> Self:
-        """The data set that holds only the given rows."""
-        return selected(self, rows, "length")
-
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
         """Measured minus predicted readings."""
-        values, _, (zero, scale, *tip) = self._parts(unknowns)
-        points = tool_points(model, self.joints, self.conditions, np.array(tip))
-        return np.asarray(self.length - (1.0 + scale) * self._place.gap(values, points).size - zero)[:, None]
+        *values, zero, scale = numbers[:-3]
+        points = tool_points(model, self.joints, self.conditions, numbers[-3:])
+        gap = SURFACES[self.surface].gap(np.array(values), points)
+        return np.asarray(self.length - (1.0 + scale) * gap.size - zero)[:, None]
 
     def readings(self) -> Array:
         """The lengths."""
         return self.length[:, None]
 
-    def equations(self) -> tuple[Rows, Rows]:
-        """One for each row, then what is known of the instrument, and what the surface's numbers leave open."""
-        extra = len(self._stated.jacobian())
-        extra += len(self._place.gauge(np.ones(len(self._place.names)))[0])
-        return one_channel(np.concatenate([np.arange(len(self.joints)), np.full(extra, -1)]))
-
-    def unknowns(self) -> tuple[str, ...]:
-        """Where the point, line or plane is, and what is not known of the instrument."""
-        return (*self._place.names, *self._stated.unknowns())
-
-    def tolerances(self) -> Array:
-        """Scale of each one's deviation."""
-        return np.concatenate([self._place.tolerances, self._stated.tolerances()])
-
     def start(self, model: ArmModel) -> Array:
         """Trilateration or a plane through the tool's points, as the model has them."""
         points = tool_points(model, self.joints, self.conditions, np.array(self.tip))
-        values, zero = self._place.start(points, self.length, self.zero, bool(np.isinf(self.zero_std)))
-        own = self._stated.values.copy()
-        own[0] = zero
-        return np.concatenate([values, own[self._stated.free]])
+        start = SURFACES[self.surface].start(points, self.length, self.zero, bool(np.isinf(self.zero_std)))
+        return np.concatenate([start[0], [start[1], 0.0], self.tip])[self.numbers.free]
 
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted reading, in standard uncertainties, and the other equations."""
-        values, own, _ = self._parts(unknowns)
-        read = self.misses(model, unknowns)[:, 0] / self.std
-        held = self._place.gauge(values)[0] / self._gauge_std
-        return np.concatenate([read, self._stated.residual(own), held])
-
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
         """The pose Jacobian along the distance."""
-        values, _, (_, scale, *tip) = self._parts(unknowns)
-        place, count = np.array(tip), len(self.joints)
-        gap = self._place.gap(values, tool_points(model, self.joints, self.conditions, place))
-        by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, place)
+        values, scale, tip = numbers[:-5], numbers[-4], numbers[-3:]
+        gap = SURFACES[self.surface].gap(values, tool_points(model, self.joints, self.conditions, tip))
+        by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, tip)
         along = gap.by_point * (1.0 + scale) / self.std
-        read = np.einsum("ni,nip->np", along, by_model)
-        by_own = [
-            np.full((count, 1), 1.0 / self.std),
-            gap.size[:, None] / self.std,
-            np.einsum("ni,nij->nj", along, by_tip),
-        ]
-        mine = np.hstack([gap.by_values * (1.0 + scale) / self.std, np.hstack(by_own)[:, self._stated.free]])
-        known, held = self._stated.jacobian(), self._place.gauge(values)[1] / self._gauge_std
-        extra = np.zeros((len(known) + len(held), mine.shape[1]))
-        extra[: len(known), gap.by_values.shape[1] :] = known
-        extra[len(known) :, : gap.by_values.shape[1]] = held
-        return np.concatenate([read, np.zeros((len(extra), read.shape[1]))]), np.concatenate([mine, extra])
+        by_own = np.column_stack([gap.by_values * (1.0 + scale), np.ones(len(gap.size)), gap.size]) / self.std
+        return np.einsum("ni,nip->np", along, by_model), np.hstack([by_own, np.einsum("ni,nij->nj", along, by_tip)])
 
-    @property
-    def _gauge_std(self) -> float:
-        """As strong as all readings together: neither they nor it drown the other."""
-        return self.std / float(np.sqrt(max(len(self.joints), 1)))
+    def bonds(self, numbers: Array) -> tuple[Array, Array]:
+        """What the surface's numbers leave open, as strong as all readings together: neither drowns the other."""
+        std = self.std / float(np.sqrt(max(len(self.joints), 1)))
+        residual, by_values = SURFACES[self.surface].gauge(numbers[:-5])
+        return residual / std, np.pad(by_values, ((0, 0), (0, 5))) / std
 
 
 # Reflectors on the tool, several at once: where each is seen, and where it sits, known or found. SI units.
@@ -212,6 +154,13 @@ class ReflectorObservations(OneGroup):
     places: Array | None = None
     places_std: float = np.inf
 
+    width = 3
+
+    @property
+    def per_row(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Covariances may be of all rows."""
+        return ("points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
+
     @property
     def rows_of_misses(self) -> Rows:
         """One miss per reflector seen."""
@@ -219,28 +168,14 @@ class ReflectorObservations(OneGroup):
 
     def imagined(self, joints: Array) -> Self:
         """What it would be asked at other joints ``(M, n)``, were every reflector seen."""
-        each = ["covariance"] if self.covariance.ndim > 2 else []
-        return repeated_at(replace(self, seen=np.ones_like(self.seen)), joints, "points", "seen", *each)
-
-    def select(self, rows: Rows) -> Self:
-        """The data set that holds only the given rows."""
-        return selected(self, rows, "points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
-
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """One per reflector seen."""
-        return np.asarray((self.points - self.predict(model, unknowns))[self.seen])
+        return OneGroup.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
 
     def readings(self) -> Array:
         """The points seen."""
         return np.where(self.seen[..., None], self.points, 0.0).reshape(len(self.joints), -1)
 
-    def equations(self) -> tuple[Rows, Rows]:
-        """Three for each reflector seen, then what is known of their places."""
-        known = np.full(len(self._stated.jacobian()), -1)
-        return one_channel(np.concatenate([np.repeat(self.rows_of_misses, 3), known]))
-
     @cached_property
-    def _stated(self) -> Stated:
+    def numbers(self) -> Stated:
         """Where the reflectors sit, as far as it is known."""
         count = 3 * self.points.shape[1]
         names = tuple(f"reflector{i + 1}_{axis}" for i in range(self.points.shape[1]) for axis in "xyz")
@@ -248,13 +183,9 @@ class ReflectorObservations(OneGroup):
         std = np.full(count, np.inf if self.places is None else self.places_std)
         return Stated(names, values, std, np.full(count, LENGTH_TOLERANCE))
 
-    def unknowns(self) -> tuple[str, ...]:
-        """Reflector positions in the tool's frame, unless they are known exactly."""
-        return self._stated.unknowns()
-
     def start(self, model: ArmModel) -> Array:
         """The places stated, or the mean of the measured points as the tool sees them."""
-        return self.seen_from(model).ravel() if self.places is None else self._stated.start()
+        return self.seen_from(model).ravel() if self.places is None else self.numbers.start()
 
     def seen_from(self, model: ArmModel) -> Array:
         """Mean of the measured points in the frame of a model's tool ``(k, 3)``, m."""
@@ -263,32 +194,31 @@ class ReflectorObservations(OneGroup):
         weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
         return np.asarray(np.sum(np.where(self.seen[..., None], local, 0.0) * weight, axis=0))
 
-    def predict(self, model: ArmModel, unknowns: Array) -> Array:
-        """Predicted points ``(N, k, 3)``, m."""
-        tool, local = model.pose(self.joints, self.conditions), self._stated.whole(unknowns).reshape(-1, 3)
-        return np.asarray(tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, local))
+    def _errors(self, model: ArmModel, numbers: Array) -> Array:
+        """Measured minus predicted points ``(N, k, 3)``, m."""
+        tool = model.pose(self.joints, self.conditions)
+        turned = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
+        return np.asarray(self.points - (tool.position[:, None] + turned))
 
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Whitened differences of the reflectors seen, then what is known of their places, likewise."""
-        error = self.points - self.predict(model, unknowns)
-        white = np.einsum("nkij,nkj->nki", self._whitening(), error)[self.seen]
-        return np.concatenate([white.ravel(), self._stated.residual(unknowns)])
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
+        """One per reflector seen."""
+        return self._errors(model, numbers)[self.seen]
 
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Derivatives of the reflectors seen."""
+    def whitened(self, model: ArmModel, numbers: Array) -> Array:
+        """Of the reflectors seen."""
+        return np.asarray(np.einsum("nkij,nkj->nki", self._whitening(), self._errors(model, numbers))[self.seen])
+
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
+        """Of the reflectors seen."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         count = self.points.shape[1]
-        lever = np.einsum("nij,kj->nki", tool.rotation, self._stated.whole(unknowns).reshape(-1, 3))
-        by_geometry = point_jacobian(pose[:, None], lever)
-        by_unknown = np.einsum("nij,kl->nkilj", tool.rotation, np.eye(count)).reshape(len(self.joints), count, 3, -1)
-        whitening = self._whitening()
-        stacked = [np.einsum("nkij,nkjp->nkip", whitening, part)[self.seen] for part in (by_geometry, by_unknown)]
-        by_arm, by_place = stacked[0].reshape(-1, pose.shape[-1]), stacked[1].reshape(-1, 3 * count)
-        known = self._stated.jacobian()
-        return (
-            np.concatenate([by_arm, np.zeros((len(known), pose.shape[-1]))]),
-            np.concatenate([by_place[:, self._stated.free], known]),
+        lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
+        by_arm = point_jacobian(pose[:, None], lever)
+        by_place = np.einsum("nij,kl->nkilj", tool.rotation, np.eye(count)).reshape(len(self.joints), count, 3, -1)
+        by_arm, by_place = (
+            np.einsum("nkij,nkjp->nkip", self._whitening(), part)[self.seen] for part in (by_arm, by_place)
         )
+        return by_arm, by_place
 
     def _whitening(self) -> Array:
         return np.broadcast_to(whitening_of(self.covariance), (*self.points.shape, 3))
@@ -358,6 +288,9 @@ class TiltObservations(OneGroup):
     source: str = "inclinometer"
     kind: str = "tilt"
     origins: Origins | None = None
+    per_row = ("components", "std")
+    miss_unit = "deg"
+    sized = False
 
     @property
     def framed(self) -> bool:
@@ -365,17 +298,12 @@ class TiltObservations(OneGroup):
         return self.down_std == 0.0
 
     @property
-    def sized(self) -> bool:
-        """Angles tell no length."""
-        return False
-
-    @property
-    def miss_unit(self) -> str:
-        """Misses are angles."""
-        return "deg"
+    def width(self) -> int:  # type: ignore[override]
+        """One equation for each component."""
+        return int(self.components.shape[1])
 
     @cached_property
-    def _stated(self) -> Stated:
+    def numbers(self) -> Stated:
         """The axes, then down."""
         count = self.components.shape[1]
         names = [f"axis{i + 1}_{axis}" for i in range(count) for axis in "xyz"]
@@ -386,22 +314,6 @@ class TiltObservations(OneGroup):
             np.full(3 * count + 3, ANGLE_TOLERANCE),
         )
 
-    def imagined(self, joints: Array) -> Self:
-        """What it would be asked at other joints ``(M, n)``."""
-        return repeated_at(self, joints, "components", "std")
-
-    def select(self, rows: Rows) -> Self:
-        """The data set that holds only the given rows."""
-        return selected(self, rows, "components", "std")
-
-    def unknowns(self) -> tuple[str, ...]:
-        """The axes and down, where they are not known."""
-        return self._stated.unknowns()
-
-    def tolerances(self) -> Array:
-        """Scales of their deviations."""
-        return self._stated.tolerances()
-
     def readings(self) -> Array:
         """The components."""
         return self.components
@@ -409,7 +321,7 @@ class TiltObservations(OneGroup):
     def start(self, model: ArmModel) -> Array:
         """A reading is linear in the products of an axis with down, and a matrix of products has rank one."""
         rotation, count = model.pose(self.joints, self.conditions).rotation, self.components.shape[1]
-        values = self._stated.values.copy()
+        values = self.numbers.values.copy()
         axes, down = values[:-3].reshape(-1, 3), values[-3:]
         if self.axes_std and self.down_std:
             flat = rotation.reshape(-1, 9)
@@ -424,57 +336,34 @@ class TiltObservations(OneGroup):
             local = np.swapaxes(rotation, 1, 2) @ down
             axes = np.array([steady_solution(local, reading) for reading in self.components.T])
         parts = [part / max(float(np.linalg.norm(part)), 1e-12) for part in (*axes, down)]
-        return np.concatenate(parts)[self._stated.free]
+        return np.concatenate(parts)[self.numbers.free]
 
-    def _directions(self, unknowns: Array) -> tuple[list[tuple[Array, Array]], tuple[Array, Array]]:
-        """Axes and down at length one, with their derivatives."""
-        *axes, down = self._stated.whole(unknowns).reshape(-1, 3)
-        return [direction(axis) for axis in axes], direction(down)
-
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
         """Measured minus predicted components, rad: the length of a row of three is the angle between them."""
-        axes, (down, _) = self._directions(unknowns)
+        *axes, down = (direction(vector)[0] for vector in numbers.reshape(-1, 3))
         local = np.swapaxes(model.pose(self.joints, self.conditions).rotation, 1, 2) @ down
-        return np.asarray(self.components - local @ np.array([axis for axis, _ in axes]).T)
+        return np.asarray(self.components - local @ np.array(axes).T)
 
-    def equations(self) -> tuple[Rows, Rows]:
-        """One for each component, then what is known of the directions, and their lengths."""
-        extra = len(self._stated.jacobian()) + len(self._lengths(self._stated.start())[0])
-        rows = np.repeat(np.arange(len(self.joints)), self.components.shape[1])
-        return one_channel(np.concatenate([rows, np.full(extra, -1)]))
-
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Misses in standard uncertainties, and the other equations."""
-        read = self.misses(model, unknowns) / self.std
-        return np.concatenate([read.ravel(), self._stated.residual(unknowns), self._lengths(unknowns)[0]])
-
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
         """By rotations of the tool, and by the directions."""
-        axes, (down, by_down) = self._directions(unknowns)
+        *axes, (down, by_down) = (direction(vector) for vector in numbers.reshape(-1, 3))
         rotation = model.pose(self.joints, self.conditions).rotation
         turned = model.jacobian(self.joints, self.conditions)[:, 3:]
         local = np.swapaxes(rotation, 1, 2) @ down
-        count, width = self.components.shape[1], len(self._stated.names)
         by_model = np.zeros((*self.components.shape, turned.shape[-1]))
-        by_own = np.zeros((*self.components.shape, width))
+        by_own = np.zeros((*self.components.shape, len(numbers)))
         for k, (axis, by_axis) in enumerate(axes):
             ahead = rotation @ axis
             by_model[:, k] = np.einsum("ni,nip->np", np.cross(ahead, down), turned)
             by_own[:, k, 3 * k : 3 * k + 3] = local @ by_axis
-            by_own[:, k, 3 * count :] = ahead @ by_down
-        flat = by_model / self.std[..., None], (by_own / self.std[..., None])[..., self._stated.free]
-        extra = np.concatenate([self._stated.jacobian(), self._lengths(unknowns)[1]])
-        read, mine = (part.reshape(-1, part.shape[-1]) for part in flat)
-        return np.concatenate([read, np.zeros((len(extra), read.shape[1]))]), np.concatenate([mine, extra])
+            by_own[:, k, -3:] = ahead @ by_down
+        return by_model / self.std[..., None], by_own / self.std[..., None]
 
-    def _lengths(self, unknowns: Array) -> tuple[Array, Array]:
+    def bonds(self, numbers: Array) -> tuple[Array, Array]:
         """That the directions found have length one, as strongly as all readings together."""
-        vectors = self._stated.whole(unknowns).reshape(-1, 3)
-        fitted = np.flatnonzero(self._stated.std.reshape(-1, 3).all(axis=1))
+        fitted = np.flatnonzero(self.numbers.std.reshape(-1, 3).all(axis=1))
         strong = np.sqrt(len(self.joints)) / float(np.median(self.std))
-        found = [unit_length(vectors[i]) for i in fitted]
-        residual = np.concatenate([np.zeros(0), *(short for short, _ in found)]) * strong
-        jacobian = np.zeros((len(fitted), len(unknowns)))
-        for row, (_, by_vector) in enumerate(found):
-            jacobian[row, 3 * row : 3 * row + 3] = by_vector[0] * strong
-        return residual, jacobian
+        residual, jacobian = np.zeros(len(fitted)), np.zeros((len(fitted), len(numbers)))
+        for row, i in enumerate(fitted):
+            (residual[row],), jacobian[row, 3 * i : 3 * i + 3] = unit_length(numbers[3 * i : 3 * i + 3])
+        return residual * strong, jacobian * strong

@@ -10,82 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
-from pickenv.calibration.model.observations import (
-    NONE_KNOWN,
-    OneGroup,
-    Origins,
-    Rows,
-    one_channel,
-    point_jacobian,
-    repeated_at,
-    selected,
-)
-
-# Numbers of an instrument as far as they are known: exactly, within a standard uncertainty, or not at all. Where a
-# wire's reading begins, how long a ball bar is, where the tool point sits: what is not exact is an unknown of the
-# least squares, and what is known of it stands there as one more equation.
-
-
-@dataclass(frozen=True, eq=False)
-class Stated:
-    """K numbers, each with what is known of it.
-
-    Attributes:
-        names: Of the numbers.
-        values: As they are stated ``(K,)``; of unknown ones where to begin.
-        std: Standard uncertainty of each ``(K,)``: 0 where it is exact, infinite where it is unknown.
-        scales: Scale of each one's deviation ``(K,)``.
-    """
-
-    names: tuple[str, ...]
-    values: Array
-    std: Array
-    scales: Array
-
-    @property
-    def free(self) -> Rows:
-        """Which numbers are fitted."""
-        return np.flatnonzero(self.std > 0.0)
-
-    @property
-    def _known(self) -> Rows:
-        """Which of the fitted ones something is known of."""
-        return np.flatnonzero(np.isfinite(self.std[self.free]))
-
-    def unknowns(self) -> tuple[str, ...]:
-        """Names of the fitted ones."""
-        return tuple(self.names[i] for i in self.free)
-
-    def tolerances(self) -> Array:
-        """Their scales."""
-        return self.scales[self.free]
-
-    def start(self) -> Array:
-        """Their values as stated."""
-        return self.values[self.free]
-
-    def whole(self, unknowns: Array) -> Array:
-        """All numbers ``(K,)``, the fitted ones as given."""
-        values = self.values.copy()
-        values[self.free] = unknowns
-        return values
-
-    def residual(self, unknowns: Array) -> Array:
-        """Stated minus present values of those that something is known of, in standard uncertainties."""
-        return np.asarray(((self.start() - unknowns) / self.std[self.free])[self._known])
-
-    def jacobian(self) -> Array:
-        """Derivatives of these equations by the fitted numbers."""
-        return np.asarray(np.diag(1.0 / self.std[self.free])[self._known])
-
+from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, Origins, Rows, Stated, point_jacobian
 
 # The point of the tool that an instrument sees or touches: where a wire is hooked, a ball's centre, a probe's tip. It
 # is stated in the tool's frame, exactly, within an uncertainty, or not at all; every instrument has its own. SI
@@ -334,87 +266,63 @@ class SocketObservations(OneGroup):
     kind: str = "sockets"
     framed: bool = False
     origins: Origins | None = None
+    per_row = ("socket",)
+    width = 3
 
     @property
-    def sized(self) -> bool:
+    def sized(self) -> bool:  # type: ignore[override]
         """Whether a spacing is known."""
         return len(self.pairs) > 0
-
-    @cached_property
-    def _stated(self) -> Stated:
-        """The tool point."""
-        return Stated(TIP, np.array(self.tip), np.full(3, self.tip_std), np.full(3, LENGTH_TOLERANCE))
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
         return self.places or tuple(f"socket{i + 1}" for i in range(int(self.socket.max()) + 1))
 
-    def _parts(self, unknowns: Array) -> tuple[Array, Array]:
-        """The sockets ``(S, 3)``, and the fitted numbers of the tool point."""
+    @cached_property
+    def numbers(self) -> Stated:
+        """Where the sockets are, and the tool point."""
         count = 3 * len(self._names)
-        return unknowns[:count].reshape(-1, 3), unknowns[count:]
+        return Stated(
+            (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *TIP),
+            np.array([*range(count), *self.tip], dtype=float),
+            np.array([*[np.inf] * count, *[self.tip_std] * 3]),
+            np.full(count + 3, LENGTH_TOLERANCE),
+        )
 
     @property
     def groups(self) -> Rows:
         """Each socket's rows are a group, so that each is trained on."""
         return self.socket
 
-    def imagined(self, joints: Array) -> Self:
-        """What it would be asked at other joints ``(M, n)``."""
-        return repeated_at(self, joints, "socket")
-
-    def select(self, rows: Rows) -> Self:
-        """The data set that holds only the given rows."""
-        return selected(self, rows, "socket")
-
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
         """Socket minus ball."""
-        sockets, own = self._parts(unknowns)
-        return np.asarray(
-            sockets[self.socket] - tool_points(model, self.joints, self.conditions, self._stated.whole(own))
-        )
+        sockets, ball = numbers[:-3].reshape(-1, 3), tool_points(model, self.joints, self.conditions, numbers[-3:])
+        return np.asarray(sockets[self.socket] - ball)
 
     def readings(self) -> Array:
         """The sockets' numbers."""
         return self.socket[:, None].astype(float)
-
-    def equations(self) -> tuple[Rows, Rows]:
-        """Three for each row, then the spacings, and what is known of the tool point."""
-        rows = np.repeat(np.arange(len(self.joints)), 3)
-        extra = len(self.pairs) + len(self._stated.jacobian())
-        return one_channel(np.concatenate([rows, np.full(extra, -1)]))
-
-    def unknowns(self) -> tuple[str, ...]:
-        """Positions of the sockets, and the tool point where it is not known."""
-        return (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *self._stated.unknowns())
 
     def start(self, model: ArmModel) -> Array:
         """The median of the ball's positions in each socket, which a few gross rows hardly move."""
         ball = tool_points(model, self.joints, self.conditions, np.array(self.tip))
         rests = [ball[self.socket == i] for i in range(len(self._names))]
         sockets = [np.median(rest if len(rest) else ball, axis=0) for rest in rests]
-        return np.concatenate([*sockets, self._stated.start()])
+        return np.concatenate([*sockets, self.tip])[self.numbers.free]
 
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Socket minus ball, measured minus predicted spacings, and the tool point, in standard uncertainties."""
-        sockets, own = self._parts(unknowns)
-        rest = self.misses(model, unknowns) / self.std
-        apart = np.linalg.norm(sockets[self.pairs[:, 0]] - sockets[self.pairs[:, 1]], axis=1)
-        return np.concatenate([rest.ravel(), (self.spacing - apart) / self.spacing_std, self._stated.residual(own)])
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
+        """Of ball minus socket."""
+        by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, numbers[-3:])
+        chosen = np.eye(len(self._names))[self.socket]
+        rest = -np.einsum("ns,ij->nisj", chosen, np.eye(3)).reshape(*by_tip.shape[:2], -1)
+        return by_model / self.std, np.concatenate([rest, by_tip], axis=-1) / self.std
 
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Derivatives of ball minus socket, of the spacings and of the tool point."""
-        sockets, own = self._parts(unknowns)
-        by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, self._stated.whole(own))
-        flat = by_model.reshape(-1, by_model.shape[-1]) / self.std
-        chosen = np.eye(len(sockets))[self.socket]
-        rest = -np.einsum("ns,ij->nisj", chosen, np.eye(3)).reshape(-1, sockets.size) / self.std
-        difference = sockets[self.pairs[:, 0]] - sockets[self.pairs[:, 1]]
-        along = difference / np.linalg.norm(difference, axis=1, keepdims=True) / self.spacing_std
-        signs = np.eye(len(sockets))[self.pairs[:, 0]] - np.eye(len(sockets))[self.pairs[:, 1]]
-        apart = np.einsum("ms,mj->msj", signs, along).reshape(-1, sockets.size)
-        known = self._stated.jacobian()
-        by_unknown = block_diag(np.concatenate([rest, apart]), known)
-        by_unknown[: len(rest), sockets.size :] = by_tip.reshape(-1, 3)[:, self._stated.free] / self.std
-        extra = np.zeros((len(apart) + len(known), flat.shape[1]))
-        return np.concatenate([flat, extra]), by_unknown
+    def bonds(self, numbers: Array) -> tuple[Array, Array]:
+        """The spacings that are known."""
+        (one, other), sockets = self.pairs.T, numbers[:-3].reshape(-1, 3)
+        difference = sockets[one] - sockets[other]
+        apart = np.linalg.norm(difference, axis=1)
+        along = difference / apart[:, None] / self.spacing_std
+        places = np.eye(len(sockets))
+        by_sockets = np.einsum("ms,mj->msj", places[one] - places[other], along).reshape(-1, sockets.size)
+        return (self.spacing - apart) / self.spacing_std, np.pad(by_sockets, ((0, 0), (0, 3)))

@@ -18,7 +18,8 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.identification.robust import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.kinds.surfaces import SURFACES, Stated, steady_solution
+from pickenv.calibration.model.kinds.surfaces import SURFACES, steady_solution
+from pickenv.calibration.model.observations import Stated
 from tests.calibration.simulated_instruments import HERE, KINDS, other_way_round, start_and_truth, truth_of
 
 
