@@ -16,9 +16,8 @@ from scipy.special import gammaincinv
 from pickenv.arm import Geometry, Pose, pose_error
 from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.least_squares import Identification
+from pickenv.calibration.identification.least_squares import Identifiability, Identification, identifiability
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, ErrorModel
-from pickenv.calibration.model.identifiability import Identifiability, identifiability
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.errors import InputError
 

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Arm, Geometry, forward, load_arm
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.starts import by_set_up, placed, stations_of
+from pickenv.calibration.identification.robust import by_set_up, placed, stations_of
 from pickenv.calibration.model.arm_model import pose_carrier
-from pickenv.calibration.model.measurements import Frames, Measurements, joint_columns, random_joints
+from pickenv.calibration.model.measurements import OWN, Frames, Measurements, Stacked, joint_columns, random_joints
 from pickenv.calibration.model.observations import Observations, equally_spaced, named, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.stacked import OWN, Stacked
 from pickenv.calibration.pipeline.verification import REFIT_ROWS
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_observations, read_targets

@@ -16,13 +16,18 @@ from pathlib import Path
 import numpy as np
 
 from pickenv.arm import Arm
-from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
+from pickenv.calibration.identification.diagnosis import (
+    LeftOut,
+    checked_rows,
+    choose,
+    refuse_trained,
+    without_blind_views,
+)
 from pickenv.calibration.identification.least_squares import Identification
-from pickenv.calibration.identification.robust import choose, refuse_trained
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, Term, kind_of_term
-from pickenv.calibration.model.measurements import FRAMES, Measurements
+from pickenv.calibration.model.measurements import FRAMES, Measurements, Stacked
 from pickenv.calibration.model.observations import (
     BLOCKS,
     Observations,
@@ -34,7 +39,6 @@ from pickenv.calibration.model.observations import (
 )
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, PriorModel, prior_model
-from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.fitting import (
     Fit,
     HeldOut,

@@ -13,7 +13,7 @@ from pickenv.calibration.assessment.instrument import said_of_instruments
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.identification.diagnosis import checked_rows
 from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.identification.starts import board_poses, fitted_model, rough_start
+from pickenv.calibration.identification.robust import board_poses, fitted_model, rough_start
 from pickenv.calibration.model.arm_model import ArmModel, frames_model, joints_of_finished_poses, pose_carrier
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, load_plant, rotation_matrix
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import Measurements, random_joints, simulated_tracker
-from pickenv.calibration.identification.starts import set_ups
+from pickenv.calibration.identification.robust import set_ups
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.stacked import InstrumentStation, Stacked, joinable
+from pickenv.calibration.model.measurements import InstrumentStation, Stacked, joinable
 from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate

@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from pickenv.arm import Pose, displace_pose, forward, load_arm
 from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
+from pickenv.calibration.identification.least_squares import observability, observability_of
 from pickenv.calibration.model.arm_model import ErrorModel
-from pickenv.calibration.model.identifiability import observability, observability_of
 from pickenv.calibration.planning.plan import (
     candidate_joints,
     design_of,
