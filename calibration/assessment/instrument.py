@@ -200,7 +200,7 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
     rows: list[dict[str, Any]] = []
     for station in data.stations if isinstance(data, Stacked) else (InstrumentStation(data),):
         unknowns = np.array([found.unknowns[name] for name in station.unknowns()])
-        there = station.seen(found.arm_model, station.parted(unknowns)[1]).geometry
+        there = station.seen(found.arm_model, unknowns)[0].geometry
         moved = {name: apart(getattr(found.geometry, name), getattr(there, name)) for name in station.frames}
         origins = origins_of(station.data)
         row: dict[str, Any] = {

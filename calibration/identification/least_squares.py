@@ -123,16 +123,12 @@ class Identification:
             f"{state} after {len(self.residual_rms) - 1} iterations on {self.poses} poses ({self.kind})",
             f"identifiable: {found.rank} of {len(found.names)} parameters, condition {found.condition:.1f}",
         ]
-        for dropped in found.dropped:
-            lines.append(f"  dropped {dropped.name}: {describe_absorption(dropped.absorbed_by)}")
+        lines += [f"  dropped {item.name}: {describe_absorption(item.absorbed_by)}" for item in found.dropped]
         lines.append(f"{'parameter':>10}  {'change':>12}  {'± 1 sigma':>12}")
         for k in found.kept:
-            name = found.names[k]
-            angle = is_angle(name)
-            scale, unit = (np.degrees(1.0), "deg") if angle else (1e3, "mm")
-            lines.append(
-                f"{name:>10}  {self.delta[k] * scale:>12.5f}  {self.standard_deviation[k] * scale:>12.5f} {unit}"
-            )
+            scale, unit = (np.degrees(1.0), "deg") if is_angle(found.names[k]) else (1e3, "mm")
+            change, std = self.delta[k] * scale, self.standard_deviation[k] * scale
+            lines.append(f"{found.names[k]:>10}  {change:>12.5f}  {std:>12.5f} {unit}")
         return "\n".join(lines)
 
 
@@ -211,15 +207,14 @@ def identify(
         found = identifiability(matrix, names, tolerance, poses, NOTHING)
     else:
         found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
-        _enough_poses(model, arm, sets, unknowns, found, len(weighted))
+        _enough_poses(model, arm, sets, unknowns, found.rank, len(weighted))
     kept, scale = found.kept, tolerance[found.kept]
     iterates, unknown_iterates = [arm], [begun]
     history = [_rms(weighted)]
     converged, damping, judged = False, 0.0, every or not own
     for _ in range(max_iterations if judged else 2 * max_iterations):
-        step = whole = _solve(matrix[:, kept], weighted, 0.0)
-        if damping:
-            step = _solve(matrix[:, kept], weighted, damping)
+        whole = _solve(matrix[:, kept], weighted, 0.0)
+        step = _solve(matrix[:, kept], weighted, damping) if damping else whole
         change = np.zeros(len(names))
         change[kept] = step * scale
         moved, moved_unknowns = _moved(arm, unknowns, model, change)
@@ -400,27 +395,20 @@ def _posterior(matrix: Array, scale: Array) -> Array:
 
 
 def _enough_poses(
-    model: ErrorModel,
-    arm: ArmModel,
-    sets: Sequence[Equations],
-    unknowns: Sequence[Array],
-    found: Identifiability,
-    rows: int,
+    model: ErrorModel, arm: ArmModel, sets: Sequence[Equations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
     """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
-    if rows >= 2 * len(found.names):
+    if rows >= 2 * (len(model.names) + sum(len(values) for values in unknowns)):
         return  # whatever the rank elsewhere, there are enough
-    part, full = sets[0], found.rank
+    part, full = sets[0], rank
     if len(sets) == 1 and isinstance(part, Imaginable):
         probe = part.imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
-        geometric = model.columns < len(arm.geometry.parameter_names)
-        names = tuple(name for name, keep in zip(model.names, geometric, strict=True) if keep)
-        links = ErrorModel(model.columns[geometric], names, model.tolerance[geometric])
+        links = model.some(model.columns < len(arm.geometry.parameter_names))
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
-        matrix = _system(links, [probe], bare, unknowns, tolerance)
-        seen = identifiable_parameters(links, [probe], bare, unknowns, matrix, (*part.unknowns(), *names), tolerance)
-        full = max(full, seen.rank)
-    if rows <= full or (isinstance(part, Measurements) and found.rank < full and rows < 2 * full):
+        matrix, names = _system(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
+        elsewhere = identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance)
+        full = max(full, elsewhere.rank)
+    if rows <= full or (isinstance(part, Measurements) and rank < full and rows < 2 * full):
         poses = sum(len(part.joints) for part in sets)
         needed = -int(-2 * full // (rows / poses))
         raise InputError(
@@ -564,56 +552,37 @@ def identifiable_parameters(
         tolerance: Their scale, m or rad.
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.
     """
-    poses = sum(len(part.joints) for part in sets)
-    held = (
-        {}
-        if any(part.framed for part in sets)
-        else _held_with_base(model, sets, arm, unknowns, matrix, names, poses, rank_tolerance)
-    )
-    left = matrix.copy()
-    left[:, [k for k, name in enumerate(names) if name in held]] = 0.0
-    found = identifiability(left, names, tolerance, poses, rank_tolerance)
+    poses, own, geometry = sum(len(part.joints) for part in sets), len(names) - len(model.names), arm.geometry
+    held: dict[str, Dropped] = {}
+    if not any(part.framed for part in sets):
+        by_arm = np.concatenate([part.jacobian(arm, values)[0] for part, values in zip(sets, unknowns, strict=True)])
+        base = 5 * geometry.links + np.arange(6)
+        scale = np.where(geometry.parameter_is_angle[base], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
+        others = [k for k, name in enumerate(model.names) if name not in BASE]
+        columns = np.concatenate([by_arm[:, base] * scale, matrix[:, own:][:, others]], axis=1)
+        scales, chain_names = np.r_[scale, model.tolerance[others]], (*BASE, *(model.names[k] for k in others))
+        chain = identifiability(columns, chain_names, scales, poses, rank_tolerance)
+        held = {item.name: item for item in chain.dropped} | {name: Dropped(name, {}) for name in BASE}
+    free = np.where([name in held for name in names], 0.0, matrix)
+    result = identifiability(free, names, tolerance, poses, rank_tolerance)
     if not any(part.sized for part in sets):
-        size = _held_size(arm, found)
-        left[:, [k for k, name in enumerate(names) if name in size]] = 0.0
-        found, held = identifiability(left, names, tolerance, poses, rank_tolerance), held | size
-    return replace(found, dropped=tuple(held.get(item.name, item) for item in found.dropped))
+        size = _held_size(geometry, result)
+        free = np.where([name in size for name in names], 0.0, free)
+        result, held = identifiability(free, names, tolerance, poses, rank_tolerance), held | size
+    return replace(result, dropped=tuple(held.get(item.name, item) for item in result.dropped))
 
 
-def _held_size(arm: ArmModel, found: Identifiability) -> dict[str, Dropped]:
+def _held_size(geometry: Geometry, visible: Identifiability) -> dict[str, Dropped]:
     """The longest link that can be seen, and how the other lengths would grow with it."""
-    geometry, count = arm.geometry, arm.geometry.links
-    lengths = dict(zip((f"a{i}" for i in range(count)), geometry.a, strict=True))
-    lengths |= zip((f"d{i + 1}" for i in range(count)), geometry.d, strict=True)
-    seen = {name: float(lengths[name]) for name in found.kept_names if abs(lengths.get(name, 0.0)) > 0.0}
-    if not seen:
+    lengths = {f"a{i}": value for i, value in enumerate(geometry.a)} | {
+        f"d{i + 1}": value for i, value in enumerate(geometry.d)
+    }
+    lengths = {name: float(lengths[name]) for name in visible.kept_names if lengths.get(name, 0.0) != 0.0}
+    if not lengths:
         return {}
-    longest = max(seen, key=lambda name: abs(seen[name]))
-    others = {name: -value / seen[longest] for name, value in seen.items() if name != longest}
+    longest = max(lengths, key=lambda name: abs(lengths[name]))
+    others = {name: -value / lengths[longest] for name, value in lengths.items() if name != longest}
     return {longest: Dropped(longest, others)}
-
-
-def _held_with_base(
-    model: ErrorModel,
-    sets: Sequence[Equations],
-    arm: ArmModel,
-    unknowns: Sequence[Array],
-    matrix: Array,
-    names: tuple[str, ...],
-    poses: int,
-    rank_tolerance: float,
-) -> dict[str, Dropped]:
-    """The base's parameters, and those that do what the base could do."""
-    own, first = len(names) - len(model.names), 5 * arm.geometry.links
-    by_arm = np.concatenate([part.jacobian(arm, values)[0] for part, values in zip(sets, unknowns, strict=True)])
-    scale = np.where(arm.geometry.parameter_is_angle[first : first + 6], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
-    others = [k for k, name in enumerate(model.names) if name not in BASE]
-    columns = np.concatenate([by_arm[:, first : first + 6] * scale, matrix[:, own:][:, others]], axis=1)
-    chain_names = (*BASE, *(model.names[k] for k in others))
-    chain = identifiability(
-        columns, chain_names, np.concatenate([scale, model.tolerance[others]]), poses, rank_tolerance
-    )
-    return {item.name: item for item in chain.dropped} | {name: Dropped(name, {}) for name in BASE}
 
 
 # How well a data set tells the parameters: observability indices O1-O5 from the Jacobian's singular values. O1 Borm

@@ -28,13 +28,7 @@ from pickenv.calibration.model.measurements import (
     rows_together,
 )
 from pickenv.calibration.model.noise import counted
-from pickenv.calibration.model.observations import (
-    Observations,
-    Rows,
-    equally_spaced,
-    nearest_rotation,
-    origins_of,
-)
+from pickenv.calibration.model.observations import Observations, Rows, equally_spaced, nearest_rotation, origins_of
 from pickenv.calibration.model.pixels import PixelObservations, undistorted
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded

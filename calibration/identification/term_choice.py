@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Geometry, joint_jacobian
+from pickenv.arm import Arm, Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
@@ -25,7 +25,7 @@ from pickenv.calibration.model.arm_model import (
     PeriodicTerm,
     Term,
     ThermalTerm,
-    weighed,
+    along_joints,
 )
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations, contiguous_folds, equally_spaced, same_poses
@@ -335,11 +335,10 @@ class _OrderTerm:
         return np.full(len(self.wave.orders), STEP / 2)
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        chosen = list(self.wave.joints)
-        turned = joints[:, chosen]
+        turned = joints[:, self.wave.joints]
         angle = turned * np.array(self.wave.orders)
         slope = turned * (np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle))
-        return np.asarray(joint_jacobian(geometry, joints)[..., chosen] * slope[:, None])
+        return along_joints(geometry, joints, self.wave.joints, slope)
 
 
 def refined(
@@ -497,7 +496,7 @@ def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
     weight = GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), varied)
     if name == "gravity":
         return weight
-    return weighed(weight, geometry, observations.joints, observations.conditions)
+    return weight.weighed(geometry, observations.joints, observations.conditions)
 
 
 @dataclass(frozen=True, eq=False)

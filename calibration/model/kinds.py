@@ -163,10 +163,6 @@ def _principal_axes(points: Array, count: int) -> tuple[Array, NDArray[np.bool_]
     return axes, kept
 
 
-def _point_start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-    return _centre(points, readings, zero, unknown)
-
-
 def _line_start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
     """The longest axis of the points, and across it the centre of a circle."""
     axes, near = _principal_axes(points, 1)
@@ -208,7 +204,7 @@ def _plane_gauge(values: Array) -> tuple[Array, Array]:
 
 SURFACES: dict[str, Surface] = {
     "point": Surface(
-        ("anchor_x", "anchor_y", "anchor_z"), np.full(3, LENGTH_TOLERANCE), _from_point, _point_start, _no_gauge
+        ("anchor_x", "anchor_y", "anchor_z"), np.full(3, LENGTH_TOLERANCE), _from_point, _centre, _no_gauge
     ),
     "line": Surface(
         ("edge_x", "edge_y", "edge_z", "along_x", "along_y", "along_z"),

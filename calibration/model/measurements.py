@@ -291,40 +291,30 @@ class InstrumentStation:
     def start(self, model: ArmModel) -> Array:
         """The data's own start, and no deviation of the frames."""
         frames = np.zeros(6 * len(self.frames))
-        return np.concatenate([self.data.start(self.seen(model, frames)), frames])
+        return np.concatenate([self.data.start(self.seen(model, frames)[0]), frames])
 
-    def seen(self, model: ArmModel, deviations: Array) -> ArmModel:
-        """The arm as this station sees it."""
+    def seen(self, model: ArmModel, unknowns: Array) -> tuple[ArmModel, Array]:
+        """The arm as this station sees it, and the data's own unknowns."""
+        own, deviations = np.split(unknowns, [len(unknowns) - 6 * len(self.frames)])
         steps = zip(self.frames.items(), deviations.reshape(-1, 6), strict=True)
         moved: dict[str, Any] = {name: move_pose(pose, step) for (name, pose), step in steps}
-        return replace(model, geometry=replace(model.geometry, **moved)) if moved else model
-
-    def parted(self, unknowns: Array) -> tuple[Array, Array]:
-        """The data's own unknowns, and the deviations of the frames."""
-        count = len(unknowns) - 6 * len(self.frames)
-        return unknowns[:count], unknowns[count:]
+        return replace(model, geometry=replace(model.geometry, **moved)) if moved else model, own
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Of the data, seen from here."""
-        own, frames = self.parted(unknowns)
-        return self.data.residual(self.seen(model, frames), own) / self.scale
+        return self.data.residual(*self.seen(model, unknowns)) / self.scale
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Likewise."""
-        own, frames = self.parted(unknowns)
-        return self.data.misses(self.seen(model, frames), own)
+        return self.data.misses(*self.seen(model, unknowns))
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Derivatives by the arm, less its frames where the station has its own, and by the unknowns."""
-        own, frames = self.parted(unknowns)
-        by_arm, by_own = self.data.jacobian(self.seen(model, frames), own)
-        parts = [by_own]
-        for frame in self.frames:
-            columns = frame_columns(model.geometry, frame)
-            parts.append(by_arm[:, columns])
-            by_arm = by_arm.copy()
-            by_arm[:, columns] = 0.0
-        return by_arm / self.scale, np.concatenate(parts, axis=1) / self.scale
+        by_arm, by_own = self.data.jacobian(*self.seen(model, unknowns))
+        columns = np.concatenate([np.zeros(0, int), *(frame_columns(model.geometry, frame) for frame in self.frames)])
+        by_own, by_arm = np.concatenate([by_own, by_arm[:, columns]], axis=1), by_arm.copy()
+        by_arm[:, columns] = 0.0
+        return by_arm / self.scale, by_own / self.scale
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,12 +367,9 @@ class Stacked:
     @property
     def conditions(self) -> Conditions:
         """What every station recorded."""
-        found: dict[str, Array] = {}
-        for name in vars(Conditions()):
-            values = [getattr(part.conditions, name) for part in self.parts]
-            if all(value is not None for value in values):
-                found[name] = np.concatenate(values)
-        return Conditions(**found)
+        parts = [vars(part.conditions) for part in self.parts]
+        common = [name for name in parts[0] if all(part[name] is not None for part in parts)]
+        return Conditions(**{name: np.concatenate([part[name] for part in parts]) for name in common})
 
     @property
     def origins(self) -> Origins:
@@ -435,15 +422,15 @@ class Stacked:
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Of all stations ``(R, 3)``, m; what has fewer components is filled up with zeros."""
-        return np.concatenate([_widened(station.misses(model, own)) for station, own in self._with(unknowns)])
+        each = [station.misses(model, own) for station, own in self._with(unknowns)]
+        return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in each])
 
     def seen_by_station(
         self, model: ArmModel, unknowns: Array
     ) -> Iterator[tuple[Observations, ArmModel, Array, float]]:
         """Each station's data, the arm as it sees it, the data's own unknowns, and what its uncertainties count."""
         for station, values in self._with(unknowns):
-            own, frames = station.parted(values)
-            yield station.data, station.seen(model, frames), own, station.scale
+            yield station.data, *station.seen(model, values), station.scale
 
     def readings(self) -> Array:
         """Of all stations, each in columns of its own."""
@@ -455,16 +442,12 @@ class Stacked:
 
     def select(self, rows: ArrayLike) -> Self:
         """The stations that hold only the given rows; those without any are left out."""
-        rows = np.asarray(rows)
-        rows = np.flatnonzero(rows) if rows.dtype == bool else rows
-        kept = []
-        for station, first in zip(self.stations, self._first_rows(), strict=True):
-            here = rows[(rows >= first) & (rows < first + len(station.data.joints))] - first
-            if len(here):
-                kept.append(replace(station, data=station.data.select(here)))
-        first_station = self.stations[0]
-        none = replace(first_station, data=first_station.data.select(np.arange(0)))
-        return replace(self, stations=tuple(kept) or (none,))
+        rows = np.arange(len(self.places))[np.asarray(rows)]
+        owners = self.places[rows]
+        some = [i for i in range(len(self.stations)) if (owners == i).any()] or [0]
+        first, parts = self._first_rows(), self.stations
+        kept = tuple(replace(parts[i], data=parts[i].data.select(rows[owners == i] - first[i])) for i in some)
+        return replace(self, stations=kept)
 
     def weighed(self, scales: Sequence[float]) -> Self:
         """The stations weighed by their scatter, relative to the first one's."""
@@ -494,7 +477,7 @@ class Stacked:
         base, tool, expected = model.geometry.base, model.geometry.tool, model.pose(rows.joints, rows.conditions)
         errors, levers = [], []
         for (station, own), part in zip(self._with(unknowns), parts, strict=True):
-            there = station.seen(model, station.parted(own)[1])
+            there, _ = station.seen(model, own)
             missed = part.difference(there)[:, : rows.rows_per_pose].reshape(len(part), -1, 3)
             errors.append(missed @ (base.rotation @ there.geometry.base.rotation.T).T)
             levers.append(np.tile(tool.position - there.geometry.tool.position, (len(part), 1)))
@@ -568,7 +551,3 @@ def _numbered(parts: Sequence[Rows]) -> Rows:
     """Numbers of several parts, none of which is shared."""
     first = _starts([int(part.max(initial=-1)) + 1 for part in parts])
     return np.concatenate([part + start for part, start in zip(parts, first, strict=True)])
-
-
-def _widened(misses: Array) -> Array:
-    return np.pad(misses, ((0, 0), (0, WIDEST - misses.shape[1])))

@@ -428,6 +428,40 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
     return rows[:cut], rows[cut:]
 
 
+def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
+    """Training and held-out rows of one data set, drawn; sockets and stations are split one by one, to train on each.
+
+    Rows of one pose stay on one side, also where several stations measured it.
+
+    Args:
+        observations: The data.
+        test_rows: Rows to hold out; a fifth when left out.
+        rng: Draws the split.
+
+    Raises:
+        InputError: If the split is impossible.
+    """
+    count = len(observations.joints)
+    wanted = max(1, count // 5) if test_rows is None else test_rows
+    poses = same_poses(observations.joints)
+    if not observations.groups.any():
+        return random_split(poses, wanted, rng)
+    home = home_groups(observations.groups, poses)
+    train, test = [], []
+    for number in np.unique(home):
+        rows = np.flatnonzero(home == number)
+        share = max(1, round(wanted * len(rows) / count))
+        if len(rows) - share < 2:
+            raise InputError(
+                f"{observations.source}: socket or station {number + 1} has {len(rows)} rows, too few to hold "
+                f"{share} of them out"
+            )
+        here, there = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
+        train.append(rows[here])
+        test.append(rows[there])
+    return np.concatenate(train), np.concatenate(test)
+
+
 def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows]:
     """Hold out two contiguous runs of poses, centred at 35 % and 75 % of the file.
 

@@ -16,13 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pickenv.arm import Arm
-from pickenv.calibration.identification.diagnosis import (
-    LeftOut,
-    checked_rows,
-    choose,
-    refuse_trained,
-    without_blind_views,
-)
+from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_trained, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
@@ -32,6 +26,7 @@ from pickenv.calibration.model.observations import (
     BLOCKS,
     Observations,
     Rows,
+    choose,
     contiguous_folds,
     equally_spaced,
     pose_count,

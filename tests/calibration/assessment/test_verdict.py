@@ -17,7 +17,7 @@ from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.calibration import Calibration, Measurements, fit, random_joints, read_measurements, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
-from pickenv.calibration.identification.diagnosis import choose
+from pickenv.calibration.model.observations import choose
 from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.result import assess
 from pickenv.calibration.pipeline.stages import calibrate

@@ -5,10 +5,9 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import random_joints
-from pickenv.calibration.identification.diagnosis import choose
 from pickenv.calibration.model.kinds import DistanceObservations, ReflectorObservations, SocketObservations
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import contiguous_folds, same_poses
+from pickenv.calibration.model.observations import choose, contiguous_folds, same_poses
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 
