@@ -18,29 +18,10 @@ from scipy.stats import binom
 from pickenv.arm import Arm, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification, unknowns_of
-from pickenv.calibration.identification.robust import (
-    OUTLIER_SIGMA,
-    RobustIdentification,
-    Sizes,
-    align,
-    apart,
-    fitted_model,
-    robust_frames,
-    robust_identify,
-    sizes_of,
-)
+from pickenv.calibration.identification.robust import OUTLIER_SIGMA, RobustIdentification, align, apart, robust_fit
 from pickenv.calibration.model.arm_model import frames_model
 from pickenv.calibration.model.measurements import Measurements, Stacked
-from pickenv.calibration.model.observations import (
-    MISS_UNITS,
-    SAME_POSE,
-    Kind,
-    Observations,
-    Rows,
-    equally_spaced,
-    named,
-    origins_of,
-)
+from pickenv.calibration.model.observations import MISS_UNITS, SAME_POSE, Kind, Observations, Rows, named, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.errors import InputError
 
@@ -135,9 +116,6 @@ def _digit(values: Array) -> float:
 EXPLAINED = 8.0
 """A unit explains an outlier when it brings it within this many robust standard deviations."""
 
-ROBUST_ROWS = 2000
-"""The robust fit is made on so many rows at most, taken evenly; all rows are judged by it."""
-
 MANY_FAR = 0.05
 """More rows far off than this share are a caution."""
 
@@ -199,17 +177,6 @@ class LeftOut:
         return f"{self.file}: row {self.line} ({part}): {self.miss}{turned}, {self.sigma:.0f} sigma{why}"
 
 
-def _robust_fit(arm: Arm, data: Observations, known: bool = False) -> RobustIdentification:
-    """Geometry from the rows that agree with each other, with base and tool unless known; the same every time.
-
-    Raises:
-        InputError: If there are too few rows, or no majority agrees.
-    """
-    data = data.select(equally_spaced(len(data.joints), ROBUST_ROWS))
-    start = arm.nominal if known else robust_frames(arm, data)
-    return robust_identify(fitted_model(arm.name, arm.nominal, known), start, data)
-
-
 def checked_rows(
     arm: Arm, train: Kind, test: Kind, *, known: bool, robust: bool
 ) -> tuple[Kind, Kind, tuple[LeftOut, ...]]:
@@ -229,14 +196,15 @@ def checked_rows(
         InputError: If the held-out rows come from another set-up.
     """
     try:
-        found = _robust_fit(arm, train, known)
+        found = robust_fit(arm, train, known)
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
     sets = (train, test) if len(test.joints) else (train,)
-    sizes = [found.sizes_of(train)]
-    if len(sets) > 1:
-        sizes.append(_sizes_like(found, train, test))
-    far = [np.flatnonzero(~(size.sigma <= OUTLIER_SIGMA)) for size in sizes]
+    scales = found.sizes.scales
+    if isinstance(train, Stacked) and isinstance(test, Stacked):  # of held-out rows some stations may have none
+        scales = scales[train.channels_of(test)]
+    sizes = [found.sizes_of(data, scales if data is test else None).sigma for data in sets]
+    far = [np.flatnonzero(~(size <= OUTLIER_SIGMA)) for size in sizes]
     if 2 * len(far[0]) >= len(train.joints):
         return train, test, ()
     if len(test.joints) >= FEW and 2 * len(far[1]) > len(test.joints):
@@ -256,16 +224,8 @@ def checked_rows(
     return train, test, tuple(sorted(listed, key=lambda item: -(item.sigma or 0.0)))
 
 
-def _sizes_like(found: RobustIdentification, train: Observations, test: Observations) -> Sizes:
-    """Sizes of held-out rows, of which some stations may have none."""
-    if not (isinstance(train, Stacked) and isinstance(test, Stacked)):
-        return found.sizes_of(test)
-    like = replace(found.sizes, scales=found.sizes.scales[train.channels_of(test)])
-    return sizes_of(found.identification.arm_model, unknowns_of(found.identification, test), test, like)
-
-
 def _far_rows(
-    arm: Arm, found: RobustIdentification, data: Observations, sizes: Sizes, rows: Rows, *, held_out: bool, kept: bool
+    arm: Arm, found: RobustIdentification, data: Observations, sigma: Array, rows: Rows, *, held_out: bool, kept: bool
 ) -> list[LeftOut]:
     """The rows far off, with what they have in common."""
     if not len(rows):
@@ -281,7 +241,7 @@ def _far_rows(
             held_out,
             float(missed[row]),
             None if attitude is None else float(attitude[row]),
-            float(sizes.sigma[row]),
+            float(sigma[row]),
             why,
             kept,
             data.miss_unit,
@@ -300,10 +260,10 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal
     far = [item for item in listed if item.sigma is not None]
     if not far:
         return
-    one = len(far) == 1
+    one, worst = len(far) == 1, max(far, key=lambda item: item.position or 0.0)
     many = len(far) > MANY_FAR * rows
     causes = dict.fromkeys(item.why for item in far if item.why is not None)
-    them = f"{len(far)} of {rows} rows {'is' if one else 'are'} far off, by up to {max(far, key=_size).miss}"
+    them = f"{len(far)} of {rows} rows {'is' if one else 'are'} far off, by up to {worst.miss}"
     if any(item.kept for item in far):
         yield "caution", f"{them}, and {'was' if one else 'were'} kept all the same; leave --no-robust out"
     elif causes:
@@ -342,10 +302,6 @@ def said_of_stations(found: Identification, data: Observations) -> Iterator[tupl
             )
 
 
-def _size(item: LeftOut) -> float:
-    return item.position or 0.0
-
-
 def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, test: Observations) -> str:
     """Why most held-out rows miss: another unit, another place of base or tool, or something else."""
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
@@ -360,7 +316,8 @@ def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, te
             moved = align(geometry, test, frames_model(geometry)).geometry
         except InputError:
             moved = geometry
-        there = sizes_of(replace(found.identification.arm_model, geometry=moved), np.zeros(0), test, found.sizes)
+        moved_fit = replace(found.identification, arm_model=replace(found.identification.arm_model, geometry=moved))
+        there = replace(found, identification=moved_fit).sizes_of(test)
         if float(np.median(there.sigma)) <= OUTLIER_SIGMA / 2:
             base, tool = (
                 f"{metres * 1e3:.3g} mm and {np.degrees(angle):.3g} deg"

@@ -239,9 +239,10 @@ class RobustIdentification:
         """The identified geometry."""
         return self.identification.geometry
 
-    def sizes_of(self, data: Observations) -> Sizes:
+    def sizes_of(self, data: Observations, scales: Array | None = None) -> Sizes:
         """Sizes of the errors of any rows by this arm's identified model, in the standard deviations found here."""
-        return sizes_of(self.identification.arm_model, unknowns_of(self.identification, data), data, self.sizes)
+        scales = self.sizes.scales if scales is None else scales
+        return sizes_of(self.identification.arm_model, unknowns_of(self.identification, data), data, scales)
 
     def misses_of(self, data: Observations) -> Array:
         """The largest miss of each row ``(N,)``, m."""
@@ -337,7 +338,9 @@ class Sizes:
     @property
     def sigma(self) -> Array:
         """The largest of each row ``(N,)``, in robust standard deviations of one coordinate."""
-        return np.asarray(np.nanmax(np.vstack([self.errors / self.scales[:, None], self._none]), axis=0))
+        return np.asarray(
+            np.nanmax(np.vstack([self.errors / self.scales[:, None], np.zeros(self.errors.shape[1])]), axis=0)
+        )
 
     @property
     def outliers(self) -> Rows:
@@ -350,13 +353,9 @@ class Sizes:
         squares = np.nansum((self.errors / self.scales[:, None]) ** 2, axis=0)
         return LOSSES[loss](np.sqrt(squares / np.maximum(self.coordinates.sum(axis=0), 1)))
 
-    @property
-    def _none(self) -> Array:
-        return np.zeros((1, self.errors.shape[1]))
-
 
 def sizes_of(
-    arm: ArmModel, unknowns: Array, data: Observations, like: Sizes | None = None, *, apart: Array | None = None
+    arm: ArmModel, unknowns: Array, data: Observations, scales: Array | None = None, *, apart: Array | None = None
 ) -> Sizes:
     """Sizes in the standard deviations of others, or in robust ones, never below the instrument's own uncertainty.
 
@@ -364,7 +363,7 @@ def sizes_of(
         arm: The arm.
         unknowns: The data's own unknowns.
         data: The rows.
-        like: Sizes with the standard deviations to use.
+        scales: The standard deviations to use, by channel.
         apart: What each row counts in the median ``(N,)``, less where others stand near it: rows of a cluster miss by
             the same, and are few facts. All alike when left out.
     """
@@ -375,12 +374,12 @@ def sizes_of(
     np.add.at(count, (channels[own], rows[own]), 1.0)
     shown = np.minimum(count, 3.0)
     errors = np.sqrt(np.where(count > 0, squares * shown / np.maximum(count, 1.0), np.nan))
-    if like is not None:
-        return Sizes(errors, shown, like.scales)
+    if scales is not None:
+        return Sizes(errors, shown, scales)
     usual = np.sqrt(2.0 * gammaincinv(np.maximum(count, 1.0) / 2.0, 0.5) * shown / np.maximum(count, 1.0))
     apart = np.ones(len(data.joints)) if apart is None else apart
-    scales = [_median(size / median, apart) for size, median in zip(errors, usual, strict=True)]
-    return Sizes(errors, shown, np.maximum(scales, 1.0))
+    found = [_median(size / median, apart) for size, median in zip(errors, usual, strict=True)]
+    return Sizes(errors, shown, np.maximum(found, 1.0))
 
 
 def _median(values: Array, counts: Array) -> float:
@@ -460,6 +459,9 @@ LEAST_ROWS = 8
 TRIES, PLAUSIBLE = 12, 10.0
 """Iterations of a trial, twice what a right one takes; and how many times farther rows of one set-up may be missed."""
 
+ROBUST_ROWS = 2000
+"""The robust fit is made on so many rows at most, taken evenly; all rows are judged by it."""
+
 SPARE = 3
 """The arm's geometry takes part where there are so many times as many equations as parameters; else frames alone."""
 
@@ -512,6 +514,17 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
     if isinstance(data, Measurements):
         return robust_align(arm.nominal, data, frames, np.random.default_rng(0)).geometry
     return robust_identify(frames, rough_start(arm.nominal, data), data).geometry
+
+
+def robust_fit(arm: Arm, data: Observations, known: bool = False) -> RobustIdentification:
+    """Geometry from the rows that agree with each other, with base and tool unless known; the same every time.
+
+    Raises:
+        InputError: If there are too few rows, or no majority agrees.
+    """
+    data = data.select(equally_spaced(len(data.joints), ROBUST_ROWS))
+    start = arm.nominal if known else robust_frames(arm, data)
+    return robust_identify(fitted_model(arm.name, arm.nominal, known), start, data)
 
 
 def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) -> Stacked:

@@ -18,15 +18,7 @@ from pickenv.arm import Arm, Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import (
-    ArmModel,
-    Conditions,
-    GravityTerm,
-    PeriodicTerm,
-    Term,
-    ThermalTerm,
-    along_joints,
-)
+from pickenv.calibration.model.arm_model import ArmModel, GravityTerm, OrderTerm, PeriodicTerm, Term, ThermalTerm
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations, contiguous_folds, equally_spaced, same_poses
 from pickenv.calibration.model.prior import expected_sizes, prior_model
@@ -319,28 +311,6 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
     return [path[:count].ravel() for path in paths], whole.ravel()
 
 
-@dataclass(frozen=True)
-class _OrderTerm:
-    """How the tool moves as a harmonic's order does: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
-
-    wave: PeriodicTerm
-    sines: tuple[float, ...]
-    cosines: tuple[float, ...]
-
-    def names(self, geometry: Geometry) -> tuple[str, ...]:
-        return tuple(f"order{i}" for i in range(len(self.wave.orders)))
-
-    def tolerances(self, geometry: Geometry) -> Array:
-        """Half the grid's step."""
-        return np.full(len(self.wave.orders), STEP / 2)
-
-    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        turned = joints[:, self.wave.joints]
-        angle = turned * np.array(self.wave.orders)
-        slope = turned * (np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle))
-        return along_joints(geometry, joints, self.wave.joints, slope)
-
-
 def refined(
     wave: PeriodicTerm, others: tuple[Term, ...], bare: Identification, observations: Observations
 ) -> PeriodicTerm:
@@ -359,7 +329,7 @@ def refined(
         linear = Linearised.of(bare, (*others, wave))
         solution = solved(*_all_equations(linear, observations)) * linear.scale
         sines, cosines = solution[linear.coefficients_of(len(others))].reshape(-1, 2).T.tolist()
-        linear = Linearised.of(bare, (*others, wave, _OrderTerm(wave, tuple(sines), tuple(cosines))))
+        linear = Linearised.of(bare, (*others, wave, OrderTerm(wave, tuple(sines), tuple(cosines))))
         matrix, right, everything = _all_equations(linear, observations)
         solution = solved(matrix, right, everything)
         places = linear.coefficients_of(len(others) + 1)

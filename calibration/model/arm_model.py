@@ -157,6 +157,10 @@ SHOWN = 1e-3
 """Combinations of moments that poses show less than this share of the clearest are left at zero."""
 
 
+ORDER_TOLERANCE = 0.25
+"""Scale of a deviation of a harmonic's order, cycles per turn."""
+
+
 @dataclass(frozen=True)
 class ComplianceTerm:
     """Joints yield: dq = c tau, one coefficient c = 1/k per joint (rad/(N*m) or m/N).
@@ -300,6 +304,30 @@ class PeriodicTerm:
         angle = joints[:, self.joints] * np.array(self.orders)
         wave = np.stack([np.sin(angle), np.cos(angle)], -1).reshape(len(joints), -1)
         return np.ascontiguousarray(along_joints(geometry, joints, np.repeat(self.joints, 2), wave))
+
+
+@dataclass(frozen=True)
+class OrderTerm:
+    """How the tool moves as a harmonic's order does: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
+
+    wave: PeriodicTerm
+    sines: tuple[float, ...]
+    cosines: tuple[float, ...]
+
+    def names(self, geometry: Geometry) -> tuple[str, ...]:
+        """Numbered as the harmonics are."""
+        return tuple(f"order{i}" for i in range(len(self.wave.orders)))
+
+    def tolerances(self, geometry: Geometry) -> Array:
+        """Half the step of the grid on which orders are sought."""
+        return np.full(len(self.wave.orders), ORDER_TOLERANCE)
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """The joint Jacobian's columns times the slopes."""
+        turned = joints[:, self.wave.joints]
+        angle = turned * np.array(self.wave.orders)
+        slope = turned * (np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle))
+        return along_joints(geometry, joints, self.wave.joints, slope)
 
 
 @dataclass(frozen=True)

@@ -123,12 +123,6 @@ class Measurements(OneGroup):
         """The measured positions."""
         return self.position
 
-    def imagined(self, joints: Array) -> Measurements:
-        """What such an instrument would be asked at other joints ``(M, n)``; only kind and uncertainties are real."""
-        rotation = None if self.rotation is None else np.broadcast_to(np.eye(3), (len(joints), 3, 3))
-        blank = np.zeros((len(joints), 3))
-        return replace(self, joints=joints, position=blank, rotation=rotation, conditions=Conditions(), origins=None)
-
     def positions_only(self) -> Measurements:
         """The same data set without attitudes."""
         return replace(self, rotation=None)
@@ -442,11 +436,11 @@ class Stacked:
 
     def select(self, rows: ArrayLike) -> Self:
         """The stations that hold only the given rows; those without any are left out."""
-        rows = np.arange(len(self.places))[np.asarray(rows)]
-        owners = self.places[rows]
+        numbers = np.arange(len(self.places))[np.asarray(rows)]
+        owners = self.places[numbers]
         some = [i for i in range(len(self.stations)) if (owners == i).any()] or [0]
         first, parts = self._first_rows(), self.stations
-        kept = tuple(replace(parts[i], data=parts[i].data.select(rows[owners == i] - first[i])) for i in some)
+        kept = tuple(replace(parts[i], data=parts[i].data.select(numbers[owners == i] - first[i])) for i in some)
         return replace(self, stations=kept)
 
     def weighed(self, scales: Sequence[float]) -> Self:

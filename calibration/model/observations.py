@@ -310,16 +310,19 @@ class OneGroup:
     def select(self, rows: ArrayLike) -> Self:
         """The data set that holds only the given rows (indices or a mask)."""
         rows = np.asarray(rows)
-        values: dict[str, Any] = {name: getattr(self, name) for name in ("joints", *self.per_row)}
-        changed = {name: None if value is None else value[rows] for name, value in values.items()}
-        changed |= {"conditions": self.conditions.select(rows), "origins": origins_of(self).select(rows)}  # type: ignore[arg-type]
-        return replace(self, **changed)  # type: ignore[type-var]
+        origins = origins_of(self).select(rows)  # type: ignore[arg-type]
+        changed = {"joints": self.joints[rows], "conditions": self.conditions.select(rows), "origins": origins}
+        return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
 
     def imagined(self, joints: Array) -> Self:
         """What such an instrument would be asked at other joints ``(M, n)``: its readings, over and over."""
         rows = np.resize(np.arange(len(self.joints)), len(joints))
-        changed: dict[str, Any] = {name: getattr(self, name)[rows] for name in self.per_row}
-        return replace(self, joints=joints, conditions=Conditions(), origins=None, **changed)  # type: ignore[type-var]
+        return replace(self, joints=joints, conditions=Conditions(), origins=None, **self._arrays(rows))  # type: ignore[type-var]
+
+    def _arrays(self, rows: NDArray[Any]) -> dict[str, Any]:
+        """Some rows of the arrays that hold one entry per row."""
+        values = {name: getattr(self, name) for name in self.per_row}
+        return {name: None if value is None else value[rows] for name, value in values.items()}
 
 
 def hash_of(*parts: Array) -> str:

@@ -170,9 +170,8 @@ class PixelObservations(OneGroup):
     def imagined(self, joints: Array) -> Self:
         """What the camera would be asked at other joints ``(M, n)``, were every corner seen (see `visible`)."""
         usual = np.full_like(self.std, np.median(self.std[self.seen]))
-        blank = np.full(len(self.joints), "")
-        whole = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=blank, pictures=blank)
-        return replace(OneGroup.imagined(whole, joints), remarks=None, pictures=None)
+        whole = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
+        return OneGroup.imagined(whole, joints)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
         """Which corners a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
