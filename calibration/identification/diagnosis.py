@@ -27,14 +27,10 @@ from pickenv.errors import InputError
 
 # Rows of data sets of any kind: split for judgement, so that each group is trained on and none judges that was.
 
-ROUNDED = {"mm": 5e-6, "deg": 1e-5, "px": 0.03}
-"""What a reading changes by when it is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad and px: a third of
-what such instruments scatter by, so that a pose measured anew reads alike once in five times (`CHANCE`)."""
-
 CHANCE, ROUGH = 0.2, 0.9
 UNLIKELY = 1e-3
 """So many equal readings among poses measured anew would come by chance that rarely; where both files are written more
-roughly than `ROUNDED`, a reading is taken to be equal by chance nine times in ten (`ROUGH`)."""
+roughly than `Observations.rounding`, a reading is taken to be equal by chance nine times in ten (`ROUGH`)."""
 
 IDENTICAL = 1e-8
 """Joints that agree so well are one number, rad or m."""
@@ -44,16 +40,16 @@ def refuse_trained(train: Observations, test: Observations) -> None:
     """Refuse rows to judge by that are training rows, as they stand, rounded, or in another order.
 
     A pose may be measured again to judge by: then its reading differs by what instrument and arm scatter. A row is a
-    training row if it is of the same pose (`SAME_POSE`) and also reads alike, within `ROUNDED` or within the last digit
-    written. Such rows are refused where they are more than poses measured anew would give by chance (binomial,
-    `UNLIKELY`). Where readings are labels, such as a socket's number, the joints are what was read.
+    training row if it is of the same pose (`SAME_POSE`) and also reads alike, within `Observations.rounding` or within
+    the last digit written. Such rows are refused where they are more than poses measured anew would give by chance
+    (binomial, `UNLIKELY`). Where readings are labels, such as a socket's number, the joints are what was read.
 
     Raises:
         InputError: Names file and lines of these rows, and of the training rows that they are.
     """
     there, here = [], []
-    for other in _parts(test):
-        for known in _parts(train):
+    for other in test.parts:
+        for known in train.parts:
             rows, copied = _copies(known, other)
             there += [origins_of(other).place(row) for row in rows.tolist()]
             here += [origins_of(known).place(row) for row in copied.tolist()]
@@ -73,17 +69,13 @@ def said_of_repeats(train: Observations, test: Observations) -> Iterator[tuple[L
         yield "caution" if 2 * count > rows else "note", said
 
 
-def _parts(data: Observations) -> tuple[Observations, ...]:
-    return data.parts if isinstance(data, Stacked) else (data,)
-
-
 def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
     """Rows of ``other`` that are rows of ``known``, and which; none where they are few enough to be chance."""
     none = np.zeros(0, dtype=np.int64)
     mine, theirs = known.readings(), other.readings()
     if type(known) is not type(other) or mine.shape[1] != theirs.shape[1] or not len(mine) or not len(theirs):
         return none, none
-    rounded, near = ROUNDED["px" if isinstance(known, PixelObservations) else known.miss_unit], SAME_POSE
+    rounded, near = known.rounding, SAME_POSE
     if 2 * len(np.unique(mine, axis=0)) <= len(mine):  # labels
         mine, theirs, rounded, near = known.joints, other.joints, IDENTICAL, IDENTICAL
     poses = int(np.count_nonzero(_nearest(known.joints, other.joints, near) >= 0))

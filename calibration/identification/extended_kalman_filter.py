@@ -73,12 +73,7 @@ class FilterState:
 
 
 def start_filter(
-    model: ErrorModel,
-    start: Geometry | ArmModel,
-    joints: Array,
-    *,
-    full_pose: bool = True,
-    prior: float = PRIOR,
+    model: ErrorModel, start: Geometry | ArmModel, joints: Array, *, full_pose: bool = True, prior: float = PRIOR
 ) -> FilterState:
     """A filter that knows nothing but the nominal arm.
 

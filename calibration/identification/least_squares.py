@@ -408,7 +408,7 @@ def _enough_poses(
         matrix, names = _system(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
         elsewhere = identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance)
         full = max(full, elsewhere.rank)
-    if rows <= full or (isinstance(part, Measurements) and rank < full and rows < 2 * full):
+    if rows <= full or (part.kind in ("pose", "position") and rank < full and rows < 2 * full):
         poses = sum(len(part.joints) for part in sets)
         needed = -int(-2 * full // (rows / poses))
         raise InputError(

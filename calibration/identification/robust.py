@@ -19,17 +19,9 @@ from pickenv.arm.kinematics.geometry import Array, identity_pose
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, ErrorModel, frames_model, geometric_model
 from pickenv.calibration.model.kinds import ReflectorObservations
-from pickenv.calibration.model.measurements import (
-    OWN,
-    InstrumentStation,
-    Measurements,
-    Stacked,
-    joinable,
-    rows_together,
-)
+from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced, nearest_rotation, origins_of
-from pickenv.calibration.model.pixels import PixelObservations, undistorted
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
 
@@ -106,6 +98,13 @@ def _cost(geometry: Geometry, measurements: Measurements) -> float:
     return position + turn
 
 
+def laid_onto(points: Array, targets: Array) -> tuple[Array, Array]:
+    """Rotations ``(..., 3, 3)`` and shifts ``(..., 3)`` that lay points ``(..., N, 3)`` best onto others (Kabsch)."""
+    middle, centre = points.mean(axis=-2, keepdims=True), targets.mean(axis=-2, keepdims=True)
+    turn = nearest_rotation(np.swapaxes(targets - centre, -1, -2) @ (points - middle))
+    return turn, (centre - middle @ np.swapaxes(turn, -1, -2))[..., 0, :]
+
+
 def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measurements) -> Geometry:
     """The geometry with this tool, and with the base that lays its poses best onto the measured ones.
 
@@ -114,7 +113,7 @@ def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measur
     nominal = chain.position + chain.rotation @ tool.position
     measured = measurements.position
     if measurements.rotation is None:
-        turn = nearest_rotation((measured - measured.mean(0)).T @ (nominal - nominal.mean(0)))
+        turn, _ = laid_onto(nominal, measured)
     else:
         turn = nearest_rotation(np.einsum("nij,nkj->ik", measurements.rotation, chain.rotation @ tool.rotation))
     base = Pose(measured.mean(0) - turn @ nominal.mean(0), turn)
@@ -283,10 +282,7 @@ def robust_identify(
 
 
 def robust_align(
-    geometry: Geometry,
-    measurements: Measurements,
-    frames: ErrorModel,
-    rng: np.random.Generator,
+    geometry: Geometry, measurements: Measurements, frames: ErrorModel, rng: np.random.Generator
 ) -> RobustIdentification:
     """`align` for data with gross errors: base and tool from the poses that agree with each other.
 
@@ -338,9 +334,7 @@ class Sizes:
     @property
     def sigma(self) -> Array:
         """The largest of each row ``(N,)``, in robust standard deviations of one coordinate."""
-        return np.asarray(
-            np.nanmax(np.vstack([self.errors / self.scales[:, None], np.zeros(self.errors.shape[1])]), axis=0)
-        )
+        return np.asarray(np.fmax.reduce(self.errors / self.scales[:, None], axis=0, initial=0.0))
 
     @property
     def outliers(self) -> Rows:
@@ -391,61 +385,12 @@ def _median(values: Array, counts: Array) -> float:
 
 
 def _registered_misses(nominal: Array, measured: Array, rows: Rows) -> Array:
-    """Distances ``(T, N)`` of measured points from nominal ones after T rigid registrations of few rows (Kabsch)."""
-    here, there = nominal[rows], measured[rows]
-    from_, to = here.mean(axis=1, keepdims=True), there.mean(axis=1, keepdims=True)
-    turn = nearest_rotation(np.swapaxes(here - from_, 1, 2) @ (there - to))  # row vectors: point @ turn
-    return np.asarray(np.linalg.norm((nominal - from_) @ turn + to - measured, axis=2))
+    """Distances ``(T, N)`` of measured points from nominal ones after T rigid registrations of few rows."""
+    turn, shift = laid_onto(nominal[rows], measured[rows])
+    return np.asarray(np.linalg.norm(nominal @ np.swapaxes(turn, 1, 2) + shift[:, None] - measured, axis=2))
 
 
-# Where the identification of a data set of any kind starts: what of an arm is fitted, and base and tool from
-# anywhere. Poses and positions have closed forms; boards' poses in pictures and the reflector seen most often are
-# poses and positions of their own; wires and contacts start where the arm is said to stand. SI units.
-
-
-# Where a flat board stands in a camera's frame, view by view: a homography, then its two rotations' common pose. A
-# first pose to start from (Zhang 2000, section 3.1), not a result: the fit of the arm takes the corners themselves.
-
-LEAST_CORNERS = 4
-
-
-def board_poses(data: PixelObservations) -> Pose:
-    """The board in the camera's frame in each view ``(V,)``.
-
-    Args:
-        data: Views with at least four corners each, not all in one line; the board's corners lie in its plane z = 0.
-    """
-    poses = [
-        _pose(data.board[seen, :2], undistorted(data.camera.values, corners[seen]))
-        for corners, seen in zip(data.corners, data.seen, strict=True)
-    ]
-    return Pose(np.array([p.position for p in poses]), np.array([p.rotation for p in poses]))
-
-
-def _pose(flat: Array, rays: Array) -> Pose:
-    """The pose whose first two columns and position are the homography from the board to the rays."""
-    homography = _homography(flat, rays)
-    scale = np.linalg.norm(homography[:, :2], axis=0).mean()
-    first, second, position = (homography / scale).T
-    if position[2] < 0.0:  # the board is in front of the camera
-        first, second, position = -first, -second, -position
-    rotation = nearest_rotation(np.stack([first, second, np.cross(first, second)], axis=1))
-    return Pose(position, rotation)
-
-
-def _homography(flat: Array, rays: Array) -> Array:
-    """H of (ray, 1) ~ H (point, 1), by the normalised direct linear transform (Hartley 1997)."""
-    middle, size = flat.mean(axis=0), float(np.sqrt(2.0) / np.linalg.norm(flat - flat.mean(axis=0), axis=1).mean())
-    points = np.column_stack([(flat - middle) * size, np.ones(len(flat))])
-    blank = np.zeros_like(points)
-    rows = np.concatenate(
-        [np.hstack([points, blank, -rays[:, :1] * points]), np.hstack([blank, points, -rays[:, 1:] * points])]
-    )
-    found = np.linalg.svd(rows)[2][-1].reshape(3, 3)
-    return np.asarray(
-        found @ np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]])
-    )
-
+# Where the identification starts, and which files are of one set-up.
 
 FILE_ROWS, SET_UP_ROWS = 150, 450
 """Rows of a file, and of a set-up, that are looked at to find set-ups."""
@@ -477,30 +422,18 @@ def rough_start(nominal: Geometry, data: Observations) -> Geometry:
     Raises:
         InputError: If the reflector's positions do not fit the arm.
     """
-    if isinstance(data, Stacked):
-        return rough_start(nominal, data.parts[0])
-    if isinstance(data, Measurements):
-        return align(nominal, data, frames_model(nominal), judge=False).geometry
-    if isinstance(data, PixelObservations):
-        seen = board_poses(data)
-        if data.mount == "hand":
-            back = np.swapaxes(seen.rotation, 1, 2)
-            seen = Pose(-(back @ seen.position[..., None])[..., 0], back)
-        rough = Measurements(data.joints, seen.position, seen.rotation, nominal.prismatic, source=data.source)
-        return align(nominal, rough, frames_model(nominal), judge=False).geometry
-    if not isinstance(data, ReflectorObservations):
+    data = data.parts[0]
+    rough = data.rough_poses(nominal.prismatic)
+    if rough is None:
         return nominal
-    which = int(np.argmax(data.seen.sum(axis=0)))
-    rows = data.seen[:, which]
-    one = Measurements(data.joints[rows], data.points[rows, which], None, nominal.prismatic, source=data.source)
-    aligned = align(nominal, one, frames_model(nominal), judge=False).geometry
-    refuse_another_arm(aligned, one, f"after fitting base and reflector {which + 1}", nominal)
+    aligned = align(nominal, rough, frames_model(nominal), judge=False).geometry
+    if not isinstance(data, ReflectorObservations):
+        return aligned
+    refuse_another_arm(aligned, rough, f"after fitting base and reflector {data.clearest + 1}", nominal)
     if data.places is None or len(data.places) < 3:
         return aligned
-    local = data.seen_from(ArmModel.of(aligned))  # known places turn and shift the tool to where they are seen
-    middle, centre = data.places.mean(axis=0), local.mean(axis=0)
-    turn = nearest_rotation((local - centre).T @ (data.places - middle))
-    tool, shift = aligned.tool, centre - turn @ middle
+    # Known places turn and shift the tool to where they are seen.
+    (turn, shift), tool = laid_onto(data.places, data.seen_from(ArmModel.of(aligned))), aligned.tool
     return replace(aligned, tool=Pose(tool.position + tool.rotation @ shift, tool.rotation @ turn))
 
 
@@ -538,16 +471,18 @@ def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) ->
     Raises:
         InputError: If a set does not fit the arm.
     """
-    first, *others = sorted(data, key=lambda part: not part.framed)
-    stations = [_station(arm, part, number, own) for number, part in enumerate(others, start=2)]
-    return Stacked((InstrumentStation(first), *stations))
+    parts = sorted(data, key=lambda part: not part.framed)
+    return _stations(arm, parts, [own] * (len(parts) - 1))
 
 
-def _station(arm: Arm, part: Observations, number: int, own: Collection[str]) -> InstrumentStation:
-    """A data set with frames of its own, which are looked for from where they are if the arm is nominal."""
-    start = robust_frames(arm, part) if part.framed else arm.nominal
-    base = start.base if "base" in own and part.framed else None
-    return InstrumentStation(part, number, base, start.tool if "tool" in own else None)
+def _stations(arm: Arm, parts: Sequence[Observations], own: Sequence[Collection[str]]) -> Stacked:
+    """Stations, all but the first with frames of their own, looked for from where they are if the arm is nominal."""
+    stations = [InstrumentStation(parts[0])]
+    for number, (part, names) in enumerate(zip(parts[1:], own, strict=True), start=2):
+        start = robust_frames(arm, part) if part.framed else arm.nominal
+        base = start.base if "base" in names and part.framed else None
+        stations.append(InstrumentStation(part, number, base, start.tool if "tool" in names else None))
+    return Stacked(tuple(stations))
 
 
 @dataclass(frozen=True)
@@ -573,15 +508,9 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
     Raises:
         InputError: If the rows of a set-up do not fit the arm.
     """
-    first, *others = set_ups(arm, parts)
-    whole = [rows_together([parts[i] for i in each.parts]) for each in (first, *others)]
-    if not others:
-        return whole[0]
-    stations = [
-        _station(arm, part, number, each.own)
-        for number, (part, each) in enumerate(zip(whole[1:], others, strict=True), 2)
-    ]
-    return Stacked((InstrumentStation(whole[0]), *stations))
+    groups = set_ups(arm, parts)
+    whole = [rows_together([parts[i] for i in group.parts]) for group in groups]
+    return whole[0] if len(whole) == 1 else _stations(arm, whole, [group.own for group in groups[1:]])
 
 
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
@@ -616,7 +545,7 @@ def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | 
 def _with_file(known: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) -> Iterator[tuple[SetUp, ...]]:
     """The set-ups with one more file: as one of theirs, or as another."""
     for number, each in enumerate(known):
-        if joinable([parts[each.parts[0]], parts[i]]):
+        if parts[each.parts[0]].joinable(parts[i]):
             joined = replace(each, parts=(*each.parts, i))
             yield (*known[:number], joined, *known[number + 1 :])
         elif number == 0:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
+from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, Origins, Rows, Stated, point_jacobian
 
 # The point of the tool that an instrument sees or touches: where a wire is hooked, a ball's centre, a probe's tip. It
@@ -488,6 +489,16 @@ class ReflectorObservations(OneGroup):
         """The places stated, or the mean of the measured points as the tool sees them."""
         return self.seen_from(model).ravel() if self.places is None else self.numbers.start()
 
+    @property
+    def clearest(self) -> int:
+        """The reflector that is seen most often, from 0."""
+        return int(np.argmax(self.seen.sum(axis=0)))
+
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
+        """Positions of the reflector that is seen most often."""
+        rows = self.seen[:, self.clearest]
+        return Measurements(self.joints[rows], self.points[rows, self.clearest], None, prismatic, source=self.source)
+
     def seen_from(self, model: ArmModel) -> Array:
         """Mean of the measured points in the frame of a model's tool ``(k, 3)``, m."""
         tool = model.pose(self.joints, self.conditions)
@@ -591,6 +602,7 @@ class TiltObservations(OneGroup):
     origins: Origins | None = None
     per_row = ("components", "std")
     miss_unit = "deg"
+    rounding = 1e-5
     sized = False
 
     @property

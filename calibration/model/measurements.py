@@ -123,6 +123,16 @@ class Measurements(OneGroup):
         """The measured positions."""
         return self.position
 
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
+        """Themselves."""
+        return self
+
+    def joinable(self, other: Measurements) -> bool:
+        """Whether two data sets can be one: poses or positions alike, of about the same uncertainty."""
+        stds, others = (self.position_std, self.attitude_std), (other.position_std, other.attitude_std)
+        alike = (self.kind, self.frames) == (other.kind, other.frames)
+        return alike and np.allclose(others, stds, ALIKE, 0.0)
+
     def positions_only(self) -> Measurements:
         """The same data set without attitudes."""
         return replace(self, rotation=None)
@@ -322,6 +332,11 @@ class Stacked:
     stations: tuple[InstrumentStation, ...]
 
     @property
+    def rounding(self) -> float:
+        """The first one's."""
+        return self.parts[0].rounding
+
+    @property
     def parts(self) -> tuple[Observations, ...]:
         """The data sets."""
         return tuple(station.data for station in self.stations)
@@ -419,6 +434,10 @@ class Stacked:
         each = [station.misses(model, own) for station, own in self._with(unknowns)]
         return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in each])
 
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
+        """Of the first one, whose frames are the arm's."""
+        return self.parts[0].rough_poses(prismatic)
+
     def seen_by_station(
         self, model: ArmModel, unknowns: Array
     ) -> Iterator[tuple[Observations, ArmModel, Array, float]]:
@@ -504,18 +523,8 @@ class Stacked:
         return zip(self.stations, (unknowns[a:b] for a, b in pairwise(ends)), strict=True)
 
 
-def joinable(parts: Sequence[Measurements]) -> bool:
-    """Whether data sets can be one: poses or positions alike, of about the same uncertainty."""
-    first = parts[0]
-    return all(
-        (part.kind, part.frames) == (first.kind, first.frames)
-        and np.allclose((part.position_std, part.attitude_std), (first.position_std, first.attitude_std), ALIKE, 0.0)
-        for part in parts
-    )
-
-
 def rows_together(parts: Sequence[Measurements]) -> Measurements:
-    """Rows of `joinable` data sets one after the other; conditions that all of them recorded."""
+    """Rows of data sets that are `Measurements.joinable` one after the other; conditions that all of them recorded."""
     first = parts[0]
     if len(parts) == 1:
         return first

@@ -140,6 +140,17 @@ class Observations(Equations, Protocol):
         """The row that each of `misses` belongs to ``(R,)``."""
 
     @property
+    def parts(self) -> tuple[Observations, ...]:
+        """The data sets of the stations, or this one alone."""
+
+    @property
+    def rounding(self) -> float:
+        """What a reading changes by when it is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px.
+
+        A third of what such instruments scatter by, so that a pose measured anew reads alike once in five times.
+        """
+
+    @property
     def miss_unit(self) -> str:
         """What screens show `misses` in: "mm" of metres, "deg" of radians."""
 
@@ -157,6 +168,9 @@ class Observations(Equations, Protocol):
 
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
+
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
+        """Poses or positions (`Measurements`) that the rows are worth by themselves, to start from; None where none."""
 
     def fingerprint(self) -> str:
         """Hash of the numbers, which a calibration records."""
@@ -230,7 +244,13 @@ class OneGroup:
     """Equations of each miss."""
 
     miss_unit = "mm"
+    rounding = 5e-6
     sized = True
+
+    @property
+    def parts(self) -> tuple[Self, ...]:
+        """One station alone."""
+        return (self,)
 
     @cached_property
     def numbers(self) -> Stated:
@@ -256,6 +276,9 @@ class OneGroup:
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``."""
         raise NotImplementedError
+
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
+        """None: such readings say nothing of poses by themselves."""
 
     def fingerprint(self) -> str:
         """Of joints and readings."""

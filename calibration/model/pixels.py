@@ -14,9 +14,11 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from pickenv.arm import Pose
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.observations import OneGroup, Origins, Rows, Stated, point_jacobian
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import OneGroup, Origins, Rows, Stated, nearest_rotation, point_jacobian
 
 # What a camera makes of a point: a pinhole, and the radial and tangential distortion of its lens. Brown 1971, with
 # the coefficients as OpenCV and ROS ("plumb_bob") order them: k1, k2, p1, p2, k3. Points lie in the camera's frame (x
@@ -156,6 +158,7 @@ class PixelObservations(OneGroup):
     pictures: NDArray[np.str_] | None = None
     per_row = ("corners", "seen", "std", "remarks", "pictures")
     width = 2
+    rounding = 0.03
 
     @cached_property
     def numbers(self) -> Stated:
@@ -172,6 +175,14 @@ class PixelObservations(OneGroup):
         usual = np.full_like(self.std, np.median(self.std[self.seen]))
         whole = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
         return OneGroup.imagined(whole, joints)
+
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
+        """The board's poses in the camera, or the camera's before the board."""
+        poses = board_poses(self)
+        if self.mount == "hand":
+            back = np.swapaxes(poses.rotation, 1, 2)
+            poses = Pose(-(back @ poses.position[..., None])[..., 0], back)
+        return Measurements(self.joints, poses.position, poses.rotation, prismatic, source=self.source)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
         """Which corners a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
@@ -236,3 +247,45 @@ class PixelObservations(OneGroup):
 def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
     """The same views with a lens that is "fixed" or "free", whatever their description says."""
     return replace(data, lens_std=np.full(len(LENS_NAMES), 0.0 if kind == "fixed" else np.inf))
+
+
+# Where a flat board stands in a camera's frame, view by view: a homography, then its two rotations' common pose. A
+# first pose to start from (Zhang 2000, section 3.1), not a result: the fit of the arm takes the corners themselves.
+
+
+def board_poses(data: PixelObservations) -> Pose:
+    """The board in the camera's frame in each view ``(V,)``.
+
+    Args:
+        data: Views with at least four corners each, not all in one line; the board's corners lie in its plane z = 0.
+    """
+    poses = [
+        _pose(data.board[seen, :2], undistorted(data.camera.values, corners[seen]))
+        for corners, seen in zip(data.corners, data.seen, strict=True)
+    ]
+    return Pose(np.array([p.position for p in poses]), np.array([p.rotation for p in poses]))
+
+
+def _pose(flat: Array, rays: Array) -> Pose:
+    """The pose whose first two columns and position are the homography from the board to the rays."""
+    homography = _homography(flat, rays)
+    scale = np.linalg.norm(homography[:, :2], axis=0).mean()
+    first, second, position = (homography / scale).T
+    if position[2] < 0.0:  # the board is in front of the camera
+        first, second, position = -first, -second, -position
+    rotation = nearest_rotation(np.stack([first, second, np.cross(first, second)], axis=1))
+    return Pose(position, rotation)
+
+
+def _homography(flat: Array, rays: Array) -> Array:
+    """H of (ray, 1) ~ H (point, 1), by the normalised direct linear transform (Hartley 1997)."""
+    middle, size = flat.mean(axis=0), float(np.sqrt(2.0) / np.linalg.norm(flat - flat.mean(axis=0), axis=1).mean())
+    points = np.column_stack([(flat - middle) * size, np.ones(len(flat))])
+    blank = np.zeros_like(points)
+    rows = np.concatenate(
+        [np.hstack([points, blank, -rays[:, :1] * points]), np.hstack([blank, points, -rays[:, 1:] * points])]
+    )
+    found = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    return np.asarray(
+        found @ np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]])
+    )

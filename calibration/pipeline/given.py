@@ -72,7 +72,7 @@ class Choices:
 def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
     given = {"--frames known": choices.frames == "known"}
-    parts = train.parts if isinstance(train, Stacked) else (train,)
+    parts = train.parts
     tracked = all(isinstance(part, Measurements) for part in parts)
     given[f"--residual {choices.residual}"] = not tracked and choices.residual not in ("auto", "none")
     if choices.lens is not None and not isinstance(train, PixelObservations):

@@ -188,7 +188,7 @@ def calibrate(
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
     few = isinstance(train, Measurements) and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
-    if test is None and (split == "blocked" or few or isinstance(train, PixelObservations)):
+    if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
@@ -279,7 +279,7 @@ def _judged_elsewhere(draft: Draft, test: Observations) -> Result:
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
     """Rows to fit and rows held out, block by block; of few pictures, or very few poses, each is a block."""
     poses, count = same_poses(train.joints), pose_count(train.joints)
-    few = count <= (FEW_VIEWS if isinstance(train, PixelObservations) else FEW_ROWS)
+    few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
     return contiguous_folds(train.groups, poses, count if few else BLOCKS)
 
 
