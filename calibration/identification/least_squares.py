@@ -398,7 +398,8 @@ def _enough_poses(
     model: ErrorModel, arm: ArmModel, sets: Sequence[Equations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
     """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
-    if rows >= 2 * (len(model.names) + sum(len(values) for values in unknowns)):
+    parameters = len(model.names) + sum(len(values) for values in unknowns)
+    if rows >= 2 * parameters:
         return  # whatever the rank elsewhere, there are enough
     part, full = sets[0], rank
     if len(sets) == 1 and isinstance(part, Imaginable):

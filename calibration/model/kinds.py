@@ -1,8 +1,8 @@
-"""What a tool point is held against: a point, a line or a plane; its distance from it, and closed forms to start from.
+"""Kinds of measurement beyond poses and positions: sockets, distances, reflectors, tilts.
 
-A draw wire, a ball bar and a ball on a sphere keep a distance from a point, a ball on an edge from a line, a dial gauge
-and a probe on a table from a plane. Directions are three numbers, of which only the direction counts; one equation more
-keeps their length at one. SI units.
+What a tool point is held against is a point, a line or a plane: a draw wire, a ball bar and a ball on a sphere keep a
+distance from a point, a ball on an edge from a line, a dial gauge and a probe on a table from a plane. Directions are
+three numbers, of which only the direction counts; one equation more keeps their length at one. SI units.
 """
 
 from __future__ import annotations
@@ -506,19 +506,22 @@ class ReflectorObservations(OneGroup):
         weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
         return np.asarray(np.sum(np.where(self.seen[..., None], local, 0.0) * weight, axis=0))
 
-    def _errors(self, model: ArmModel, numbers: Array) -> Array:
-        """Measured minus predicted points ``(N, k, 3)``, m."""
+    def predict(self, model: ArmModel, unknowns: Array) -> Array:
+        """Predicted points ``(N, k, 3)``, m."""
+        return self._points(model, self.numbers.whole(unknowns))
+
+    def _points(self, model: ArmModel, numbers: Array) -> Array:
         tool = model.pose(self.joints, self.conditions)
-        turned = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
-        return np.asarray(self.points - (tool.position[:, None] + turned))
+        return np.asarray(tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3)))
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
         """One per reflector seen."""
-        return self._errors(model, numbers)[self.seen]
+        return np.asarray((self.points - self._points(model, numbers))[self.seen])
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
         """Of the reflectors seen."""
-        return np.asarray(np.einsum("nkij,nkj->nki", self._whitening(), self._errors(model, numbers))[self.seen])
+        errors = self.points - self._points(model, numbers)
+        return np.asarray(np.einsum("nkij,nkj->nki", self._whitening(), errors)[self.seen])
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
         """Of the reflectors seen."""
