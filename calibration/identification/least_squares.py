@@ -333,7 +333,7 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
 
 def observations_of(data: Measurements | Sequence[Equations]) -> tuple[Equations, ...]:
     """Poses and positions in the role of observations; other kinds as they are."""
-    return (data,) if isinstance(data, Measurements) else tuple(data)
+    return tuple(data) if isinstance(data, Sequence) else (data,)
 
 
 def _stacked(sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:

@@ -72,6 +72,7 @@ class Measurements(OneGroup):
     frames: Frames = "fitted"
     std_stated: bool = False
     framed = True
+    tracked = True
     per_row = ("position", "rotation")
 
     def __len__(self) -> int:
@@ -330,6 +331,7 @@ class Stacked:
     """
 
     stations: tuple[InstrumentStation, ...]
+    tracked = False
 
     @property
     def rounding(self) -> float:

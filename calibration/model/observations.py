@@ -144,6 +144,10 @@ class Observations(Equations, Protocol):
         """The data sets of the stations, or this one alone."""
 
     @property
+    def tracked(self) -> bool:
+        """Whether these are `Measurements`: poses or positions of the tool in one instrument's frame."""
+
+    @property
     def rounding(self) -> float:
         """What a reading changes by when it is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px.
 
@@ -246,6 +250,7 @@ class OneGroup:
     miss_unit = "mm"
     rounding = 5e-6
     sized = True
+    tracked = False
 
     @property
     def parts(self) -> tuple[Self, ...]:

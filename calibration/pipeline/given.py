@@ -16,7 +16,6 @@ from pickenv.calibration.identification.robust import by_set_up, placed, station
 from pickenv.calibration.model.arm_model import pose_carrier
 from pickenv.calibration.model.measurements import OWN, Frames, Measurements, Stacked, joint_columns, random_joints
 from pickenv.calibration.model.observations import Observations, equally_spaced, named, origins_of
-from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.verification import REFIT_ROWS
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_observations, read_targets
@@ -73,9 +72,9 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
     given = {"--frames known": choices.frames == "known"}
     parts = train.parts
-    tracked = all(isinstance(part, Measurements) for part in parts)
+    tracked = all(part.tracked for part in parts)
     given[f"--residual {choices.residual}"] = not tracked and choices.residual not in ("auto", "none")
-    if choices.lens is not None and not isinstance(train, PixelObservations):
+    if choices.lens is not None and train.kind != "pixels":
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
     one, several = (" of one station", " of several") if tracked else ("", "")
     for option, wanted in given.items():
@@ -247,7 +246,7 @@ def _joined(
         if isinstance(like, Stacked) and tracked:
             return placed(arm, like, tracked)
         free = not known and like is None and all(part.frames == "fitted" for part in tracked)
-        if len(tracked) > 1 and free and all(isinstance(part, Measurements) for part in sets):
+        if len(tracked) > 1 and free and all(part.tracked for part in sets):
             several = by_set_up(arm, tracked)
             return sets[0] if len(sets) == 1 and isinstance(several, Measurements) else several
     return sets[0] if len(sets) == 1 else stations_of(arm, sets, STATIONS[stations or "base,tool"])
