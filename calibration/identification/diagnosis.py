@@ -1,4 +1,4 @@
-"""What is wrong with a data set as a whole: rows far off, units mixed within a column, rows of another set-up.
+"""What is wrong with a data set as a whole: rows far off or trained on, units mixed within a column, another set-up.
 
 No single cell betrays these. A robust fit, always made, finds the poses that agree with each other; whatever the others
 have in common (one column that fits in another unit) is said. Held-out rows pass the same checks before they judge.
@@ -25,7 +25,7 @@ from pickenv.calibration.model.observations import MISS_UNITS, SAME_POSE, Kind, 
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.errors import InputError
 
-# Rows of data sets of any kind: split for judgement, so that each group is trained on and none judges that was.
+# Rows to judge by that are rows trained on.
 
 CHANCE, ROUGH = 0.2, 0.9
 UNLIKELY = 1e-3

@@ -1,4 +1,4 @@
-"""Identification that outliers cannot pull: iteratively re-weighted least squares, and a list of the outliers.
+"""Identification from anywhere, which outliers cannot pull: alignment, re-weighted least squares, files of one set-up.
 
 Each row of a data set of any kind gets one weight from a Huber or Cauchy loss of its size in robust standard deviations
 (median based, so that nearly half of the rows may be wrong; Holland and Welsch 1977). What one instrument reads in one

@@ -1,4 +1,4 @@
-"""Measurements of an arm: joint displacements and what an instrument saw of the tool, with units and uncertainty.
+"""Measurements of an arm: joints and what instruments saw of the tool, alone or as several stations of one fit.
 
 Our own CSV files name every column with its unit: q1_deg, q2_mm, …, x_mm, y_mm, z_mm and, for full poses, the rotation
 vector rx_deg, ry_deg, rz_deg. Foreign files are read through a column description (`pickenv.calibration.reading.read`).

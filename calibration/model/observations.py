@@ -1,4 +1,4 @@
-"""What a data set of any kind must answer; the kinds beyond `Measurements` stand in `pickenv.calibration.model.kinds`.
+"""What a data set of any kind must answer; kinds beyond `Measurements` stand in `kinds` and `pixels` beside it.
 
 Each kind brings unknowns of its own (where the reflectors sit, the wire is anchored, the sockets are), which are
 identified together with the arm. Rows are whitened by their covariance, so any mix may be stacked. SI units.
