@@ -17,15 +17,21 @@ from scipy import stats
 from pickenv.arm import Geometry, forward, parameter_jacobian
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.screen import Block, figure
-from pickenv.calibration.identification.least_squares import Identification, identify, is_angle
-from pickenv.calibration.identification.robust import apart, unknowns_of
+from pickenv.calibration.identification.least_squares import Identification, identify, is_angle, unknowns_of
+from pickenv.calibration.identification.robust import apart
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, ErrorModel, frames_model
-from pickenv.calibration.model.kinds.distances import DistanceObservations
-from pickenv.calibration.model.measurements import Measurements, random_joints
+from pickenv.calibration.model.kinds import DistanceObservations
+from pickenv.calibration.model.measurements import (
+    OWN,
+    InstrumentStation,
+    Measurements,
+    Stacked,
+    frame_columns,
+    random_joints,
+)
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZEROS, PriorModel
-from pickenv.calibration.model.stacked import OWN, InstrumentStation, Stacked, frame_columns
 
 # What a calibration with fitted base and tool leaves open: the error in the robot's own base frame. An instrument
 # that stood anywhere cannot tell a base that lies elsewhere from links that shift or turn everything alike. The
@@ -194,7 +200,7 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
     rows: list[dict[str, Any]] = []
     for station in data.stations if isinstance(data, Stacked) else (InstrumentStation(data),):
         unknowns = np.array([found.unknowns[name] for name in station.unknowns()])
-        there = station.seen(found.arm_model, station.parted(unknowns)[1]).geometry
+        there = station.seen(found.arm_model, unknowns)[0].geometry
         moved = {name: apart(getattr(found.geometry, name), getattr(there, name)) for name in station.frames}
         origins = origins_of(station.data)
         row: dict[str, Any] = {

@@ -17,8 +17,13 @@ from scipy import stats
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.expected_errors import SURE, Workspace
-from pickenv.calibration.identification.least_squares import Identification, is_angle
-from pickenv.calibration.model.identifiability import Identifiability, Observability, observability_of
+from pickenv.calibration.identification.least_squares import (
+    Identifiability,
+    Identification,
+    Observability,
+    is_angle,
+    observability_of,
+)
 from pickenv.calibration.model.observations import MISS_UNITS
 
 CORRELATED = 0.9

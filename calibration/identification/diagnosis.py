@@ -1,4 +1,4 @@
-"""What is wrong with a data set as a whole: rows far off, units mixed within a column, rows of another set-up.
+"""What is wrong with a data set as a whole: rows far off or trained on, units mixed within a column, another set-up.
 
 No single cell betrays these. A robust fit, always made, finds the poses that agree with each other; whatever the others
 have in common (one column that fits in another unit) is said. Held-out rows pass the same checks before they judge.
@@ -12,33 +12,101 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.stats import binom
 
 from pickenv.arm import Arm, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.least_squares import Identification
-from pickenv.calibration.identification.robust import (
-    OUTLIER_SIGMA,
-    RobustIdentification,
-    Sizes,
-    align,
-    apart,
-    robust_identify,
-    sizes_of,
-    unknowns_of,
-)
-from pickenv.calibration.identification.starts import fitted_model, robust_frames
+from pickenv.calibration.identification.least_squares import Identification, unknowns_of
+from pickenv.calibration.identification.robust import OUTLIER_SIGMA, RobustIdentification, align, apart, robust_fit
 from pickenv.calibration.model.arm_model import frames_model
-from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import MISS_UNITS, Kind, Observations, Rows, equally_spaced, origins_of
+from pickenv.calibration.model.measurements import Measurements, Stacked
+from pickenv.calibration.model.observations import MISS_UNITS, SAME_POSE, Kind, Observations, Rows, named, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.stacked import Stacked
 from pickenv.errors import InputError
+
+# Rows to judge by that are rows trained on.
+
+CHANCE, ROUGH = 0.2, 0.9
+UNLIKELY = 1e-3
+"""So many equal readings among poses measured anew would come by chance that rarely; where both files are written more
+roughly than `Observations.rounding`, a reading is taken to be equal by chance nine times in ten (`ROUGH`)."""
+
+IDENTICAL = 1e-8
+"""Joints that agree so well are one number, rad or m."""
+
+
+def refuse_trained(train: Observations, test: Observations) -> None:
+    """Refuse rows to judge by that are training rows, as they stand, rounded, or in another order.
+
+    A pose may be measured again to judge by: then its reading differs by what instrument and arm scatter. A row is a
+    training row if it is of the same pose (`SAME_POSE`) and also reads alike, within `Observations.rounding` or within
+    the last digit written. Such rows are refused where they are more than poses measured anew would give by chance
+    (binomial, `UNLIKELY`). Where readings are labels, such as a socket's number, the joints are what was read.
+
+    Raises:
+        InputError: Names file and lines of these rows, and of the training rows that they are.
+    """
+    there, here = [], []
+    for other in test.parts:
+        for known in train.parts:
+            rows, copied = _copies(known, other)
+            there += [origins_of(other).place(row) for row in rows.tolist()]
+            here += [origins_of(known).place(row) for row in copied.tolist()]
+    if there:
+        raise InputError(
+            f"{named(there)} of the rows to judge by: trained on too ({named(here)}), with the same joints and, but "
+            "for rounding, the same reading; give rows that were measured by themselves"
+        )
+
+
+def said_of_repeats(train: Observations, test: Observations) -> Iterator[tuple[Literal["caution", "note"], str]]:
+    """What a verdict says where rows to judge by stand at poses that were trained on: a caution where most do."""
+    rows = len(test.joints)
+    count = int(np.count_nonzero(_nearest(train.joints, test.joints, SAME_POSE) >= 0)) if rows else 0
+    if count:
+        said = f"{count} of {rows} held-out rows are at poses that were trained on, and say nothing of others"
+        yield "caution" if 2 * count > rows else "note", said
+
+
+def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
+    """Rows of ``other`` that are rows of ``known``, and which; none where they are few enough to be chance."""
+    none = np.zeros(0, dtype=np.int64)
+    mine, theirs = known.readings(), other.readings()
+    if type(known) is not type(other) or mine.shape[1] != theirs.shape[1] or not len(mine) or not len(theirs):
+        return none, none
+    rounded, near = known.rounding, SAME_POSE
+    if 2 * len(np.unique(mine, axis=0)) <= len(mine):  # labels
+        mine, theirs, rounded, near = known.joints, other.joints, IDENTICAL, IDENTICAL
+    poses = int(np.count_nonzero(_nearest(known.joints, other.joints, near) >= 0))
+    digits = sorted((_digit(mine), _digit(theirs)))
+    for size in (min(rounded, digits[1] / 2), rounded):
+        chance = ROUGH if digits[0] > 2 * rounded else CHANCE * size / rounded
+        size = size * (1.0 + 1e-6) + 1e-10  # but for the last bits
+        copied = _nearest(
+            np.hstack([known.joints / near, mine / size]), np.hstack([other.joints / near, theirs / size]), 1.0
+        )
+        rows = np.flatnonzero(copied >= 0)
+        if len(rows) and binom.sf(len(rows) - 1, poses, chance ** mine.shape[1]) < UNLIKELY:
+            return rows, copied[rows]
+    return none, none
+
+
+def _nearest(known: Array, other: Array, within: float) -> Rows:
+    """The nearest of ``known`` to each of ``other``, no coordinate being farther off than this; -1 where none is."""
+    _, nearest = KDTree(known).query(other, p=np.inf, distance_upper_bound=within * (1.0 + 1e-6) + 1e-12)
+    return np.where(nearest < len(known), nearest, -1)
+
+
+def _digit(values: Array) -> float:
+    """The last decimal that is written in any of these numbers."""
+    return next((10.0**-n for n in range(9) if np.allclose(values, np.round(values, n), rtol=0.0, atol=1e-10)), 1e-9)
+
+
+# Rows far off, units mixed within a column, and rows of another set-up.
 
 EXPLAINED = 8.0
 """A unit explains an outlier when it brings it within this many robust standard deviations."""
-
-ROBUST_ROWS = 2000
-"""The robust fit is made on so many rows at most, taken evenly; all rows are judged by it."""
 
 MANY_FAR = 0.05
 """More rows far off than this share are a caution."""
@@ -101,17 +169,6 @@ class LeftOut:
         return f"{self.file}: row {self.line} ({part}): {self.miss}{turned}, {self.sigma:.0f} sigma{why}"
 
 
-def _robust_fit(arm: Arm, data: Observations, known: bool = False) -> RobustIdentification:
-    """Geometry from the rows that agree with each other, with base and tool unless known; the same every time.
-
-    Raises:
-        InputError: If there are too few rows, or no majority agrees.
-    """
-    data = data.select(equally_spaced(len(data.joints), ROBUST_ROWS))
-    start = arm.nominal if known else robust_frames(arm, data)
-    return robust_identify(fitted_model(arm.name, arm.nominal, known), start, data)
-
-
 def checked_rows(
     arm: Arm, train: Kind, test: Kind, *, known: bool, robust: bool
 ) -> tuple[Kind, Kind, tuple[LeftOut, ...]]:
@@ -131,14 +188,15 @@ def checked_rows(
         InputError: If the held-out rows come from another set-up.
     """
     try:
-        found = _robust_fit(arm, train, known)
+        found = robust_fit(arm, train, known)
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
     sets = (train, test) if len(test.joints) else (train,)
-    sizes = [found.sizes_of(train)]
-    if len(sets) > 1:
-        sizes.append(_sizes_like(found, train, test))
-    far = [np.flatnonzero(~(size.sigma <= OUTLIER_SIGMA)) for size in sizes]
+    scales = found.sizes.scales
+    if isinstance(train, Stacked) and isinstance(test, Stacked):  # of held-out rows some stations may have none
+        scales = scales[train.channels_of(test)]
+    sizes = [found.sizes_of(data, scales if data is test else None).sigma for data in sets]
+    far = [np.flatnonzero(~(size <= OUTLIER_SIGMA)) for size in sizes]
     if 2 * len(far[0]) >= len(train.joints):
         return train, test, ()
     if len(test.joints) >= FEW and 2 * len(far[1]) > len(test.joints):
@@ -158,16 +216,8 @@ def checked_rows(
     return train, test, tuple(sorted(listed, key=lambda item: -(item.sigma or 0.0)))
 
 
-def _sizes_like(found: RobustIdentification, train: Observations, test: Observations) -> Sizes:
-    """Sizes of held-out rows, of which some stations may have none."""
-    if not (isinstance(train, Stacked) and isinstance(test, Stacked)):
-        return found.sizes_of(test)
-    like = replace(found.sizes, scales=found.sizes.scales[train.channels_of(test)])
-    return sizes_of(found.identification.arm_model, unknowns_of(found.identification, test), test, like)
-
-
 def _far_rows(
-    arm: Arm, found: RobustIdentification, data: Observations, sizes: Sizes, rows: Rows, *, held_out: bool, kept: bool
+    arm: Arm, found: RobustIdentification, data: Observations, sigma: Array, rows: Rows, *, held_out: bool, kept: bool
 ) -> list[LeftOut]:
     """The rows far off, with what they have in common."""
     if not len(rows):
@@ -183,7 +233,7 @@ def _far_rows(
             held_out,
             float(missed[row]),
             None if attitude is None else float(attitude[row]),
-            float(sizes.sigma[row]),
+            float(sigma[row]),
             why,
             kept,
             data.miss_unit,
@@ -202,10 +252,10 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal
     far = [item for item in listed if item.sigma is not None]
     if not far:
         return
-    one = len(far) == 1
+    one, worst = len(far) == 1, max(far, key=lambda item: item.position or 0.0)
     many = len(far) > MANY_FAR * rows
     causes = dict.fromkeys(item.why for item in far if item.why is not None)
-    them = f"{len(far)} of {rows} rows {'is' if one else 'are'} far off, by up to {max(far, key=_size).miss}"
+    them = f"{len(far)} of {rows} rows {'is' if one else 'are'} far off, by up to {worst.miss}"
     if any(item.kept for item in far):
         yield "caution", f"{them}, and {'was' if one else 'were'} kept all the same; leave --no-robust out"
     elif causes:
@@ -244,10 +294,6 @@ def said_of_stations(found: Identification, data: Observations) -> Iterator[tupl
             )
 
 
-def _size(item: LeftOut) -> float:
-    return item.position or 0.0
-
-
 def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, test: Observations) -> str:
     """Why most held-out rows miss: another unit, another place of base or tool, or something else."""
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
@@ -262,7 +308,8 @@ def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, te
             moved = align(geometry, test, frames_model(geometry)).geometry
         except InputError:
             moved = geometry
-        there = sizes_of(replace(found.identification.arm_model, geometry=moved), np.zeros(0), test, found.sizes)
+        moved_fit = replace(found.identification, arm_model=replace(found.identification.arm_model, geometry=moved))
+        there = replace(found, identification=moved_fit).sizes_of(test)
         if float(np.median(there.sigma)) <= OUTLIER_SIGMA / 2:
             base, tool = (
                 f"{metres * 1e3:.3g} mm and {np.degrees(angle):.3g} deg"

@@ -16,9 +16,8 @@ from scipy.special import gammaincinv
 from pickenv.arm import Geometry, Pose, pose_error
 from pickenv.arm.effects.measurement_noise import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.least_squares import Identification
+from pickenv.calibration.identification.least_squares import Identifiability, Identification, identifiability
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, ErrorModel
-from pickenv.calibration.model.identifiability import Identifiability, identifiability
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.errors import InputError
 
@@ -74,12 +73,7 @@ class FilterState:
 
 
 def start_filter(
-    model: ErrorModel,
-    start: Geometry | ArmModel,
-    joints: Array,
-    *,
-    full_pose: bool = True,
-    prior: float = PRIOR,
+    model: ErrorModel, start: Geometry | ArmModel, joints: Array, *, full_pose: bool = True, prior: float = PRIOR
 ) -> FilterState:
     """A filter that knows nothing but the nominal arm.
 

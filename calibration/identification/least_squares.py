@@ -8,24 +8,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, solve_triangular
 
 from pickenv.arm import Geometry
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
-from pickenv.calibration.model.identifiability import (
-    REDUNDANCY_TOLERANCE,
-    Identifiability,
-    identifiability,
-    identifiable_parameters,
-)
+from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array
+from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, ErrorModel
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.noise import RowNoise
-from pickenv.calibration.model.observations import Equations, Imaginable
+from pickenv.calibration.model.observations import Equations, Imaginable, Observations
 from pickenv.calibration.model.prior import PriorModel
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
@@ -36,6 +31,9 @@ PROBES = 60
 OFFSET = 1e-3
 """Parameters count as found when a further step would move them by less than this share of their uncertainty."""
 
+
+REDUNDANCY_TOLERANCE = 1e-3
+"""A parameter is redundant when what it adds, for a deviation of one tolerance, is below this share of the largest."""
 
 NOTHING = 1e-7
 """A parameter of which neither rows nor priors say so much, as a share of the clearest one, stays where it is."""
@@ -125,17 +123,28 @@ class Identification:
             f"{state} after {len(self.residual_rms) - 1} iterations on {self.poses} poses ({self.kind})",
             f"identifiable: {found.rank} of {len(found.names)} parameters, condition {found.condition:.1f}",
         ]
-        for dropped in found.dropped:
-            lines.append(f"  dropped {dropped.name}: {describe_absorption(dropped.absorbed_by)}")
+        lines += [f"  dropped {item.name}: {describe_absorption(item.absorbed_by)}" for item in found.dropped]
         lines.append(f"{'parameter':>10}  {'change':>12}  {'± 1 sigma':>12}")
         for k in found.kept:
-            name = found.names[k]
-            angle = is_angle(name)
-            scale, unit = (np.degrees(1.0), "deg") if angle else (1e3, "mm")
-            lines.append(
-                f"{name:>10}  {self.delta[k] * scale:>12.5f}  {self.standard_deviation[k] * scale:>12.5f} {unit}"
-            )
+            scale, unit = (np.degrees(1.0), "deg") if is_angle(found.names[k]) else (1e3, "mm")
+            change, std = self.delta[k] * scale, self.standard_deviation[k] * scale
+            lines.append(f"{found.names[k]:>10}  {change:>12.5f}  {std:>12.5f} {unit}")
         return "\n".join(lines)
+
+
+def unknowns_of(found: Identification, observations: Observations) -> Array:
+    """The identified values of a data set's own unknowns.
+
+    Raises:
+        InputError: If it has one that the rows fitted had not.
+    """
+    new = [name for name in observations.unknowns() if name not in found.unknowns]
+    if new:
+        what = new[0].removesuffix("_x")
+        raise InputError(
+            f"{observations.source}: {what} occurs in no row that was fitted; give rows of it to fit, or leave it out"
+        )
+    return np.array([found.unknowns[name] for name in observations.unknowns()])
 
 
 def is_angle(name: str) -> bool:
@@ -173,7 +182,7 @@ def identify(
         max_iterations: Steps at most, until the rank is judged once more and after it; three or four are usual.
         whiten: Weighs stated rows ``(rows, ...)``, in the order of the data, anew: robust weights, or noise that was
             found (`pickenv.calibration.model.noise.RowNoise.whiten`).
-        rank_tolerance: What counts as redundant, see `pickenv.calibration.model.identifiability.REDUNDANCY_TOLERANCE`.
+        rank_tolerance: What counts as redundant, see `REDUNDANCY_TOLERANCE`.
         every: Whether every parameter has a prior among the data: then all are kept, and the covariance is that of the
             posterior, for rows whitened to unit variance.
 
@@ -198,15 +207,14 @@ def identify(
         found = identifiability(matrix, names, tolerance, poses, NOTHING)
     else:
         found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
-        _enough_poses(model, arm, sets, unknowns, found, len(weighted))
+        _enough_poses(model, arm, sets, unknowns, found.rank, len(weighted))
     kept, scale = found.kept, tolerance[found.kept]
     iterates, unknown_iterates = [arm], [begun]
     history = [_rms(weighted)]
     converged, damping, judged = False, 0.0, every or not own
     for _ in range(max_iterations if judged else 2 * max_iterations):
-        step = whole = _solve(matrix[:, kept], weighted, 0.0)
-        if damping:
-            step = _solve(matrix[:, kept], weighted, damping)
+        whole = _solve(matrix[:, kept], weighted, 0.0)
+        step = _solve(matrix[:, kept], weighted, damping) if damping else whole
         change = np.zeros(len(names))
         change[kept] = step * scale
         moved, moved_unknowns = _moved(arm, unknowns, model, change)
@@ -325,7 +333,7 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
 
 def observations_of(data: Measurements | Sequence[Equations]) -> tuple[Equations, ...]:
     """Poses and positions in the role of observations; other kinds as they are."""
-    return (data,) if isinstance(data, Measurements) else tuple(data)
+    return tuple(data) if isinstance(data, Sequence) else (data,)
 
 
 def _stacked(sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
@@ -387,30 +395,253 @@ def _posterior(matrix: Array, scale: Array) -> Array:
 
 
 def _enough_poses(
-    model: ErrorModel,
-    arm: ArmModel,
-    sets: Sequence[Equations],
-    unknowns: Sequence[Array],
-    found: Identifiability,
-    rows: int,
+    model: ErrorModel, arm: ArmModel, sets: Sequence[Equations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
     """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
-    if rows >= 2 * len(found.names):
+    parameters = len(model.names) + sum(len(values) for values in unknowns)
+    if rows >= 2 * parameters:
         return  # whatever the rank elsewhere, there are enough
-    part, full = sets[0], found.rank
+    part, full = sets[0], rank
     if len(sets) == 1 and isinstance(part, Imaginable):
         probe = part.imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
-        geometric = model.columns < len(arm.geometry.parameter_names)
-        names = tuple(name for name, keep in zip(model.names, geometric, strict=True) if keep)
-        links = ErrorModel(model.columns[geometric], names, model.tolerance[geometric])
+        links = model.some(model.columns < len(arm.geometry.parameter_names))
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
-        matrix = _system(links, [probe], bare, unknowns, tolerance)
-        seen = identifiable_parameters(links, [probe], bare, unknowns, matrix, (*part.unknowns(), *names), tolerance)
-        full = max(full, seen.rank)
-    if rows <= full or (isinstance(part, Measurements) and found.rank < full and rows < 2 * full):
+        matrix, names = _system(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
+        elsewhere = identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance)
+        full = max(full, elsewhere.rank)
+    if rows <= full or (part.kind in ("pose", "position") and rank < full and rows < 2 * full):
         poses = sum(len(part.joints) for part in sets)
         needed = -int(-2 * full // (rows / poses))
         raise InputError(
             f"{part.source}: {poses} poses give {rows} equations, too few for the {full} parameters that {part.kind} "
             f"measurements identify; measure at least {needed} poses"
         )
+
+
+# Which parameters the data can tell apart: scaled QR redundancy, Qiao 2026 eqs (9)-(10), made independent of units.
+# Columns are taken in the model's order; a column that the kept ones before it already explain is dropped, and the
+# combination that absorbs it is named. The count does not depend on the order, the choice within a tied group does.
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """A parameter that the data cannot tell from others.
+
+    Attributes:
+        name: The parameter.
+        absorbed_by: What a deviation of 1 (m or rad) of it looks like in the kept parameters (m or rad); empty if the
+            parameter has no effect on the measurements at all.
+    """
+
+    name: str
+    absorbed_by: dict[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Identifiability:
+    """Result of `identifiability`.
+
+    Attributes:
+        names: All parameters, in order.
+        kept: Indices of the identifiable base set.
+        dropped: The others, each with what absorbs it.
+        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, ~0 for dropped ones (eq (9)).
+        phi: |R_kk| / mean |R_kk|, the paper's ratio (eq (10)).
+        singular_values: Of the scaled stacked Jacobian of the kept parameters, per pose (divided by sqrt(N)).
+    """
+
+    names: tuple[str, ...]
+    kept: NDArray[np.int64]
+    dropped: tuple[Dropped, ...]
+    r_diagonal: Array
+    phi: Array
+    singular_values: Array
+
+    @property
+    def rank(self) -> int:
+        """Number of identifiable parameters."""
+        return len(self.kept)
+
+    @property
+    def condition(self) -> float:
+        """Condition number of the kept, scaled parameters."""
+        return float(self.singular_values[0] / self.singular_values[-1])
+
+    def of_all(self, kept: Array) -> Array:
+        """One value per parameter ``(P,)`` from one per kept one; NaN for dropped ones."""
+        values = np.full(len(self.names), np.nan)
+        values[self.kept] = kept
+        return values
+
+    @property
+    def kept_names(self) -> tuple[str, ...]:
+        """Names of the identifiable base set."""
+        return tuple(self.names[k] for k in self.kept)
+
+
+def identifiability(
+    matrix: Array, names: tuple[str, ...], tolerance: Array, poses: int, rank_tolerance: float = REDUNDANCY_TOLERANCE
+) -> Identifiability:
+    """Find a largest identifiable subset of parameters.
+
+    Args:
+        matrix: Stacked Jacobian ``(rows, P)``, rows weighted, columns scaled by ``tolerance``.
+        names: Parameter names.
+        tolerance: The columns' scale, m or rad.
+        poses: Number of poses that the rows come from.
+        rank_tolerance: See `REDUNDANCY_TOLERANCE`.
+    """
+    r = np.asarray(np.linalg.qr(matrix, mode="r"))  # columns of the same lengths and angles, in fewer rows
+    least = rank_tolerance * np.max(np.linalg.norm(r, axis=0))
+    basis = np.zeros((len(r), 0))
+    diagonal = np.zeros(len(names))
+    for k in range(len(names)):
+        rest = r[:, k]
+        for _ in range(2):  # twice is enough for orthogonality to the last digit (Kahan, Parlett)
+            rest = rest - basis @ (basis.T @ rest)
+        diagonal[k] = np.linalg.norm(rest)
+        if diagonal[k] > least:
+            basis = np.column_stack([basis, rest / diagonal[k]])
+    adds = diagonal > least
+    kept = np.flatnonzero(adds)
+    triangle = basis.T @ r[:, kept]
+    dropped = []
+    for k in np.flatnonzero(~adds).tolist():
+        share = solve_triangular(triangle, basis.T @ r[:, k]) * tolerance[kept] / tolerance[k]
+        scaled = np.abs(share) * tolerance[k] / tolerance[kept]
+        absorbed = {names[j]: float(c) for j, c, s in zip(kept, share, scaled, strict=True) if s > 1e-3}
+        dropped.append(Dropped(names[k], absorbed))
+    return Identifiability(
+        names=names,
+        kept=kept,
+        dropped=tuple(dropped),
+        r_diagonal=diagonal,
+        phi=diagonal / diagonal.mean(),
+        singular_values=np.linalg.svd(r[:, kept], compute_uv=False) / np.sqrt(poses),
+    )
+
+
+# Measurements without a frame (wires, sockets) cannot see where arm and anchors stand together: hold the base still.
+# Left free, that common motion is seen through the residuals alone: enough to pass for an identifiable parameter at
+# the start, and nothing at all at the minimum. What the base could do as well (alpha0, a0, theta1, d1) is held with
+# it. Where no length is known either (one point touched, a plane), an arm that shrinks to nothing explains all: hold
+# its longest link, and so its size.
+
+
+BASE = tuple(f"base_{name}" for name in FRAME_PARAMETERS)
+
+
+def identifiable_parameters(
+    model: ErrorModel,
+    sets: Sequence[Equations],
+    arm: ArmModel,
+    unknowns: Sequence[Array],
+    matrix: Array,
+    names: tuple[str, ...],
+    tolerance: Array,
+    rank_tolerance: float = REDUNDANCY_TOLERANCE,
+) -> Identifiability:
+    """`identifiability` of the stacked system; base and size are held where no instrument has a frame or a length.
+
+    Args:
+        model: The parameters.
+        sets: The data.
+        arm: Where the Jacobian was taken.
+        unknowns: The data's own unknowns there.
+        matrix: Stacked, scaled Jacobian ``(rows, own + P)``, the data's own unknowns first.
+        names: Names of its columns.
+        tolerance: Their scale, m or rad.
+        rank_tolerance: See `REDUNDANCY_TOLERANCE`.
+    """
+    poses, own, geometry = sum(len(part.joints) for part in sets), len(names) - len(model.names), arm.geometry
+    held: dict[str, Dropped] = {}
+    if not any(part.framed for part in sets):
+        by_arm = np.concatenate([part.jacobian(arm, values)[0] for part, values in zip(sets, unknowns, strict=True)])
+        base = 5 * geometry.links + np.arange(6)
+        scale = np.where(geometry.parameter_is_angle[base], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
+        others = [k for k, name in enumerate(model.names) if name not in BASE]
+        columns = np.concatenate([by_arm[:, base] * scale, matrix[:, own:][:, others]], axis=1)
+        scales, chain_names = np.r_[scale, model.tolerance[others]], (*BASE, *(model.names[k] for k in others))
+        chain = identifiability(columns, chain_names, scales, poses, rank_tolerance)
+        held = {item.name: item for item in chain.dropped} | {name: Dropped(name, {}) for name in BASE}
+    free = np.where([name in held for name in names], 0.0, matrix)
+    result = identifiability(free, names, tolerance, poses, rank_tolerance)
+    if not any(part.sized for part in sets):
+        size = _held_size(geometry, result)
+        free = np.where([name in size for name in names], 0.0, free)
+        result, held = identifiability(free, names, tolerance, poses, rank_tolerance), held | size
+    return replace(result, dropped=tuple(held.get(item.name, item) for item in result.dropped))
+
+
+def _held_size(geometry: Geometry, visible: Identifiability) -> dict[str, Dropped]:
+    """The longest link that can be seen, and how the other lengths would grow with it."""
+    lengths = {f"a{i}": value for i, value in enumerate(geometry.a)} | {
+        f"d{i + 1}": value for i, value in enumerate(geometry.d)
+    }
+    lengths = {name: float(lengths[name]) for name in visible.kept_names if lengths.get(name, 0.0) != 0.0}
+    if not lengths:
+        return {}
+    longest = max(lengths, key=lambda name: abs(lengths[name]))
+    others = {name: -value / lengths[longest] for name, value in lengths.items() if name != longest}
+    return {longest: Dropped(longest, others)}
+
+
+# How well a data set tells the parameters: observability indices O1-O5 from the Jacobian's singular values. O1 Borm
+# and Menq 1991, O2 Driels and Pathre 1990, O3 Nahvi, Hollerbach and Hayward 1994, O4 Nahvi and Hollerbach 1996, O5
+# Sun and Hollerbach 2008. Rows in standard uncertainties, columns in tolerances, so the indices have no unit.
+
+
+@dataclass(frozen=True)
+class Observability:
+    """Observability of m parameters from n poses; larger is better, save for the condition number.
+
+    Attributes:
+        o1: (s1 … sm)^(1/m) / sqrt(n): geometric mean; a D-optimal set maximises it.
+        o2: sm / s1: inverse condition number.
+        o3: sm: how well the worst combination is seen.
+        o4: sm^2 / s1: noise amplification.
+        o5: 1 / sum(1 / si): A-optimality's relative.
+        condition: s1 / sm.
+        poses: n.
+    """
+
+    o1: float
+    o2: float
+    o3: float
+    o4: float
+    o5: float
+    condition: float
+    poses: int
+
+    def as_dict(self) -> dict[str, float]:
+        """For JSON."""
+        return asdict(self)
+
+
+def observability(singular_values: Array, poses: int) -> Observability:
+    """Indices O1 to O5.
+
+    Args:
+        singular_values: Of the scaled stacked Jacobian of the identifiable parameters ``(m,)``.
+        poses: Number of poses stacked.
+
+    Raises:
+        ValueError: If a singular value is not above zero: such parameters are not identifiable and must be left out.
+    """
+    s = np.sort(np.asarray(singular_values, dtype=float))[::-1]
+    if not len(s) or s[-1] <= 0:
+        raise ValueError("observability is defined for identifiable parameters, whose singular values are above zero")
+    return Observability(
+        o1=float(np.exp(np.mean(np.log(s))) / np.sqrt(poses)),
+        o2=float(s[-1] / s[0]),
+        o3=float(s[-1]),
+        o4=float(s[-1] ** 2 / s[0]),
+        o5=float(1.0 / np.sum(1.0 / s)),
+        condition=float(s[0] / s[-1]),
+        poses=poses,
+    )
+
+
+def observability_of(found: Identifiability, poses: int) -> Observability:
+    """Indices of an identification's kept parameters on its own poses."""
+    return observability(found.singular_values * np.sqrt(poses), poses)

@@ -1,4 +1,4 @@
-"""Identification that outliers cannot pull: iteratively re-weighted least squares, and a list of the outliers.
+"""Identification from anywhere, which outliers cannot pull: alignment, re-weighted least squares, files of one set-up.
 
 Each row of a data set of any kind gets one weight from a Huber or Cauchy loss of its size in robust standard deviations
 (median based, so that nearly half of the rows may be wrong; Holland and Welsch 1977). What one instrument reads in one
@@ -7,172 +7,23 @@ unit is a channel, and channels are scaled apart: metres and radians, a wire and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
-from scipy.spatial import KDTree
 from scipy.special import gammaincinv
-from scipy.stats import binom
 
-from pickenv.arm import Geometry, Pose, forward, rotation_matrix, rotation_vector
+from pickenv.arm import Arm, Geometry, Pose, forward, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import Array, identity_pose
-from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
-from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
+from pickenv.calibration.model.arm_model import CARRIER, ArmModel, ErrorModel, frames_model, geometric_model
+from pickenv.calibration.model.kinds import ReflectorObservations
+from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise import counted
-from pickenv.calibration.model.observations import (
-    SAME_POSE,
-    Observations,
-    Rows,
-    home_groups,
-    named,
-    nearest_rotation,
-    origins_of,
-    random_split,
-    same_poses,
-)
-from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.stacked import Stacked
+from pickenv.calibration.model.observations import Observations, Rows, equally_spaced, nearest_rotation, origins_of
 from pickenv.errors import InputError
 from pickenv.threads import single_threaded
-
-# Rows of data sets of any kind: split for judgement, so that each group is trained on and none judges that was.
-
-ROUNDED = {"mm": 5e-6, "deg": 1e-5, "px": 0.03}
-"""What a reading changes by when it is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad and px: a third of
-what such instruments scatter by, so that a pose measured anew reads alike once in five times (`CHANCE`)."""
-
-CHANCE, ROUGH = 0.2, 0.9
-UNLIKELY = 1e-3
-"""So many equal readings among poses measured anew would come by chance that rarely; where both files are written more
-roughly than `ROUNDED`, a reading is taken to be equal by chance nine times in ten (`ROUGH`)."""
-
-IDENTICAL = 1e-8
-"""Joints that agree so well are one number, rad or m."""
-
-
-def unknowns_of(found: Identification, observations: Observations) -> Array:
-    """The identified values of a data set's own unknowns.
-
-    Raises:
-        InputError: If it has one that the rows fitted had not.
-    """
-    new = [name for name in observations.unknowns() if name not in found.unknowns]
-    if new:
-        what = new[0].removesuffix("_x")
-        raise InputError(
-            f"{observations.source}: {what} occurs in no row that was fitted; give rows of it to fit, or leave it out"
-        )
-    return np.array([found.unknowns[name] for name in observations.unknowns()])
-
-
-def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
-    """Training and held-out rows of one data set, drawn; sockets and stations are split one by one, to train on each.
-
-    Rows of one pose stay on one side, also where several stations measured it.
-
-    Args:
-        observations: The data.
-        test_rows: Rows to hold out; a fifth when left out.
-        rng: Draws the split.
-
-    Raises:
-        InputError: If the split is impossible.
-    """
-    count = len(observations.joints)
-    wanted = max(1, count // 5) if test_rows is None else test_rows
-    poses = same_poses(observations.joints)
-    if not observations.groups.any():
-        return random_split(poses, wanted, rng)
-    home = home_groups(observations.groups, poses)
-    train, test = [], []
-    for number in np.unique(home):
-        rows = np.flatnonzero(home == number)
-        share = max(1, round(wanted * len(rows) / count))
-        if len(rows) - share < 2:
-            raise InputError(
-                f"{observations.source}: socket or station {number + 1} has {len(rows)} rows, too few to hold "
-                f"{share} of them out"
-            )
-        here, there = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
-        train.append(rows[here])
-        test.append(rows[there])
-    return np.concatenate(train), np.concatenate(test)
-
-
-def refuse_trained(train: Observations, test: Observations) -> None:
-    """Refuse rows to judge by that are training rows, as they stand, rounded, or in another order.
-
-    A pose may be measured again to judge by: then its reading differs by what instrument and arm scatter. A row is a
-    training row if it is of the same pose (`SAME_POSE`) and also reads alike, within `ROUNDED` or within the last digit
-    written. Such rows are refused where they are more than poses measured anew would give by chance (binomial,
-    `UNLIKELY`). Where readings are labels, such as a socket's number, the joints are what was read.
-
-    Raises:
-        InputError: Names file and lines of these rows, and of the training rows that they are.
-    """
-    there, here = [], []
-    for other in _parts(test):
-        for known in _parts(train):
-            rows, copied = _copies(known, other)
-            there += [origins_of(other).place(row) for row in rows.tolist()]
-            here += [origins_of(known).place(row) for row in copied.tolist()]
-    if there:
-        raise InputError(
-            f"{named(there)} of the rows to judge by: trained on too ({named(here)}), with the same joints and, but "
-            "for rounding, the same reading; give rows that were measured by themselves"
-        )
-
-
-def said_of_repeats(train: Observations, test: Observations) -> Iterator[tuple[Literal["caution", "note"], str]]:
-    """What a verdict says where rows to judge by stand at poses that were trained on: a caution where most do."""
-    rows = len(test.joints)
-    count = int(np.count_nonzero(_nearest(train.joints, test.joints, SAME_POSE) >= 0)) if rows else 0
-    if count:
-        said = f"{count} of {rows} held-out rows are at poses that were trained on, and say nothing of others"
-        yield "caution" if 2 * count > rows else "note", said
-
-
-def _parts(data: Observations) -> tuple[Observations, ...]:
-    return data.parts if isinstance(data, Stacked) else (data,)
-
-
-def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
-    """Rows of ``other`` that are rows of ``known``, and which; none where they are few enough to be chance."""
-    none = np.zeros(0, dtype=np.int64)
-    mine, theirs = known.readings(), other.readings()
-    if type(known) is not type(other) or mine.shape[1] != theirs.shape[1] or not len(mine) or not len(theirs):
-        return none, none
-    rounded, near = ROUNDED["px" if isinstance(known, PixelObservations) else known.miss_unit], SAME_POSE
-    if 2 * len(np.unique(mine, axis=0)) <= len(mine):  # labels
-        mine, theirs, rounded, near = known.joints, other.joints, IDENTICAL, IDENTICAL
-    poses = int(np.count_nonzero(_nearest(known.joints, other.joints, near) >= 0))
-    digits = sorted((_digit(mine), _digit(theirs)))
-    for size in (min(rounded, digits[1] / 2), rounded):
-        chance = ROUGH if digits[0] > 2 * rounded else CHANCE * size / rounded
-        size = size * (1.0 + 1e-6) + 1e-10  # but for the last bits
-        copied = _nearest(
-            np.hstack([known.joints / near, mine / size]), np.hstack([other.joints / near, theirs / size]), 1.0
-        )
-        rows = np.flatnonzero(copied >= 0)
-        if len(rows) and binom.sf(len(rows) - 1, poses, chance ** mine.shape[1]) < UNLIKELY:
-            return rows, copied[rows]
-    return none, none
-
-
-def _nearest(known: Array, other: Array, within: float) -> Rows:
-    """The nearest of ``known`` to each of ``other``, no coordinate being farther off than this; -1 where none is."""
-    _, nearest = KDTree(known).query(other, p=np.inf, distance_upper_bound=within * (1.0 + 1e-6) + 1e-12)
-    return np.where(nearest < len(known), nearest, -1)
-
-
-def _digit(values: Array) -> float:
-    """The last decimal that is written in any of these numbers."""
-    return next((10.0**-n for n in range(9) if np.allclose(values, np.round(values, n), rtol=0.0, atol=1e-10)), 1e-9)
-
 
 # Base and tool pose from anywhere: closed-form starts, then least squares, and the refusal of what is no such arm.
 # Positions p = t + R (o + Q u), with the chain's own o and Q, are linear in R^T, R^T t and the tool offset u once
@@ -247,6 +98,13 @@ def _cost(geometry: Geometry, measurements: Measurements) -> float:
     return position + turn
 
 
+def laid_onto(points: Array, targets: Array) -> tuple[Array, Array]:
+    """Rotations ``(..., 3, 3)`` and shifts ``(..., 3)`` that lay points ``(..., N, 3)`` best onto others (Kabsch)."""
+    middle, centre = points.mean(axis=-2, keepdims=True), targets.mean(axis=-2, keepdims=True)
+    turn = nearest_rotation(np.swapaxes(targets - centre, -1, -2) @ (points - middle))
+    return turn, (centre - middle @ np.swapaxes(turn, -1, -2))[..., 0, :]
+
+
 def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measurements) -> Geometry:
     """The geometry with this tool, and with the base that lays its poses best onto the measured ones.
 
@@ -255,7 +113,7 @@ def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measur
     nominal = chain.position + chain.rotation @ tool.position
     measured = measurements.position
     if measurements.rotation is None:
-        turn = nearest_rotation((measured - measured.mean(0)).T @ (nominal - nominal.mean(0)))
+        turn, _ = laid_onto(nominal, measured)
     else:
         turn = nearest_rotation(np.einsum("nij,nkj->ik", measurements.rotation, chain.rotation @ tool.rotation))
     base = Pose(measured.mean(0) - turn @ nominal.mean(0), turn)
@@ -380,9 +238,10 @@ class RobustIdentification:
         """The identified geometry."""
         return self.identification.geometry
 
-    def sizes_of(self, data: Observations) -> Sizes:
+    def sizes_of(self, data: Observations, scales: Array | None = None) -> Sizes:
         """Sizes of the errors of any rows by this arm's identified model, in the standard deviations found here."""
-        return sizes_of(self.identification.arm_model, unknowns_of(self.identification, data), data, self.sizes)
+        scales = self.sizes.scales if scales is None else scales
+        return sizes_of(self.identification.arm_model, unknowns_of(self.identification, data), data, scales)
 
     def misses_of(self, data: Observations) -> Array:
         """The largest miss of each row ``(N,)``, m."""
@@ -423,10 +282,7 @@ def robust_identify(
 
 
 def robust_align(
-    geometry: Geometry,
-    measurements: Measurements,
-    frames: ErrorModel,
-    rng: np.random.Generator,
+    geometry: Geometry, measurements: Measurements, frames: ErrorModel, rng: np.random.Generator
 ) -> RobustIdentification:
     """`align` for data with gross errors: base and tool from the poses that agree with each other.
 
@@ -478,7 +334,7 @@ class Sizes:
     @property
     def sigma(self) -> Array:
         """The largest of each row ``(N,)``, in robust standard deviations of one coordinate."""
-        return np.asarray(np.nanmax(np.vstack([self.errors / self.scales[:, None], self._none]), axis=0))
+        return np.asarray(np.fmax.reduce(self.errors / self.scales[:, None], axis=0, initial=0.0))
 
     @property
     def outliers(self) -> Rows:
@@ -491,13 +347,9 @@ class Sizes:
         squares = np.nansum((self.errors / self.scales[:, None]) ** 2, axis=0)
         return LOSSES[loss](np.sqrt(squares / np.maximum(self.coordinates.sum(axis=0), 1)))
 
-    @property
-    def _none(self) -> Array:
-        return np.zeros((1, self.errors.shape[1]))
-
 
 def sizes_of(
-    arm: ArmModel, unknowns: Array, data: Observations, like: Sizes | None = None, *, apart: Array | None = None
+    arm: ArmModel, unknowns: Array, data: Observations, scales: Array | None = None, *, apart: Array | None = None
 ) -> Sizes:
     """Sizes in the standard deviations of others, or in robust ones, never below the instrument's own uncertainty.
 
@@ -505,7 +357,7 @@ def sizes_of(
         arm: The arm.
         unknowns: The data's own unknowns.
         data: The rows.
-        like: Sizes with the standard deviations to use.
+        scales: The standard deviations to use, by channel.
         apart: What each row counts in the median ``(N,)``, less where others stand near it: rows of a cluster miss by
             the same, and are few facts. All alike when left out.
     """
@@ -516,12 +368,12 @@ def sizes_of(
     np.add.at(count, (channels[own], rows[own]), 1.0)
     shown = np.minimum(count, 3.0)
     errors = np.sqrt(np.where(count > 0, squares * shown / np.maximum(count, 1.0), np.nan))
-    if like is not None:
-        return Sizes(errors, shown, like.scales)
+    if scales is not None:
+        return Sizes(errors, shown, scales)
     usual = np.sqrt(2.0 * gammaincinv(np.maximum(count, 1.0) / 2.0, 0.5) * shown / np.maximum(count, 1.0))
     apart = np.ones(len(data.joints)) if apart is None else apart
-    scales = [_median(size / median, apart) for size, median in zip(errors, usual, strict=True)]
-    return Sizes(errors, shown, np.maximum(scales, 1.0))
+    found = [_median(size / median, apart) for size, median in zip(errors, usual, strict=True)]
+    return Sizes(errors, shown, np.maximum(found, 1.0))
 
 
 def _median(values: Array, counts: Array) -> float:
@@ -533,8 +385,244 @@ def _median(values: Array, counts: Array) -> float:
 
 
 def _registered_misses(nominal: Array, measured: Array, rows: Rows) -> Array:
-    """Distances ``(T, N)`` of measured points from nominal ones after T rigid registrations of few rows (Kabsch)."""
-    here, there = nominal[rows], measured[rows]
-    from_, to = here.mean(axis=1, keepdims=True), there.mean(axis=1, keepdims=True)
-    turn = nearest_rotation(np.swapaxes(here - from_, 1, 2) @ (there - to))  # row vectors: point @ turn
-    return np.asarray(np.linalg.norm((nominal - from_) @ turn + to - measured, axis=2))
+    """Distances ``(T, N)`` of measured points from nominal ones after T rigid registrations of few rows."""
+    turn, shift = laid_onto(nominal[rows], measured[rows])
+    return np.asarray(np.linalg.norm(nominal @ np.swapaxes(turn, 1, 2) + shift[:, None] - measured, axis=2))
+
+
+# Where the identification starts, and which files are of one set-up.
+
+FILE_ROWS, SET_UP_ROWS = 150, 450
+"""Rows of a file, and of a set-up, that are looked at to find set-ups."""
+
+COUNTED_ROWS = 30
+"""Rows of a file that count as independent at most: neighbours share what the model leaves out."""
+
+LEAST_ROWS = 8
+"""A file with fewer rows does not tell whether it is another set-up."""
+
+TRIES, PLAUSIBLE = 12, 10.0
+"""Iterations of a trial, twice what a right one takes; and how many times farther rows of one set-up may be missed."""
+
+ROBUST_ROWS = 2000
+"""The robust fit is made on so many rows at most, taken evenly; all rows are judged by it."""
+
+SPARE = 3
+"""The arm's geometry takes part where there are so many times as many equations as parameters; else frames alone."""
+
+
+def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
+    """What of an arm is identified: all of it, base and tool among it unless known; of finished poses these alone."""
+    return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, known_frames)
+
+
+def rough_start(nominal: Geometry, data: Observations) -> Geometry:
+    """Base and tool near those of the data: boards' poses give all, the reflector seen most often the base.
+
+    Raises:
+        InputError: If the reflector's positions do not fit the arm.
+    """
+    data = data.parts[0]
+    rough = data.rough_poses(nominal.prismatic)
+    if rough is None:
+        return nominal
+    aligned = align(nominal, rough, frames_model(nominal), judge=False).geometry
+    if not isinstance(data, ReflectorObservations):
+        return aligned
+    refuse_another_arm(aligned, rough, f"after fitting base and reflector {data.clearest + 1}", nominal)
+    if data.places is None or len(data.places) < 3:
+        return aligned
+    # Known places turn and shift the tool to where they are seen.
+    (turn, shift), tool = laid_onto(data.places, data.seen_from(ArmModel.of(aligned))), aligned.tool
+    return replace(aligned, tool=Pose(tool.position + tool.rotation @ shift, tool.rotation @ turn))
+
+
+def robust_frames(arm: Arm, data: Observations) -> Geometry:
+    """Base and tool from the rows that agree with each other; the same every time.
+
+    Raises:
+        InputError: If there are too few rows, or they do not fit the arm.
+    """
+    frames = frames_model(arm.nominal)
+    if isinstance(data, Measurements):
+        return robust_align(arm.nominal, data, frames, np.random.default_rng(0)).geometry
+    return robust_identify(frames, rough_start(arm.nominal, data), data).geometry
+
+
+def robust_fit(arm: Arm, data: Observations, known: bool = False) -> RobustIdentification:
+    """Geometry from the rows that agree with each other, with base and tool unless known; the same every time.
+
+    Raises:
+        InputError: If there are too few rows, or no majority agrees.
+    """
+    data = data.select(equally_spaced(len(data.joints), ROBUST_ROWS))
+    start = arm.nominal if known else robust_frames(arm, data)
+    return robust_identify(fitted_model(arm.name, arm.nominal, known), start, data)
+
+
+def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) -> Stacked:
+    """Data sets as stations of one arm, those with an instrument's frame first.
+
+    Args:
+        arm: The arm.
+        data: The data sets.
+        own: Which of "base" and "tool" each but the first has of its own; a set without a frame sees no base.
+
+    Raises:
+        InputError: If a set does not fit the arm.
+    """
+    parts = sorted(data, key=lambda part: not part.framed)
+    return _stations(arm, parts, [own] * (len(parts) - 1))
+
+
+def _stations(arm: Arm, parts: Sequence[Observations], own: Sequence[Collection[str]]) -> Stacked:
+    """Stations, all but the first with frames of their own, looked for from where they are if the arm is nominal."""
+    stations = [InstrumentStation(parts[0])]
+    for number, (part, names) in enumerate(zip(parts[1:], own, strict=True), start=2):
+        start = robust_frames(arm, part) if part.framed else arm.nominal
+        base = start.base if "base" in names and part.framed else None
+        stations.append(InstrumentStation(part, number, base, start.tool if "tool" in names else None))
+    return Stacked(tuple(stations))
+
+
+@dataclass(frozen=True)
+class SetUp:
+    """Data sets that one place of instrument and target explains.
+
+    Attributes:
+        parts: Their numbers, from 0.
+        own: Which of "base" and "tool" differ from the first set-up's.
+    """
+
+    parts: tuple[int, ...]
+    own: tuple[str, ...] = ()
+
+
+def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked:
+    """Poses or positions of several files: one data set where one set-up explains all, else a station for each set-up.
+
+    Args:
+        arm: The arm.
+        parts: The files' rows.
+
+    Raises:
+        InputError: If the rows of a set-up do not fit the arm.
+    """
+    groups = set_ups(arm, parts)
+    whole = [rows_together([parts[i] for i in group.parts]) for group in groups]
+    return whole[0] if len(whole) == 1 else _stations(arm, whole, [group.own for group in groups[1:]])
+
+
+def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
+    """Which data sets share base and tool, as the rows tell: file by file, what leaves least at least frames (BIC).
+
+    Rows of one file are alike, so that only `COUNTED_ROWS` of each count: frames of its own must take away a good part
+    of what remains, not only surely some of it. Files that do not tell are taken as of the first set-up.
+    """
+    near = {i: rows for i, part in enumerate(parts) if (rows := _near_rows(arm, part)) is not None}
+    first, *others = near or [0]
+    known: tuple[SetUp, ...] = (SetUp((first,)),)
+    for i in others:
+        tried = [each for each in _with_file(known, parts, i) if _plausible(near, each, i)]
+        known = min(tried, key=lambda each: _criterion(arm, near, each))
+    for i in set(range(len(parts))) - {first, *others}:
+        known = next(_with_file(known, parts, i))
+    return tuple(replace(each, parts=tuple(sorted(each.parts))) for each in known)
+
+
+def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | None:
+    """Some rows that agree with each other, and the arm where they see it; None where they are too few, or fit none."""
+    part = part.select(equally_spaced(len(part), FILE_ROWS))
+    try:
+        aligned = robust_frames(arm, part) if len(part) >= LEAST_ROWS else None
+    except InputError:
+        aligned = None
+    if aligned is None:
+        return None
+    return part.select(sizes_of(ArmModel.of(aligned), np.zeros(0), part).sigma <= OUTLIER_SIGMA), aligned
+
+
+def _with_file(known: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) -> Iterator[tuple[SetUp, ...]]:
+    """The set-ups with one more file: as one of theirs, or as another."""
+    for number, each in enumerate(known):
+        if parts[each.parts[0]].joinable(parts[i]):
+            joined = replace(each, parts=(*each.parts, i))
+            yield (*known[:number], joined, *known[number + 1 :])
+        elif number == 0:
+            yield (*known, SetUp((i,)))
+    for own in (("base",), ("tool",), OWN):
+        yield (*known, SetUp((i,), own))
+
+
+def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], tried: Sequence[SetUp], i: int) -> bool:
+    """Whether a file and the set-up that it joins see each other's rows about as their own, with the nominal arm.
+
+    Either way is enough: a file may tell little of its own frames.
+    """
+    others = [each.parts[0] for each in tried if i in each.parts and each.parts[0] != i]
+    for j in others:
+        ratio = [_missed(near[k][0], near[m][1]) / _missed(*near[k]) for k, m in ((i, j), (j, i))]
+        if min(ratio) > PLAUSIBLE:
+            return False
+    return True
+
+
+def _missed(rows: Measurements, by: Geometry) -> float:
+    """Median miss by an arm, m, and a micrometre."""
+    return 1e-6 + float(np.median(np.linalg.norm(rows.difference(by)[:, :3], axis=1)))
+
+
+def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], tried: Sequence[SetUp]) -> float:
+    """Schwarz's criterion of an arm and these set-ups; each file has a scatter of its own."""
+    whole, stations = [], []
+    for number, each in enumerate(tried, start=1):
+        rows = rows_together([near[i][0] for i in each.parts])
+        whole.append(rows.select(equally_spaced(len(rows), SET_UP_ROWS)))
+        start = near[each.parts[0]][1]
+        frames = {name: getattr(start, name) for name in each.own}
+        stations.append(InstrumentStation(whole[-1], number, **frames))
+    data = Stacked(tuple(stations))
+    equations = sum(len(part) * part.rows_per_pose for part in whole)
+    model = fitted_model(arm.name, arm.nominal, False)
+    if equations < SPARE * (len(model.names) + len(data.unknowns())):
+        model = frames_model(arm.nominal)
+    try:
+        fit = identify(model, ArmModel.of(near[tried[0].parts[0]][1]), [data], max_iterations=TRIES)
+    except InputError:
+        return np.inf
+    owners = np.concatenate([origins_of(part).file + 1000 * k for k, part in enumerate(whole)])
+    squares = data.residual(fit.arm_model, unknowns_of(fit, data)) ** 2
+    total, spare = 0.0, equations / max(fit.degrees_of_freedom, 1)
+    counted = 0
+    for owner in np.unique(owners):
+        here = owners == owner
+        count = 3 * min(int(here.sum()), COUNTED_ROWS)
+        total += count * float(np.log(np.mean(squares[here[data.equations()[0]]]) * spare))
+        counted += count
+    return total + float(np.log(counted)) * 6 * sum(len(each.own) for each in tried)
+
+
+def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacked:
+    """Other files of known set-ups: each at the station whose frames it fits best.
+
+    Args:
+        arm: The arm.
+        stations: Rows that tell the stations' frames.
+        parts: The other files' rows.
+    """
+    known = [
+        replace(each, data=each.data.select(equally_spaced(len(each.data.joints), FILE_ROWS)))
+        for each in stations.stations
+    ]
+    data = Stacked(tuple(known))
+    model = fitted_model(arm.name, arm.nominal, False)
+    fit = identify(model, ArmModel.of(robust_frames(arm, known[0].data)), [data], max_iterations=60)
+    seats: dict[int, list[Measurements]] = {}
+    for part in parts:
+        missed = []
+        for each in known:
+            own = Stacked((replace(each, data=part),))
+            left = own.misses(fit.arm_model, unknowns_of(fit, own))
+            missed.append(float(np.median(np.linalg.norm(left, axis=1))))
+        seats.setdefault(int(np.argmin(missed)), []).append(part)
+    return Stacked(tuple(replace(known[i], data=rows_together(seats[i])) for i in sorted(seats)))

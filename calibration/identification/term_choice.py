@@ -14,19 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Geometry, joint_jacobian
+from pickenv.arm import Arm, Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import (
-    ArmModel,
-    Conditions,
-    GravityTerm,
-    PeriodicTerm,
-    Term,
-    ThermalTerm,
-    weighed,
-)
+from pickenv.calibration.model.arm_model import ArmModel, GravityTerm, OrderTerm, PeriodicTerm, Term, ThermalTerm
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations, contiguous_folds, equally_spaced, same_poses
 from pickenv.calibration.model.prior import expected_sizes, prior_model
@@ -319,29 +311,6 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
     return [path[:count].ravel() for path in paths], whole.ravel()
 
 
-@dataclass(frozen=True)
-class _OrderTerm:
-    """How the tool moves as a harmonic's order does: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
-
-    wave: PeriodicTerm
-    sines: tuple[float, ...]
-    cosines: tuple[float, ...]
-
-    def names(self, geometry: Geometry) -> tuple[str, ...]:
-        return tuple(f"order{i}" for i in range(len(self.wave.orders)))
-
-    def tolerances(self, geometry: Geometry) -> Array:
-        """Half the grid's step."""
-        return np.full(len(self.wave.orders), STEP / 2)
-
-    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        chosen = list(self.wave.joints)
-        turned = joints[:, chosen]
-        angle = turned * np.array(self.wave.orders)
-        slope = turned * (np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle))
-        return np.asarray(joint_jacobian(geometry, joints)[..., chosen] * slope[:, None])
-
-
 def refined(
     wave: PeriodicTerm, others: tuple[Term, ...], bare: Identification, observations: Observations
 ) -> PeriodicTerm:
@@ -360,7 +329,7 @@ def refined(
         linear = Linearised.of(bare, (*others, wave))
         solution = solved(*_all_equations(linear, observations)) * linear.scale
         sines, cosines = solution[linear.coefficients_of(len(others))].reshape(-1, 2).T.tolist()
-        linear = Linearised.of(bare, (*others, wave, _OrderTerm(wave, tuple(sines), tuple(cosines))))
+        linear = Linearised.of(bare, (*others, wave, OrderTerm(wave, tuple(sines), tuple(cosines))))
         matrix, right, everything = _all_equations(linear, observations)
         solution = solved(matrix, right, everything)
         places = linear.coefficients_of(len(others) + 1)
@@ -497,7 +466,7 @@ def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
     weight = GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), varied)
     if name == "gravity":
         return weight
-    return weighed(weight, geometry, observations.joints, observations.conditions)
+    return weight.weighed(geometry, observations.joints, observations.conditions)
 
 
 @dataclass(frozen=True, eq=False)

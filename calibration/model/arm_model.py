@@ -148,8 +148,17 @@ class ArmModel:
 # gives the tool's displacement per unit of its coefficients, in world axes. SI units.
 
 
+def along_joints(geometry: Geometry, joints: Array, which: ArrayLike, steps: Array) -> Array:
+    """How the tool moves ``(N, 6, k)`` where these joints ``(k,)`` go such steps ``(N, k)`` farther, to first order."""
+    return np.asarray(joint_jacobian(geometry, joints)[..., np.asarray(which, dtype=int)] * steps[:, None])
+
+
 SHOWN = 1e-3
 """Combinations of moments that poses show less than this share of the clearest are left at zero."""
+
+
+ORDER_TOLERANCE = 0.25
+"""Scale of a deviation of a harmonic's order, cycles per turn."""
 
 
 @dataclass(frozen=True)
@@ -181,9 +190,7 @@ class ComplianceTerm:
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times the torques."""
-        torque = self.torques(geometry, joints, conditions)
-        chosen = list(self.joints)
-        return np.asarray(joint_jacobian(geometry, joints)[..., chosen] * torque[:, None, chosen])
+        return along_joints(geometry, joints, self.joints, self.torques(geometry, joints, conditions)[:, self.joints])
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Measured torques, or gravity's ``(N, n)``."""
@@ -239,12 +246,8 @@ class BendingTerm:
         if conditions.payload is not None and self.end_mass > 0:
             share = (1.0 + conditions.payload / self.end_mass)[:, None]
         lever = tool - tip
-        columns = []
-        for sag, slope in (
-            (share * length**3 / 3, share * length**2 / 2),
-            (length**4 / 8, length**3 / 6),
-        ):
-            columns.append(np.concatenate([sag * across + np.cross(slope * turn, lever), slope * turn], 1))
+        bent = ((share * length**3 / 3, share * length**2 / 2), (length**4 / 8, length**3 / 6))
+        columns = [np.hstack([sag * across + np.cross(slope * turn, lever), slope * turn]) for sag, slope in bent]
         return np.stack(columns, -1)
 
 
@@ -264,8 +267,7 @@ class LeadTerm:
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times the joints."""
-        chosen = list(self.joints)
-        return np.asarray(joint_jacobian(geometry, joints)[..., chosen] * joints[:, None, chosen])
+        return along_joints(geometry, joints, self.joints, joints[:, self.joints])
 
 
 @dataclass(frozen=True)
@@ -299,11 +301,33 @@ class PeriodicTerm:
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times sine and cosine."""
-        chosen = list(self.joints)
-        angle = joints[:, chosen] * np.array(self.orders)
-        wave = np.stack([np.sin(angle), np.cos(angle)], -1)
-        moved = np.asarray(joint_jacobian(geometry, joints)[..., chosen])
-        return np.asarray((moved[..., None] * wave[:, None]).reshape(len(joints), 6, -1))
+        angle = joints[:, self.joints] * np.array(self.orders)
+        wave = np.stack([np.sin(angle), np.cos(angle)], -1).reshape(len(joints), -1)
+        return np.ascontiguousarray(along_joints(geometry, joints, np.repeat(self.joints, 2), wave))
+
+
+@dataclass(frozen=True)
+class OrderTerm:
+    """How the tool moves as a harmonic's order does: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
+
+    wave: PeriodicTerm
+    sines: tuple[float, ...]
+    cosines: tuple[float, ...]
+
+    def names(self, geometry: Geometry) -> tuple[str, ...]:
+        """Numbered as the harmonics are."""
+        return tuple(f"order{i}" for i in range(len(self.wave.orders)))
+
+    def tolerances(self, geometry: Geometry) -> Array:
+        """Half the step of the grid on which orders are sought."""
+        return np.full(len(self.wave.orders), ORDER_TOLERANCE)
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """The joint Jacobian's columns times the slopes."""
+        turned = joints[:, self.wave.joints]
+        angle = turned * np.array(self.wave.orders)
+        slope = turned * (np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle))
+        return along_joints(geometry, joints, self.wave.joints, slope)
 
 
 @dataclass(frozen=True)
@@ -378,8 +402,7 @@ class GravityTerm:
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times each moment's torque."""
-        torques = self.torques(geometry, joints, conditions)
-        return np.asarray(joint_jacobian(geometry, joints)[..., self.owners(geometry)] * torques[:, None])
+        return along_joints(geometry, joints, self.owners(geometry), self.torques(geometry, joints, conditions))
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Torque of each moment on its joint, per unit of it ``(N, k)``."""
@@ -408,6 +431,18 @@ class GravityTerm:
             found.append(torque)
         return np.stack(found, 1)
 
+    def weighed(self, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:
+        """Compliance of these joints, with the moments fitted to the torques measured.
+
+        So it knows torques where none are measured, as at targets. Moments that the poses do not show stay small.
+        """
+        assert conditions.torque is not None
+        columns, owners = self.torques(geometry, joints, conditions), self.owners(geometry)
+        moments = np.zeros(len(owners))
+        for i in self.joints:
+            moments[owners == i] = np.linalg.lstsq(columns[:, owners == i], conditions.torque[:, i], rcond=SHOWN)[0]
+        return ComplianceTerm(self.joints, None, self, tuple(moments.tolist()))
+
 
 def _placed(frame: Frame, count: int) -> Array:
     """Axes and origin of a frame ``(count, 4, 3)``, one row each, where it may have plain numbers for all poses."""
@@ -417,19 +452,6 @@ def _placed(frame: Frame, count: int) -> Array:
 def _repeated(parts: Sequence[Scalar], count: int) -> Array:
     """Components as columns ``(count, k)``, plain numbers once for each row."""
     return np.stack([np.broadcast_to(part, count) for part in parts], 1)
-
-
-def weighed(weight: GravityTerm, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:
-    """Compliance of the joints of ``weight``, whose moments are fitted to the torques measured.
-
-    So it knows torques where none are measured, as at targets. Moments that the poses do not show stay small.
-    """
-    assert conditions.torque is not None
-    columns, owners = weight.torques(geometry, joints, conditions), weight.owners(geometry)
-    moments = np.zeros(len(owners))
-    for i in weight.joints:
-        moments[owners == i] = np.linalg.lstsq(columns[:, owners == i], conditions.torque[:, i], rcond=SHOWN)[0]
-    return ComplianceTerm(weight.joints, None, weight, tuple(moments.tolist()))
 
 
 KINDS: dict[str, type] = {

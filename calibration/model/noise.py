@@ -20,8 +20,8 @@ from scipy.spatial.distance import cdist
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration.model.measurements import Stacked, frame_columns
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
-from pickenv.calibration.model.stacked import Stacked, frame_columns
 
 POSE = 6
 """Equations that one pose can be worth; a row that gives more of them gives some again."""

@@ -1,4 +1,4 @@
-"""What a data set of any kind must answer; the kinds beyond `Measurements` stand in `pickenv.calibration.model.kinds`.
+"""What a data set of any kind must answer; kinds beyond `Measurements` stand in `kinds` and `pixels` beside it.
 
 Each kind brings unknowns of its own (where the reflectors sit, the wire is anchored, the sockets are), which are
 identified together with the arm. Rows are whitened by their covariance, so any mix may be stacked. SI units.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -18,7 +19,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.arm_model import LENGTH_TOLERANCE, ArmModel, Conditions
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.errors import InputError
 
 # Where each row of a data set stands, file and line, carried through every selection: a message names what is wrong.
@@ -139,6 +140,21 @@ class Observations(Equations, Protocol):
         """The row that each of `misses` belongs to ``(R,)``."""
 
     @property
+    def parts(self) -> tuple[Observations, ...]:
+        """The data sets of the stations, or this one alone."""
+
+    @property
+    def tracked(self) -> bool:
+        """Whether these are `Measurements`: poses or positions of the tool in one instrument's frame."""
+
+    @property
+    def rounding(self) -> float:
+        """What a reading changes by when it is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px.
+
+        A third of what such instruments scatter by, so that a pose measured anew reads alike once in five times.
+        """
+
+    @property
     def miss_unit(self) -> str:
         """What screens show `misses` in: "mm" of metres, "deg" of radians."""
 
@@ -157,40 +173,133 @@ class Observations(Equations, Protocol):
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
 
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
+        """Poses or positions (`Measurements`) that the rows are worth by themselves, to start from; None where none."""
+
     def fingerprint(self) -> str:
         """Hash of the numbers, which a calibration records."""
 
 
+@dataclass(frozen=True, eq=False)
+class Stated:
+    """K numbers of an instrument, each with what is known of it: exactly, within a standard uncertainty, or not at all.
+
+    Where a wire's reading begins, how long a ball bar is, where a socket stands: what is not exact is an unknown of the
+    least squares, and what is known of it stands there as one more equation.
+
+    Attributes:
+        names: Of the numbers.
+        values: As they are stated ``(K,)``; of unknown ones where to begin.
+        std: Standard uncertainty of each ``(K,)``: 0 where it is exact, infinite where it is unknown.
+        scales: Scale of each one's deviation ``(K,)``.
+    """
+
+    names: tuple[str, ...]
+    values: Array
+    std: Array
+    scales: Array
+
+    @property
+    def free(self) -> Rows:
+        """Which numbers are fitted."""
+        return np.flatnonzero(self.std > 0.0)
+
+    @property
+    def _known(self) -> Rows:
+        """Which of the fitted ones something is known of."""
+        return np.flatnonzero(np.isfinite(self.std[self.free]))
+
+    def unknowns(self) -> tuple[str, ...]:
+        """Names of the fitted ones."""
+        return tuple(self.names[i] for i in self.free)
+
+    def start(self) -> Array:
+        """Their values as stated."""
+        return self.values[self.free]
+
+    def whole(self, unknowns: Array) -> Array:
+        """All numbers ``(K,)``, the fitted ones as given."""
+        values = self.values.copy()
+        values[self.free] = unknowns
+        return values
+
+    def residual(self, unknowns: Array) -> Array:
+        """Stated minus present values of those that something is known of, in standard uncertainties."""
+        return np.asarray(((self.start() - unknowns) / self.std[self.free])[self._known])
+
+    def jacobian(self) -> Array:
+        """Derivatives of these equations by the fitted numbers."""
+        return np.asarray(np.diag(1.0 / self.std[self.free])[self._known])
+
+
 class OneGroup:
-    """Rows that a split may part anywhere, each of which misses once."""
+    """Rows that a split may part anywhere, each of which misses once; what most kinds answer alike.
+
+    A kind says what it misses by and how that changes with the arm and with the numbers of its instrument; these
+    equations are followed by what is known of the numbers, and by what else holds among them.
+    """
 
     joints: Array
+    conditions: Conditions
+    per_row: tuple[str, ...]
+    """Names of the arrays that hold one entry per row, beside the joints."""
+
+    width = 1
+    """Equations of each miss."""
+
+    miss_unit = "mm"
+    rounding = 5e-6
+    sized = True
+    tracked = False
 
     @property
-    def miss_unit(self) -> str:
-        """Misses are lengths."""
-        return "mm"
+    def parts(self) -> tuple[Self, ...]:
+        """One station alone."""
+        return (self,)
 
-    @property
-    def sized(self) -> bool:
-        """Lengths are measured."""
-        return True
+    @cached_property
+    def numbers(self) -> Stated:
+        """The instrument's own numbers: none."""
+        return Stated((), np.zeros(0), np.zeros(0), np.zeros(0))
 
-    def fingerprint(self) -> str:
-        """Of joints and readings."""
-        return hash_of(self.joints, self.readings())
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
+        """Measured minus predicted readings ``(R, m)`` with all of the instrument's numbers ``(K,)``."""
+        raise NotImplementedError
+
+    def whitened(self, model: ArmModel, numbers: Array) -> Array:
+        """The same in standard uncertainties."""
+        return np.asarray(self.missed(model, numbers) / self.std)  # type: ignore[attr-defined]
+
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
+        """Derivatives of the whitened prediction by the model ``(..., P)`` and by the numbers ``(..., K)``."""
+        raise NotImplementedError
+
+    def bonds(self, numbers: Array) -> tuple[Array, Array]:
+        """What else holds among the numbers: whitened residual ``(G,)`` and derivatives ``(G, K)``."""
+        return np.zeros(0), np.zeros((0, len(numbers)))
 
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``."""
         raise NotImplementedError
 
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
+        """None: such readings say nothing of poses by themselves."""
+
+    def fingerprint(self) -> str:
+        """Of joints and readings."""
+        return hash_of(self.joints, self.readings())
+
     def unknowns(self) -> tuple[str, ...]:
-        """None of its own."""
-        return ()
+        """The numbers that are not known exactly."""
+        return self.numbers.unknowns()
 
     def tolerances(self) -> Array:
-        """Of lengths."""
-        return np.full(len(self.unknowns()), LENGTH_TOLERANCE)
+        """Their scales."""
+        return self.numbers.scales[self.numbers.free]
+
+    def start(self, model: ArmModel) -> Array:
+        """As they are stated."""
+        return self.numbers.start()
 
     @property
     def groups(self) -> Rows:
@@ -203,35 +312,51 @@ class OneGroup:
         return np.arange(len(self.joints))
 
     def equations(self) -> tuple[Rows, Rows]:
-        """One for each row, all of one channel."""
-        return one_channel(np.arange(len(self.joints)))
+        """Those of each miss, then of no row what is known of the numbers; all of one channel."""
+        extra = len(self.numbers.jacobian()) + len(self.bonds(self.numbers.values)[0])
+        rows = np.concatenate([np.repeat(self.rows_of_misses, self.width), np.full(extra, -1)])
+        return rows, np.zeros(len(rows), dtype=np.int64)
+
+    def misses(self, model: ArmModel, unknowns: Array) -> Array:
+        """Measured minus predicted."""
+        return self.missed(model, self.numbers.whole(unknowns))
+
+    def residual(self, model: ArmModel, unknowns: Array) -> Array:
+        """Misses in standard uncertainties, what is known of the numbers, likewise, and what else holds."""
+        numbers = self.numbers.whole(unknowns)
+        known = self.numbers.residual(unknowns)
+        return np.concatenate([self.whitened(model, numbers).ravel(), known, self.bonds(numbers)[0]])
+
+    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
+        """Of the same, by the model and by the unknowns."""
+        numbers, free = self.numbers.whole(unknowns), self.numbers.free
+        by_arm, by_numbers = (part.reshape(-1, part.shape[-1]) for part in self.derivatives(model, numbers))
+        extra = np.concatenate([self.numbers.jacobian(), self.bonds(numbers)[1][:, free]])
+        by_arm = np.concatenate([by_arm, np.zeros((len(extra), by_arm.shape[1]))])
+        return by_arm, np.ascontiguousarray(np.concatenate([by_numbers[:, free], extra]))
+
+    def select(self, rows: ArrayLike) -> Self:
+        """The data set that holds only the given rows (indices or a mask)."""
+        rows = np.asarray(rows)
+        origins = origins_of(self).select(rows)  # type: ignore[arg-type]
+        changed = {"joints": self.joints[rows], "conditions": self.conditions.select(rows), "origins": origins}
+        return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
+
+    def imagined(self, joints: Array) -> Self:
+        """What such an instrument would be asked at other joints ``(M, n)``: its readings, over and over."""
+        rows = np.resize(np.arange(len(self.joints)), len(joints))
+        return replace(self, joints=joints, conditions=Conditions(), origins=None, **self._arrays(rows))  # type: ignore[type-var]
+
+    def _arrays(self, rows: NDArray[Any]) -> dict[str, Any]:
+        """Some rows of the arrays that hold one entry per row."""
+        values = {name: getattr(self, name) for name in self.per_row}
+        return {name: None if value is None else value[rows] for name, value in values.items()}
 
 
 def hash_of(*parts: Array) -> str:
     """Hash of numbers to 1e-9 m and rad; a trip through a CSV file keeps it."""
     whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
     return hashlib.sha256(b"".join(part.tobytes() for part in whole)).hexdigest()[:16]
-
-
-def one_channel(rows: Rows) -> tuple[Rows, Rows]:
-    """Equations of these rows, all of one channel."""
-    return rows, np.zeros(len(rows), dtype=np.int64)
-
-
-def selected(data: Kind, rows: ArrayLike, *names: str) -> Kind:
-    """Some rows (indices or a mask) of a data set whose arrays of these names, where any, hold one entry per row."""
-    rows = np.asarray(rows)
-    values: dict[str, Any] = {name: getattr(data, name) for name in ("joints", *names)}
-    changed = {name: None if value is None else value[rows] for name, value in values.items()}
-    changed |= {"conditions": data.conditions.select(rows), "origins": origins_of(data).select(rows)}
-    return replace(data, **changed)  # type: ignore[type-var]
-
-
-def repeated_at(data: Kind, joints: Array, *names: str) -> Kind:
-    """A data set at other joints ``(M, n)``, whose readings of these names are those it has, over and over."""
-    rows = np.resize(np.arange(len(data.joints)), len(joints))
-    changed: dict[str, Any] = {name: getattr(data, name)[rows] for name in names}
-    return replace(data, joints=joints, conditions=Conditions(), origins=None, **changed)  # type: ignore[type-var]
 
 
 def origins_of(data: Observations) -> Origins:
@@ -332,6 +457,40 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
     ends = np.cumsum(np.bincount(poses)[order])[:-1]
     cut = ends[np.argmin(np.abs(ends - (len(poses) - test_rows)))]
     return rows[:cut], rows[cut:]
+
+
+def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
+    """Training and held-out rows of one data set, drawn; sockets and stations are split one by one, to train on each.
+
+    Rows of one pose stay on one side, also where several stations measured it.
+
+    Args:
+        observations: The data.
+        test_rows: Rows to hold out; a fifth when left out.
+        rng: Draws the split.
+
+    Raises:
+        InputError: If the split is impossible.
+    """
+    count = len(observations.joints)
+    wanted = max(1, count // 5) if test_rows is None else test_rows
+    poses = same_poses(observations.joints)
+    if not observations.groups.any():
+        return random_split(poses, wanted, rng)
+    home = home_groups(observations.groups, poses)
+    train, test = [], []
+    for number in np.unique(home):
+        rows = np.flatnonzero(home == number)
+        share = max(1, round(wanted * len(rows) / count))
+        if len(rows) - share < 2:
+            raise InputError(
+                f"{observations.source}: socket or station {number + 1} has {len(rows)} rows, too few to hold "
+                f"{share} of them out"
+            )
+        here, there = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
+        train.append(rows[here])
+        test.append(rows[there])
+    return np.concatenate(train), np.concatenate(test)
 
 
 def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows]:

@@ -14,18 +14,11 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from pickenv.arm import Pose
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.calibration.model.kinds.surfaces import Stated
-from pickenv.calibration.model.observations import (
-    OneGroup,
-    Origins,
-    Rows,
-    one_channel,
-    point_jacobian,
-    repeated_at,
-    selected,
-)
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import OneGroup, Origins, Rows, Stated, nearest_rotation, point_jacobian
 
 # What a camera makes of a point: a pinhole, and the radial and tangential distortion of its lens. Brown 1971, with
 # the coefficients as OpenCV and ROS ("plumb_bob") order them: k1, k2, p1, p2, k3. Points lie in the camera's frame (x
@@ -163,9 +156,12 @@ class PixelObservations(OneGroup):
     origins: Origins | None = None
     remarks: NDArray[np.str_] | None = None
     pictures: NDArray[np.str_] | None = None
+    per_row = ("corners", "seen", "std", "remarks", "pictures")
+    width = 2
+    rounding = 0.03
 
     @cached_property
-    def _lens(self) -> Stated:
+    def numbers(self) -> Stated:
         """The numbers of the lens, as far as they are known."""
         return Stated(LENS_NAMES, self.camera.values, self.lens_std, SCALES)
 
@@ -174,23 +170,24 @@ class PixelObservations(OneGroup):
         """One miss per corner found."""
         return np.nonzero(self.seen)[0]
 
-    def select(self, rows: Rows) -> Self:
-        """The views of the given rows."""
-        return selected(self, rows, "corners", "seen", "std", "remarks", "pictures")
-
     def imagined(self, joints: Array) -> Self:
         """What the camera would be asked at other joints ``(M, n)``, were every corner seen (see `visible`)."""
         usual = np.full_like(self.std, np.median(self.std[self.seen]))
         whole = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
-        return repeated_at(whole, joints, "corners", "seen", "std")
+        return OneGroup.imagined(whole, joints)
+
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
+        """The board's poses in the camera, or the camera's before the board."""
+        poses = board_poses(self)
+        if self.mount == "hand":
+            back = np.swapaxes(poses.rotation, 1, 2)
+            poses = Pose(-(back @ poses.position[..., None])[..., 0], back)
+        return Measurements(self.joints, poses.position, poses.rotation, prismatic, source=self.source)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
         """Which corners a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
-        tool, points, values = (
-            model.pose(self.joints, self.conditions),
-            self.in_camera(model),
-            self.lens_values(unknowns),
-        )
+        tool, points = model.pose(self.joints, self.conditions), self.in_camera(model)
+        values = self.lens_values(unknowns)
         towards = tool.rotation[..., 2] if self.mount == "world" else tool.rotation[:, 2]  # into the board
         middle = points.mean(axis=1)
         facing = np.sum(towards * middle, axis=1) > SLANT * np.linalg.norm(middle, axis=1)
@@ -202,21 +199,9 @@ class PixelObservations(OneGroup):
         places = projected(values, points)
         return np.asarray(ahead & near & ((places >= margin) & (places <= size - 1.0 - margin)).all(axis=-1))
 
-    def unknowns(self) -> tuple[str, ...]:
-        """The fitted numbers of the lens."""
-        return self._lens.unknowns()
-
-    def tolerances(self) -> Array:
-        """Their scales."""
-        return self._lens.tolerances()
-
-    def start(self, model: ArmModel) -> Array:
-        """The lens as it is known."""
-        return self._lens.start()
-
     def lens_values(self, unknowns: Array) -> Array:
         """All numbers of the lens ``(9,)``, the fitted ones as given."""
-        return self._lens.whole(unknowns)
+        return self.numbers.whole(unknowns)
 
     def in_camera(self, model: ArmModel) -> Array:
         """The board's corners in the camera's frame ``(V, K, 3)``, m."""
@@ -231,30 +216,25 @@ class PixelObservations(OneGroup):
 
     def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
         """Found minus predicted ``(R, 2)``, px, of the corners found, view by view."""
-        return np.asarray((self.corners - self.predict(model, unknowns))[self.seen])
+        return self._errors(model, self.lens_values(unknowns))
 
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """The same at the board's distance ``(R, 2)``, m."""
-        depth = self.in_camera(model)[self.seen][:, 2:]
-        return self.pixel_errors(model, unknowns) * depth / self.lens_values(unknowns)[:2]
+    def _errors(self, model: ArmModel, values: Array) -> Array:
+        return np.asarray((self.corners - projected(values, self.in_camera(model)))[self.seen])
+
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
+        """Errors of the corners at the board's distance ``(R, 2)``, m."""
+        return np.asarray(self._errors(model, numbers) * self.in_camera(model)[self.seen][:, 2:] / numbers[:2])
+
+    def whitened(self, model: ArmModel, numbers: Array) -> Array:
+        """Pixel errors in standard uncertainties."""
+        return self._errors(model, numbers) / self.std[self.seen][:, None]
 
     def readings(self) -> Array:
         """The corners found; in px, which only serves to tell rows apart."""
         return np.where(self.seen[..., None], self.corners, 0.0).reshape(len(self.joints), -1)
 
-    def equations(self) -> tuple[Rows, Rows]:
-        """Two for each corner found, then what is known of the lens."""
-        known = np.full(len(self._lens.jacobian()), -1)
-        return one_channel(np.concatenate([np.repeat(self.rows_of_misses, 2), known]))
-
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Pixel errors in standard uncertainties, then what is known of the lens, likewise."""
-        errors = self.pixel_errors(model, unknowns) / self.std[self.seen][:, None]
-        return np.concatenate([errors.ravel(), self._lens.residual(unknowns)])
-
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Derivatives of `predict` by the pose, and by the lens."""
-        values = self.lens_values(unknowns)
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
+        """Of the projection, by the pose and by the lens."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         rows, _ = np.nonzero(self.seen)
         points = self.in_camera(model)[self.seen]
@@ -265,15 +245,51 @@ class PixelObservations(OneGroup):
             lever = np.broadcast_to(self.board, (*self.corners.shape[:2], 3))[self.seen] - tool.position[rows]
             moved = -np.swapaxes(tool.rotation, 1, 2)[rows] @ point_jacobian(pose[rows], lever)
         weight = 1.0 / self.std[self.seen][:, None, None]
-        by_arm = (by_point(values, points) @ moved * weight).reshape(-1, pose.shape[-1])
-        by_lens = (by_values(values, points)[..., self._lens.free] * weight).reshape(len(by_arm), len(unknowns))
-        prior = self._lens.jacobian()
-        return (
-            np.concatenate([by_arm, np.zeros((len(prior), by_arm.shape[1]))]),
-            np.concatenate([by_lens, prior]),
-        )
+        return by_point(numbers, points) @ moved * weight, by_values(numbers, points) * weight
 
 
 def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
     """The same views with a lens that is "fixed" or "free", whatever their description says."""
     return replace(data, lens_std=np.full(len(LENS_NAMES), 0.0 if kind == "fixed" else np.inf))
+
+
+# Where a flat board stands in a camera's frame, view by view: a homography, then its two rotations' common pose. A
+# first pose to start from (Zhang 2000, section 3.1), not a result: the fit of the arm takes the corners themselves.
+
+
+def board_poses(data: PixelObservations) -> Pose:
+    """The board in the camera's frame in each view ``(V,)``.
+
+    Args:
+        data: Views with at least four corners each, not all in one line; the board's corners lie in its plane z = 0.
+    """
+    poses = [
+        _pose(data.board[seen, :2], undistorted(data.camera.values, corners[seen]))
+        for corners, seen in zip(data.corners, data.seen, strict=True)
+    ]
+    return Pose(np.array([p.position for p in poses]), np.array([p.rotation for p in poses]))
+
+
+def _pose(flat: Array, rays: Array) -> Pose:
+    """The pose whose first two columns and position are the homography from the board to the rays."""
+    homography = _homography(flat, rays)
+    scale = np.linalg.norm(homography[:, :2], axis=0).mean()
+    first, second, position = (homography / scale).T
+    if position[2] < 0.0:  # the board is in front of the camera
+        first, second, position = -first, -second, -position
+    rotation = nearest_rotation(np.stack([first, second, np.cross(first, second)], axis=1))
+    return Pose(position, rotation)
+
+
+def _homography(flat: Array, rays: Array) -> Array:
+    """H of (ray, 1) ~ H (point, 1), by the normalised direct linear transform (Hartley 1997)."""
+    middle, size = flat.mean(axis=0), float(np.sqrt(2.0) / np.linalg.norm(flat - flat.mean(axis=0), axis=1).mean())
+    points = np.column_stack([(flat - middle) * size, np.ones(len(flat))])
+    blank = np.zeros_like(points)
+    rows = np.concatenate(
+        [np.hstack([points, blank, -rays[:, :1] * points]), np.hstack([blank, points, -rays[:, 1:] * points])]
+    )
+    found = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    return np.asarray(
+        found @ np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]])
+    )

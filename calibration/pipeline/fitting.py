@@ -19,17 +19,15 @@ from pickenv.arm import Arm, forward
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.screen import Block, figure
-from pickenv.calibration.identification.least_squares import Identification, identify
-from pickenv.calibration.identification.robust import MISFIT, SPAN, align, refuse_another_arm, unknowns_of
+from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
+from pickenv.calibration.identification.robust import MISFIT, SPAN, align, refuse_another_arm, rough_start
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.identification.starts import rough_start
 from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model, kind_of_term
-from pickenv.calibration.model.kinds.surfaces import SocketObservations
-from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.kinds import SocketObservations
+from pickenv.calibration.model.measurements import Measurements, Stacked
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.model.prior import PriorModel, prior_model
-from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.verification import errors_there, restationed
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Arm, Geometry, forward, load_arm
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.starts import by_set_up, placed, stations_of
+from pickenv.calibration.identification.robust import by_set_up, placed, stations_of
 from pickenv.calibration.model.arm_model import pose_carrier
-from pickenv.calibration.model.measurements import Frames, Measurements, joint_columns, random_joints
+from pickenv.calibration.model.measurements import OWN, Frames, Measurements, Stacked, joint_columns, random_joints
 from pickenv.calibration.model.observations import Observations, equally_spaced, named, origins_of
-from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.stacked import OWN, Stacked
 from pickenv.calibration.pipeline.verification import REFIT_ROWS
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_observations, read_targets
@@ -72,11 +70,10 @@ class Choices:
 
 def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
-    parts = train.parts if isinstance(train, Stacked) else (train,)
-    tracked = all(isinstance(part, Measurements) for part in parts)
     learnt = choices.residual not in ("auto", "none")
+    tracked = all(part.tracked for part in train.parts)
     options = {"--frames known": choices.frames == "known", f"--residual {choices.residual}": learnt and not tracked}
-    if choices.lens is not None and not isinstance(train, PixelObservations):
+    if choices.lens is not None and train.kind != "pixels":
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
     one, several = (" of one station", " of several") if tracked else ("", "")
     for option, wanted in options.items():
@@ -248,7 +245,7 @@ def _joined(
         if isinstance(like, Stacked) and tracked:
             return placed(arm, like, tracked)
         free = not known and like is None and all(part.frames == "fitted" for part in tracked)
-        if len(tracked) > 1 and free and all(isinstance(part, Measurements) for part in sets):
+        if len(tracked) > 1 and free and all(part.tracked for part in sets):
             several = by_set_up(arm, tracked)
             return sets[0] if len(sets) == 1 and isinstance(several, Measurements) else several
     return sets[0] if len(sets) == 1 else stations_of(arm, sets, STATIONS[stations or "base,tool"])

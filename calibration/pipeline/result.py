@@ -43,15 +43,19 @@ from pickenv.calibration.assessment.screen import (
     unknowns_in,
 )
 from pickenv.calibration.compensation.compensator import Compensator
-from pickenv.calibration.identification.diagnosis import LeftOut, said_of_files, said_of_rows, said_of_stations
-from pickenv.calibration.identification.robust import said_of_repeats
-from pickenv.calibration.identification.starts import fitted_model
+from pickenv.calibration.identification.diagnosis import (
+    LeftOut,
+    said_of_files,
+    said_of_repeats,
+    said_of_rows,
+    said_of_stations,
+)
+from pickenv.calibration.identification.robust import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel
-from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.measurements import Measurements, Stacked
 from pickenv.calibration.model.observations import MISS_UNITS, Observations
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.calibration import (
     MEASURED_REGION,
     Calibration,

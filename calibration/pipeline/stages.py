@@ -16,17 +16,17 @@ from pathlib import Path
 import numpy as np
 
 from pickenv.arm import Arm
-from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, without_blind_views
+from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_trained, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification
-from pickenv.calibration.identification.robust import choose, refuse_trained
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term
-from pickenv.calibration.model.measurements import FRAMES, Measurements
+from pickenv.calibration.model.measurements import FRAMES, Measurements, Stacked
 from pickenv.calibration.model.observations import (
     BLOCKS,
     Observations,
     Rows,
+    choose,
     contiguous_folds,
     equally_spaced,
     pose_count,
@@ -34,7 +34,6 @@ from pickenv.calibration.model.observations import (
 )
 from pickenv.calibration.model.pixels import PixelObservations, with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, prior_model
-from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.pipeline.fitting import (
     Fit,
     HeldOut,
@@ -177,8 +176,8 @@ def calibrate(
         train = with_lens(train, choices.lens)
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
-    few = isinstance(train, Measurements) and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
-    if test is None and (split == "blocked" or few or isinstance(train, PixelObservations)):
+    few = train.tracked and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
+    if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
@@ -273,7 +272,7 @@ def _judged_elsewhere(draft: Draft) -> Result:
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
     """Rows to fit and rows held out, block by block; of few pictures, or very few poses, each is a block."""
     poses, count = same_poses(train.joints), pose_count(train.joints)
-    few = count <= (FEW_VIEWS if isinstance(train, PixelObservations) else FEW_ROWS)
+    few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
     return contiguous_folds(train.groups, poses, count if few else BLOCKS)
 
 

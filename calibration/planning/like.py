@@ -18,18 +18,15 @@ from numpy.typing import NDArray
 from pickenv.arm import Arm, Geometry
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.diagnosis import without_blind_views
-from pickenv.calibration.identification.robust import align, robust_identify, unknowns_of
+from pickenv.calibration.identification.least_squares import identifiable_parameters, unknowns_of
+from pickenv.calibration.identification.robust import align, robust_identify, rough_start
 from pickenv.calibration.identification.solve import UNKNOWN_STD
-from pickenv.calibration.identification.starts import rough_start
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, complete_model, frames_model
-from pickenv.calibration.model.identifiability import identifiable_parameters
-from pickenv.calibration.model.kinds.distances import DistanceObservations
-from pickenv.calibration.model.kinds.surfaces import SocketObservations
-from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.kinds import DistanceObservations, SocketObservations
+from pickenv.calibration.model.measurements import Measurements, Stacked
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.prior import FRAMES, PriorModel
-from pickenv.calibration.model.stacked import Stacked
 from pickenv.calibration.planning.plan import (
     DRAWS,
     MARGIN,

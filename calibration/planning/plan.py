@@ -21,8 +21,8 @@ from scipy.linalg import qr
 
 from pickenv.arm import Arm, Geometry, parameter_jacobian
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, Observability, observability
 from pickenv.calibration.model.arm_model import ErrorModel, frames_model, link_model
-from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, Observability, observability
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, random_joints, write_joints
 from pickenv.calibration.model.prior import FRAMES, PriorModel
 from pickenv.errors import InputError

@@ -18,8 +18,12 @@ from pickenv.arm import Geometry, Pose
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.camera.boards import Board, FoundCorners, Grey, find_corners, no_corners, opencv, read_lens
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
-from pickenv.calibration.model.kinds.distances import DistanceObservations, ReflectorObservations, TiltObservations
-from pickenv.calibration.model.kinds.surfaces import SocketObservations
+from pickenv.calibration.model.kinds import (
+    DistanceObservations,
+    ReflectorObservations,
+    SocketObservations,
+    TiltObservations,
+)
 from pickenv.calibration.model.observations import Observations, Origins, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading.csv_table import Table, read_table, rotations

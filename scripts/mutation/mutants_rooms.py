@@ -165,7 +165,7 @@ ROOMS = {
     ),
     "camera": room(
         "calibration",
-        "model/pixels model/lens identification/board_poses camera/boards camera/corners",
+        "model/pixels camera/boards",
         "tests/calibration",
         "model/pixels camera/lenses camera/boards camera/pictures",
     ),
@@ -194,22 +194,22 @@ ROOMS = {
     ),
     "stations": room(
         "calibration",
-        "model/stacked identification/starts pipeline/restation pipeline/verification pipeline/given",
+        "model/measurements identification/robust pipeline/restation pipeline/verification pipeline/given",
         "tests/calibration",
         "pipeline/given_rows pipeline/restation_figures reading/kinds_of_files model/pixels pipeline/verification "
         "model/stacked pipeline/instruments",
         most=SECOND,
     ),
     "kinds": room(
-        "calibration/model/kinds",
-        "distances reflectors sockets stated surfaces tilts tool_point",
+        "calibration/model",
+        "kinds",
         "tests/calibration",
         "reading/kinds_of_files model/observations model/kinds pipeline/instruments",
         most=SECOND,
     ),
     "harmonics": room(
         "calibration",
-        "identification/harmonics identification/block_equations identification/term_choice model/terms",
+        "identification/term_choice model/arm_model",
         "tests/calibration",
         "model/terms_by_hand model/terms identification/mimic identification/harmonics pipeline/stage_choices "
         "pipeline/blocks",

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
+from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_pixels, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.plot_slices import error_slices

@@ -15,7 +15,6 @@ from pickenv.calibration.assessment.quality import axis_errors, base_combination
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import SIGMAS, Result, has_moved
 from pickenv.files import write_text
@@ -103,7 +102,7 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
 
 def _measured(data: Observations) -> str:
     """What the rows of a data set are."""
-    return "views of a board" if isinstance(data, PixelObservations) else f"{data.kind} measurements"
+    return "views of a board" if data.kind == "pixels" else f"{data.kind} measurements"
 
 
 def _verdict(r: Result, test: Observations) -> PageVerdict:
@@ -115,14 +114,10 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
     seen = (
         "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the block that it is judged on"
     )
-    rows, stood = (
-        ("measured poses", "the tool stood")
-        if isinstance(test, Measurements)
-        else (r.held_out.rows, "what was read lay")
-    )
+    rows, stood = ("measured poses", "the tool stood") if test.tracked else (r.held_out.rows, "what was read lay")
     sentence = (
         f"On {len(test.joints)} {rows} {seen}, {stood} {figure(final.mean)} {r.miss_unit} (mean; {interval}) from "
-        f"where the calibrated model says{' it stands' * isinstance(test, Measurements)}."
+        f"where the calibrated model says{' it stands' * test.tracked}."
     )
     if r.has_nominal:
         sentence += f" With the nominal model it is {figure(r.position[NOMINAL].mean)} {r.miss_unit}."

@@ -25,9 +25,8 @@ from pickenv.arm.plant.motion import Place, in_components
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import with_links
 from pickenv.arm.plant.tree import tree_map
-from pickenv.calibration.identification.least_squares import judged_step
+from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, judged_step
 from pickenv.calibration.model.arm_model import ErrorModel
-from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
 from pickenv.study.design.config import Setting
 from pickenv.study.design.protocol import Circumstances, Protocol, measured
 

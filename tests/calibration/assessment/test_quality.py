@@ -22,7 +22,7 @@ from pickenv.calibration.assessment.quality import (
     correlated_pairs,
     grade_quality,
 )
-from pickenv.calibration.model.identifiability import Dropped, Identifiability
+from pickenv.calibration.identification.least_squares import Dropped, Identifiability
 from pickenv.calibration.pipeline.calibration import pose_uncertainty, uncertainty_from
 from pickenv.calibration.pipeline.result import assess
 

@@ -18,9 +18,9 @@ from pickenv.calibration.assessment.quality import (
     grade_quality,
 )
 from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
+from pickenv.calibration.identification.least_squares import Dropped, Identifiability
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ThermalTerm, frames_model
-from pickenv.calibration.model.identifiability import Dropped, Identifiability
 from pickenv.calibration.model.prior import FRAMES, MADE, ZEROS, prior_model
 
 JUST = 1e-9

@@ -17,7 +17,7 @@ from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
 from pickenv.calibration import Calibration, Measurements, fit, random_joints, read_measurements, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
-from pickenv.calibration.identification.robust import choose
+from pickenv.calibration.model.observations import choose
 from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.result import assess
 from pickenv.calibration.pipeline.stages import calibrate
@@ -248,7 +248,7 @@ def test_a_model_that_does_not_converge_is_never_chosen(dynamic, monkeypatch):
 
 
 def test_a_foreign_option_is_refused(qiao, exact):
-    from pickenv.calibration.model.kinds.distances import DistanceObservations
+    from pickenv.calibration.model.kinds import DistanceObservations
 
     joints = exact(qiao.nominal).joints
     wire = DistanceObservations(joints, np.ones(len(joints)), 1e-4)

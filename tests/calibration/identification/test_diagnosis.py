@@ -9,9 +9,8 @@ import pytest
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.calibration.identification.diagnosis import mixed_unit, telling_views
-from pickenv.calibration.identification.robust import choose
-from pickenv.calibration.model.kinds.distances import DistanceObservations, ReflectorObservations
-from pickenv.calibration.model.observations import contiguous_folds, same_poses
+from pickenv.calibration.model.kinds import DistanceObservations, ReflectorObservations
+from pickenv.calibration.model.observations import choose, contiguous_folds, same_poses
 from pickenv.calibration.model.pixels import Lens, PixelObservations
 from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.stages import calibrate

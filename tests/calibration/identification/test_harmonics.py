@@ -15,7 +15,6 @@ from pickenv.calibration.identification.term_choice import (
     WITHIN,
     BlockEquations,
     Linearised,
-    _OrderTerm,
     choose_terms,
     chosen_orders,
     every_order,
@@ -27,7 +26,7 @@ from pickenv.calibration.identification.term_choice import (
     solved,
     terms_of,
 )
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, GravityTerm, PeriodicTerm, kind_of_term
+from pickenv.calibration.model.arm_model import ArmModel, Conditions, GravityTerm, OrderTerm, PeriodicTerm, kind_of_term
 from pickenv.calibration.model.observations import contiguous_folds, same_poses
 from pickenv.errors import InputError
 
@@ -287,7 +286,7 @@ def test_an_orders_column_is_the_difference_of_what_its_harmonic_does():
     joints = np.random.default_rng(0).uniform(-2, 2, (20, 6))
     sines, cosines, step = (2e-4, -1e-4), (1e-4, 3e-4), 1e-5
     amplitudes = np.ravel(np.column_stack([sines, cosines]))
-    columns = _OrderTerm(PeriodicTerm((0, 2), (13.4, 4.7)), sines, cosines).columns(ARM.nominal, joints, Conditions())
+    columns = OrderTerm(PeriodicTerm((0, 2), (13.4, 4.7)), sines, cosines).columns(ARM.nominal, joints, Conditions())
     for k in range(2):
         up, down = (
             PeriodicTerm((0, 2), tuple(np.array([13.4, 4.7]) + side * step * (np.arange(2) == k))).columns(
@@ -344,7 +343,7 @@ def test_orders_are_refined_to_their_optimum_but_not_beyond_their_place_on_the_g
 
     linear, _, solution, _ = stacked()
     sine, cosine = (solution * linear.scale)[linear.coefficients_of(1)]
-    linear, rows, solution, remains = stacked(_OrderTerm(found, (sine,), (cosine,)))
+    linear, rows, solution, remains = stacked(OrderTerm(found, (sine,), (cosine,)))
     (place,) = linear.coefficients_of(2)
     if ended is None:
         assert abs(solution[place] * linear.scale[place]) < 0.02 * found.order_std[0]

@@ -10,9 +10,13 @@ from hypothesis import strategies as st
 from pickenv.arm import forward, load_arm, parameter_jacobian, rotation_matrix
 from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
 from pickenv.calibration.identification import least_squares
-from pickenv.calibration.identification.least_squares import describe_absorption, identify_converged, is_angle
+from pickenv.calibration.identification.least_squares import (
+    REDUNDANCY_TOLERANCE,
+    describe_absorption,
+    identify_converged,
+    is_angle,
+)
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
-from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE
 from pickenv.errors import InputError
 
 PAPER_DROPS = {"a2", "a3", "a5", "d3", "d4", "theta2", "d6"}

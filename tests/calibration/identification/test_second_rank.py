@@ -8,7 +8,7 @@ from pickenv.calibration import complete_model, identify, link_model, random_joi
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import Progress
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.kinds import DistanceObservations
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,15 @@ import pytest
 import torch
 
 from pickenv.calibration.identification import least_squares
-from pickenv.calibration.identification.least_squares import describe_absorption, identify, is_angle, judged_step
+from pickenv.calibration.identification.least_squares import (
+    REDUNDANCY_TOLERANCE,
+    describe_absorption,
+    identifiability,
+    identify,
+    is_angle,
+    judged_step,
+)
 from pickenv.calibration.model.arm_model import geometric_model, link_model
-from pickenv.calibration.model.identifiability import REDUNDANCY_TOLERANCE, identifiability
 from pickenv.errors import InputError
 
 FAR = np.full(3, 1e-2)

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from pickenv.arm import Plant, load_arm, load_plant
 from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker
-from pickenv.calibration.identification.robust import refuse_trained
+from pickenv.calibration.identification.diagnosis import refuse_trained
 from pickenv.calibration.model.observations import SAME_POSE
 from pickenv.cli import app
 from pickenv.errors import InputError

@@ -16,9 +16,10 @@ from pickenv.calibration import (
     complete_model,
     identify,
 )
-from pickenv.calibration.identification.robust import unknowns_of
+from pickenv.calibration.identification.least_squares import unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.kinds.surfaces import SURFACES, Stated, steady_solution
+from pickenv.calibration.model.kinds import SURFACES, steady_solution
+from pickenv.calibration.model.observations import Stated
 from tests.calibration.simulated_instruments import HERE, KINDS, other_way_round, start_and_truth, truth_of
 
 

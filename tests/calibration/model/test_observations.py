@@ -8,13 +8,13 @@ import pytest
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, rotation_matrix
 from pickenv.calibration import Measurements, align, complete_model, frames_model, identify, random_joints
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
-from pickenv.calibration.model.kinds.distances import (
+from pickenv.calibration.model.kinds import (
     DistanceObservations,
     ReflectorObservations,
+    SocketObservations,
     tracker_covariance,
     whitening_of,
 )
-from pickenv.calibration.model.kinds.surfaces import SocketObservations
 from pickenv.calibration.model.observations import nearest_rotation
 
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3

@@ -11,12 +11,11 @@ import pytest
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.arm.kinematics.geometry import move_pose
 from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.identification.robust import align
-from pickenv.calibration.identification.starts import rough_start, stations_of
+from pickenv.calibration.identification.robust import align, rough_start, stations_of
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, frames_model
-from pickenv.calibration.model.kinds.distances import DistanceObservations
+from pickenv.calibration.model.kinds import DistanceObservations
+from pickenv.calibration.model.measurements import InstrumentStation, Stacked
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.stacked import InstrumentStation, Stacked
 from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.errors import InputError

@@ -20,7 +20,6 @@ from pickenv.calibration.model.arm_model import (
     ThermalTerm,
     specification,
     term_from,
-    weighed,
     with_terms,
 )
 from pickenv.errors import InputError
@@ -284,6 +283,6 @@ def test_moments_fitted_to_torques_tell_them_at_other_poses():
     for i in weight.joints:
         torque[:, i] = columns[:, owners == i] @ moments[owners == i]
     seen = Conditions(torque=torque[:100])
-    term = weighed(weight, geometry, joints[:100], seen)
+    term = weight.weighed(geometry, joints[:100], seen)
     found = term.torques(geometry, joints[100:], Conditions())
     np.testing.assert_allclose(found[:, [1, 2, 4]], torque[100:, [1, 2, 4]], rtol=1e-6, atol=1e-6)

@@ -16,7 +16,6 @@ from pickenv.calibration.model.arm_model import (
     GravityTerm,
     LeadTerm,
     ThermalTerm,
-    weighed,
 )
 
 
@@ -149,7 +148,7 @@ def test_moments_that_the_poses_hardly_show_are_left_at_zero():
     weight = GravityTerm((1, 2), (0.0, 0.0, 1.0))
     joints = 0.5 + 1e-3 * rng.normal(size=(80, 6))
     torque = rng.normal(size=(80, 6))
-    moments = np.array(weighed(weight, geometry, joints, Conditions(torque=torque)).moments)
+    moments = np.array(weight.weighed(geometry, joints, Conditions(torque=torque)).moments)
     columns, owners = weight.torques(geometry, joints, Conditions()), weight.owners(geometry)
     for i in (1, 2):
         expected = np.linalg.pinv(columns[:, owners == i], rcond=1e-3) @ torque[:, i]

@@ -11,8 +11,8 @@ import pytest
 from pickenv.arm import Arm, forward, load_arm
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.model.arm_model import CARRIER
-from pickenv.calibration.model.kinds.distances import DistanceObservations
-from pickenv.calibration.model.stacked import Stacked
+from pickenv.calibration.model.kinds import DistanceObservations
+from pickenv.calibration.model.measurements import Stacked
 from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of
 from pickenv.errors import InputError
 

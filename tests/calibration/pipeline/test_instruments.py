@@ -20,7 +20,7 @@ from pickenv.calibration import (
     random_joints,
 )
 from pickenv.calibration.assessment.instrument import said_of_instruments, with_zeros_fitted
-from pickenv.calibration.identification.starts import rough_start, stations_of
+from pickenv.calibration.identification.robust import rough_start, stations_of
 from pickenv.calibration.model.arm_model import ArmModel, frames_model
 from pickenv.calibration.pipeline.given import given_rows
 from pickenv.errors import InputError

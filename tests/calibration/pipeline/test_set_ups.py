@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, load_plant, rotation_matrix
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import Measurements, random_joints, simulated_tracker
-from pickenv.calibration.identification.starts import set_ups
+from pickenv.calibration.identification.robust import set_ups
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.stacked import InstrumentStation, Stacked, joinable
+from pickenv.calibration.model.measurements import InstrumentStation, Stacked
 from pickenv.calibration.pipeline.given import Choices
 from pickenv.calibration.pipeline.result import Result
 from pickenv.calibration.pipeline.stages import calibrate
@@ -211,7 +211,7 @@ def test_rows_of_all_stations_are_seen_from_the_first(ur5: Arm, true: Geometry, 
     data = Stacked((InstrumentStation(days[0]), InstrumentStation(days[1], 2, THERE, OTHER_TARGET)))
     model = ArmModel.of(replace(true, base=HERE, tool=TARGET))
     seen = data.from_the_first(model, np.zeros(12))
-    assert seen is not None and seen.kind == days[0].kind and len(seen) == 120 and joinable([seen, days[0]])
+    assert seen is not None and seen.kind == days[0].kind and len(seen) == 120 and seen.joinable(days[0])
     np.testing.assert_allclose(seen.position[:60], days[0].position, atol=1e-12)
     left, own = seen.difference(model), days[1].difference(replace(true, base=THERE, tool=OTHER_TARGET))
     if poses:

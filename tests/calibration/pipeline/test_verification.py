@@ -15,8 +15,8 @@ from pickenv.calibration import Measurements, random_joints, simulated_tracker
 from pickenv.calibration.assessment.metrics import block_interval, error_statistics
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.kinds.distances import DistanceObservations
-from pickenv.calibration.model.stacked import Stacked
+from pickenv.calibration.model.kinds import DistanceObservations
+from pickenv.calibration.model.measurements import Stacked
 from pickenv.calibration.pipeline.calibration import MEASURED_REGION
 from pickenv.calibration.pipeline.given import Choices, given_rows
 from pickenv.calibration.pipeline.result import Result

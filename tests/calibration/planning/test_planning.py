@@ -13,9 +13,9 @@ from typer.testing import CliRunner
 from pickenv.arm import Plant, Pose, displace_pose, draw_plants, forward, load_arm, load_tolerances, plant_at
 from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints, simulated_tracker
 from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration.identification.least_squares import observability, observability_of
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ErrorModel
-from pickenv.calibration.model.identifiability import observability, observability_of
 from pickenv.calibration.model.noise import stated_noise
 from pickenv.calibration.model.prior import MADE, prior_model
 from pickenv.calibration.planning.plan import (

@@ -16,9 +16,9 @@ from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.calibration import DistanceObservations, Measurements, complete_model, identify, random_joints
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.arm_model import ErrorModel
+from pickenv.calibration.model.measurements import InstrumentStation, Stacked
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
-from pickenv.calibration.model.stacked import InstrumentStation, Stacked
 from pickenv.calibration.planning.like import plan_like
 from pickenv.calibration.planning.plan import PosePlan, exchange
 from pickenv.cli import app

@@ -5,11 +5,9 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import random_joints
-from pickenv.calibration.identification.robust import choose
-from pickenv.calibration.model.kinds.distances import DistanceObservations, ReflectorObservations
-from pickenv.calibration.model.kinds.surfaces import SocketObservations
+from pickenv.calibration.model.kinds import DistanceObservations, ReflectorObservations, SocketObservations
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import contiguous_folds, same_poses
+from pickenv.calibration.model.observations import choose, contiguous_folds, same_poses
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 

@@ -1,0 +1,685 @@
+"""Kinds of measurement beyond poses and positions: sockets, distances, reflectors, tilts.
+
+What a tool point is held against is a point, a line or a plane: a draw wire, a ball bar and a ball on a sphere keep a
+distance from a point, a ball on an edge from a line, a dial gauge and a probe on a table from a plane. Directions are
+three numbers, of which only the direction counts; one equation more keeps their length at one. SI units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
+from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, Origins, Rows, Stated, point_jacobian
+
+# The point of the tool that an instrument sees or touches: where a wire is hooked, a ball's centre, a probe's tip. It
+# is stated in the tool's frame, exactly, within an uncertainty, or not at all; every instrument has its own. SI
+# units.
+
+
+TIP = ("tip_x", "tip_y", "tip_z")
+"""Names of its coordinates."""
+
+Tip = tuple[float, float, float]
+ORIGIN: Tip = (0.0, 0.0, 0.0)
+
+
+def tool_points(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> Array:
+    """Where a point ``(3,)`` of the tool's frame is at joints ``(N, n)``: ``(N, 3)``, m."""
+    pose = model.pose(joints, conditions)
+    return np.asarray(pose.position + pose.rotation @ tip)
+
+
+def tool_points_jacobian(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> tuple[Array, Array]:
+    """Its derivatives by the model ``(N, 3, P)`` and by the point's place on the tool ``(N, 3, 3)``."""
+    rotation = model.pose(joints, conditions).rotation
+    return point_jacobian(model.jacobian(joints, conditions), rotation @ tip), rotation
+
+
+SurfaceName = Literal["point", "line", "plane"]
+
+STEPS = 20
+"""Of a solution that gross rows hardly pull."""
+
+FAR = 5.0
+"""Rows farther off than so many medians do not say how points lie."""
+
+
+class Gap(NamedTuple):
+    """Distances of N points from a surface, m, with their derivatives.
+
+    Attributes:
+        size: ``(N,)``.
+        by_point: ``(N, 3)``.
+        by_values: By the surface's own numbers ``(N, K)``.
+    """
+
+    size: Array
+    by_point: Array
+    by_values: Array
+
+
+class Surface(NamedTuple):
+    """One kind of surface with K numbers of its own.
+
+    Attributes:
+        names: Of the numbers.
+        tolerances: Scale of each one's deviation ``(K,)``, m or rad.
+        gap: Distances of points ``(N, 3)`` from the surface with these numbers.
+        start: The numbers and the zero of the readings, from points ``(N, 3)``, readings ``(N,)``, a zero and whether
+            it is unknown.
+        gauge: Equations that hold what the distances leave open: residual ``(G,)`` and derivatives ``(G, K)``.
+    """
+
+    names: tuple[str, ...]
+    tolerances: Array
+    gap: Callable[[Array, Array], Gap]
+    start: Callable[[Array, Array, float, bool], tuple[Array, float]]
+    gauge: Callable[[Array], tuple[Array, Array]]
+
+
+def direction(vector: Array) -> tuple[Array, Array]:
+    """A vector ``(3,)`` at length one, and its derivative ``(3, 3)`` by the vector."""
+    size = float(np.linalg.norm(vector))
+    ahead = vector / size
+    return ahead, (np.eye(3) - np.outer(ahead, ahead)) / size
+
+
+def unit_length(vector: Array) -> tuple[Array, Array]:
+    """How much too short a vector ``(3,)`` is, to first order ``(1,)``, and the derivative ``(1, 3)`` of its length."""
+    return np.array([(1.0 - vector @ vector) / 2.0]), vector[None]
+
+
+def steady_solution(matrix: Array, right: Array) -> Array:
+    """The solution of least absolute errors, which a few gross rows hardly pull, by re-weighted least squares."""
+    weights: Array = np.ones(len(right))
+    found: Array = np.zeros(matrix.shape[1])
+    for _ in range(STEPS):
+        found = np.asarray(np.linalg.lstsq(matrix * weights[:, None], right * weights, rcond=None)[0], dtype=float)
+        left = np.abs(right - matrix @ found)
+        weights = 1.0 / np.sqrt(np.maximum(left, 0.1 * float(np.median(left)) + 1e-12))
+    return found
+
+
+def _from_point(values: Array, points: Array) -> Gap:
+    away = points - values
+    size = np.linalg.norm(away, axis=1)
+    along = away / np.maximum(size, 1e-12)[:, None]
+    return Gap(size, along, -along)
+
+
+def _from_line(values: Array, points: Array) -> Gap:
+    ahead, by_vector = direction(values[3:])
+    away = points - values[:3]
+    far = away @ ahead
+    across = away - far[:, None] * ahead
+    size = np.linalg.norm(across, axis=1)
+    out = across / np.maximum(size, 1e-12)[:, None]
+    return Gap(size, out, np.concatenate([-out, -far[:, None] * (out @ by_vector)], axis=1))
+
+
+def _from_plane(values: Array, points: Array) -> Gap:
+    normal, by_vector = direction(values[:3])
+    by_point = np.broadcast_to(normal, points.shape)
+    return Gap(points @ normal - values[3], by_point, np.column_stack([points @ by_vector, -np.ones(len(points))]))
+
+
+def _centre(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
+    """Centre A ``(d,)`` of points ``(N, d)`` whose distances r from it are read as r + z, and the zero z.
+
+    Differences of squares: |p|^2 - l^2 = 2 p.A - 2 l z + z^2 - |A|^2 is linear in A, z and a constant.
+    """
+    middle, begin = points.mean(axis=0), float(readings.mean()) if unknown else zero
+    p, length = points - middle, readings - begin
+    varied = unknown and float(np.ptp(readings)) > 0.0
+    columns = [2.0 * p, np.ones((len(p), 1)), *([-2.0 * length[:, None]] if varied else [])]
+    found = steady_solution(np.hstack(columns), np.sum(p**2, axis=1) - length**2)
+    at, rest = found[: p.shape[1]], float(found[p.shape[1]])
+    if varied:
+        begin += float(found[-1])
+    elif unknown:
+        begin -= float(np.sqrt(max(rest + float(at @ at), 0.0)))
+    return middle + at, begin
+
+
+def _principal_axes(points: Array, count: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Axes of points ``(N, 3)``, those of most spread first ``(3, 3)``, and which lie near the first ``count``."""
+    kept = np.ones(len(points), dtype=bool)
+    axes = np.eye(3)
+    for _ in range(STEPS):
+        middle = points[kept].mean(axis=0)
+        axes = np.linalg.svd(points[kept] - middle)[2]
+        off = np.linalg.norm((points - middle) @ axes[count:].T, axis=1)
+        used, kept = kept, off <= FAR * max(float(np.median(off)), 1e-9)
+        if kept.sum() < 4 or np.array_equal(used, kept):
+            break
+    return axes, kept
+
+
+def _line_start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
+    """The longest axis of the points, and across it the centre of a circle."""
+    axes, near = _principal_axes(points, 1)
+    across, found = _centre(points[near] @ axes[1:].T, readings[near], zero, unknown)
+    return np.concatenate([across @ axes[1:], axes[0]]), found
+
+
+def _plane_start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
+    """The shortest axis of the points, or the direction along which the readings grow, whichever explains more."""
+    shortest = _principal_axes(points, 2)[0][2]
+    matrix = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])
+    slope = steady_solution(matrix, readings)[:3]
+    candidates = [shortest, *([slope / np.linalg.norm(slope)] if np.linalg.norm(slope) > 1e-9 else [])]
+
+    def left(normal: Array) -> float:
+        offsets = points @ normal - readings
+        return float(np.median(np.abs(offsets - np.median(offsets))))
+
+    normal = min(candidates, key=left)
+    return np.append(normal, np.median(points @ normal - readings)), zero
+
+
+def _no_gauge(values: Array) -> tuple[Array, Array]:
+    return np.zeros(0), np.zeros((0, len(values)))
+
+
+def _line_gauge(values: Array) -> tuple[Array, Array]:
+    """The direction has length one, and the point on the line is the one nearest to the origin."""
+    at, ahead = values[:3], values[3:]
+    short, by_vector = unit_length(ahead)
+    rows = np.vstack([np.concatenate([np.zeros(3), by_vector[0]]), np.concatenate([ahead, at])])
+    return np.append(short, -(at @ ahead)), rows
+
+
+def _plane_gauge(values: Array) -> tuple[Array, Array]:
+    short, by_vector = unit_length(values[:3])
+    return short, np.append(by_vector, [[0.0]], axis=1)
+
+
+SURFACES: dict[str, Surface] = {
+    "point": Surface(
+        ("anchor_x", "anchor_y", "anchor_z"), np.full(3, LENGTH_TOLERANCE), _from_point, _centre, _no_gauge
+    ),
+    "line": Surface(
+        ("edge_x", "edge_y", "edge_z", "along_x", "along_y", "along_z"),
+        np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3),
+        _from_line,
+        _line_start,
+        _line_gauge,
+    ),
+    "plane": Surface(
+        ("normal_x", "normal_y", "normal_z", "plane_offset"),
+        np.array([ANGLE_TOLERANCE] * 3 + [LENGTH_TOLERANCE]),
+        _from_plane,
+        _plane_start,
+        _plane_gauge,
+    ),
+}
+"""The surfaces by name."""
+
+
+# Places that a tool point rests in, again and again: sockets, or one point that is touched in many poses. SI units.
+
+
+@dataclass(frozen=True, eq=False)
+class SocketObservations(OneGroup):
+    """The tool point rests in places that do not move: sockets, or one point touched again and again.
+
+    No metrology but the known spacing of some sockets.
+
+    Attributes:
+        joints: ``(N, n)``, rad or m.
+        socket: Number of the place that each pose rests in ``(N,)``, from 0.
+        pairs: Sockets of known spacing ``(M, 2)``; without them the scale of the arm is unobservable.
+        spacing: Their spacings ``(M,)``, m.
+        std: Standard uncertainty of a ball's rest, m.
+        spacing_std: Standard uncertainty of a spacing, m.
+        places: Names of the places; numbered sockets when empty.
+        tip: The point that rests there in the tool's frame, m.
+        tip_std: Standard uncertainty of a coordinate of ``tip``, m: 0 where it is exact, infinite where it is unknown.
+        conditions: Payload, temperature and torques, where known.
+        source: Where the data come from.
+        origins: File and line of each row; None where they come from no file.
+    """
+
+    joints: Array
+    socket: NDArray[np.int64]
+    pairs: NDArray[np.int64]
+    spacing: Array
+    std: float = 1e-4
+    spacing_std: float = 1e-5
+    places: tuple[str, ...] = ()
+    tip: Tip = ORIGIN
+    tip_std: float = 0.0
+    conditions: Conditions = NONE_KNOWN
+    source: str = "sockets"
+    kind: str = "sockets"
+    framed: bool = False
+    origins: Origins | None = None
+    per_row = ("socket",)
+    width = 3
+
+    @property
+    def sized(self) -> bool:  # type: ignore[override]
+        """Whether a spacing is known."""
+        return len(self.pairs) > 0
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
+        return self.places or tuple(f"socket{i + 1}" for i in range(int(self.socket.max()) + 1))
+
+    @cached_property
+    def numbers(self) -> Stated:
+        """Where the sockets are, and the tool point."""
+        count = 3 * len(self._names)
+        return Stated(
+            (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *TIP),
+            np.array([*range(count), *self.tip], dtype=float),
+            np.array([*[np.inf] * count, *[self.tip_std] * 3]),
+            np.full(count + 3, LENGTH_TOLERANCE),
+        )
+
+    @property
+    def groups(self) -> Rows:
+        """Each socket's rows are a group, so that each is trained on."""
+        return self.socket
+
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
+        """Socket minus ball."""
+        sockets, ball = numbers[:-3].reshape(-1, 3), tool_points(model, self.joints, self.conditions, numbers[-3:])
+        return np.asarray(sockets[self.socket] - ball)
+
+    def readings(self) -> Array:
+        """The sockets' numbers."""
+        return self.socket[:, None].astype(float)
+
+    def start(self, model: ArmModel) -> Array:
+        """The median of the ball's positions in each socket, which a few gross rows hardly move."""
+        ball = tool_points(model, self.joints, self.conditions, np.array(self.tip))
+        rests = [ball[self.socket == i] for i in range(len(self._names))]
+        sockets = [np.median(rest if len(rest) else ball, axis=0) for rest in rests]
+        return np.concatenate([*sockets, self.tip])[self.numbers.free]
+
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
+        """Of ball minus socket."""
+        by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, numbers[-3:])
+        chosen = np.eye(len(self._names))[self.socket]
+        rest = -np.einsum("ns,ij->nisj", chosen, np.eye(3)).reshape(*by_tip.shape[:2], -1)
+        return by_model / self.std, np.concatenate([rest, by_tip], axis=-1) / self.std
+
+    def bonds(self, numbers: Array) -> tuple[Array, Array]:
+        """The spacings that are known."""
+        (one, other), sockets = self.pairs.T, numbers[:-3].reshape(-1, 3)
+        difference = sockets[one] - sockets[other]
+        apart = np.linalg.norm(difference, axis=1)
+        along = difference / apart[:, None] / self.spacing_std
+        places = np.eye(len(sockets))
+        by_sockets = np.einsum("ms,mj->msj", places[one] - places[other], along).reshape(-1, sockets.size)
+        return (self.spacing - apart) / self.spacing_std, np.pad(by_sockets, ((0, 0), (0, 3)))
+
+
+# Distances of one tool point from a point, a line or a plane: draw wire, ball bar, sphere, edge, plane, dial gauge.
+# The reading is (1 + scale) * distance + zero; where something merely touches, every reading is the same. What the
+# point, line or plane is, and as much of scale, zero and tool point as is not known, are found together with the arm.
+# SI units.
+
+
+SCALE_TOLERANCE = 1e-3
+"""Scale of a deviation of a wire's own scale."""
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceObservations(OneGroup):
+    """Distances of a point of the tool from a point, line or plane that does not move.
+
+    Each uncertainty is 0 where its number is exact and infinite where it is to be found.
+
+    Attributes:
+        joints: ``(N, n)``, rad or m.
+        length: Readings ``(N,)``, m.
+        std: Standard uncertainty of a reading, m.
+        surface: What the distance is measured from: a draw wire's anchor or a sphere's centre ("point"), an edge
+            ("line"), or a plane, whose side the sign tells and which has no zero of its own.
+        zero: What is read at distance 0, m.
+        zero_std: Standard uncertainty of ``zero``, m.
+        scale_std: Standard uncertainty of the reading's scale, by which it exceeds 1.
+        tip: The point in the tool's frame, m.
+        tip_std: Standard uncertainty of a coordinate of ``tip``, m.
+        conditions: Payload, temperature and torques, where known.
+        source: Where the data come from.
+        kind: Name of the kind.
+        origins: File and line of each row; None where they come from no file.
+    """
+
+    joints: Array
+    length: Array
+    std: float
+    surface: SurfaceName = "point"
+    zero: float = 0.0
+    zero_std: float = 0.0
+    scale_std: float = 0.0
+    tip: Tip = ORIGIN
+    tip_std: float = 0.0
+    conditions: Conditions = NONE_KNOWN
+    source: str = "wire lengths"
+    kind: str = "distance"
+    framed: bool = False
+    origins: Origins | None = None
+    per_row = ("length",)
+
+    @property
+    def sized(self) -> bool:  # type: ignore[override]
+        """Whether lengths are read on a known scale, or the distance kept is known."""
+        if np.ptp(self.length) > 0.0:
+            return bool(np.isfinite(self.scale_std))
+        return bool(self.surface != "plane" and np.isfinite(self.zero_std) and self.length[0] != self.zero)
+
+    @cached_property
+    def numbers(self) -> Stated:
+        """Where the point, line or plane is, and the instrument's own: zero, scale and tool point."""
+        place, zero_std = SURFACES[self.surface], 0.0 if self.surface == "plane" else self.zero_std
+        return Stated(
+            (*place.names, "zero", "scale", *TIP),
+            np.array([*np.ones(len(place.names)), self.zero, 0.0, *self.tip]),
+            np.array([*[np.inf] * len(place.names), zero_std, self.scale_std, *[self.tip_std] * 3]),
+            np.array([*place.tolerances, LENGTH_TOLERANCE, SCALE_TOLERANCE, *[LENGTH_TOLERANCE] * 3]),
+        )
+
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
+        """Measured minus predicted readings."""
+        *values, zero, scale = numbers[:-3]
+        points = tool_points(model, self.joints, self.conditions, numbers[-3:])
+        gap = SURFACES[self.surface].gap(np.array(values), points)
+        return np.asarray(self.length - (1.0 + scale) * gap.size - zero)[:, None]
+
+    def readings(self) -> Array:
+        """The lengths."""
+        return self.length[:, None]
+
+    def start(self, model: ArmModel) -> Array:
+        """Trilateration or a plane through the tool's points, as the model has them."""
+        points = tool_points(model, self.joints, self.conditions, np.array(self.tip))
+        start = SURFACES[self.surface].start(points, self.length, self.zero, bool(np.isinf(self.zero_std)))
+        return np.concatenate([start[0], [start[1], 0.0], self.tip])[self.numbers.free]
+
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
+        """The pose Jacobian along the distance."""
+        values, scale, tip = numbers[:-5], numbers[-4], numbers[-3:]
+        gap = SURFACES[self.surface].gap(values, tool_points(model, self.joints, self.conditions, tip))
+        by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, tip)
+        along = gap.by_point * (1.0 + scale) / self.std
+        by_own = np.column_stack([gap.by_values * (1.0 + scale), np.ones(len(gap.size)), gap.size]) / self.std
+        return np.einsum("ni,nip->np", along, by_model), np.hstack([by_own, np.einsum("ni,nij->nj", along, by_tip)])
+
+    def bonds(self, numbers: Array) -> tuple[Array, Array]:
+        """What the surface's numbers leave open, as strong as all readings together: neither drowns the other."""
+        std = self.std / float(np.sqrt(max(len(self.joints), 1)))
+        residual, by_values = SURFACES[self.surface].gauge(numbers[:-5])
+        return residual / std, np.pad(by_values, ((0, 0), (0, 5))) / std
+
+
+# Reflectors on the tool, several at once: where each is seen, and where it sits, known or found. SI units.
+
+
+@dataclass(frozen=True, eq=False)
+class ReflectorObservations(OneGroup):
+    """Positions of k reflectors fixed to the tool, some of them lost in some poses.
+
+    Attributes:
+        joints: ``(N, n)``, rad or m.
+        points: Measured positions ``(N, k, 3)``, m; values of lost reflectors are ignored.
+        seen: Whether each reflector was seen ``(N, k)``.
+        covariance: Of one point, m^2: ``(3, 3)``, or ``(N, k, 3, 3)`` for an anisotropic tracker.
+        conditions: Payload, temperature and torques, where known.
+        source: Where the data come from.
+        origins: File and line of each row; None where they come from no file.
+        places: Where they sit in the tool's frame ``(k, 3)``, m, as far as it is known; None where it is not.
+        places_std: Standard uncertainty of a coordinate of these, m; 0 where they are exact.
+    """
+
+    joints: Array
+    points: Array
+    seen: NDArray[np.bool_]
+    covariance: Array
+    conditions: Conditions = NONE_KNOWN
+    source: str = "reflectors"
+    kind: str = "reflectors"
+    framed: bool = True
+    origins: Origins | None = None
+    places: Array | None = None
+    places_std: float = np.inf
+
+    width = 3
+
+    @property
+    def per_row(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Covariances may be of all rows."""
+        return ("points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
+
+    @property
+    def rows_of_misses(self) -> Rows:
+        """One miss per reflector seen."""
+        return np.nonzero(self.seen)[0]
+
+    def imagined(self, joints: Array) -> Self:
+        """What it would be asked at other joints ``(M, n)``, were every reflector seen."""
+        return OneGroup.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
+
+    def readings(self) -> Array:
+        """The points seen."""
+        return np.where(self.seen[..., None], self.points, 0.0).reshape(len(self.joints), -1)
+
+    @cached_property
+    def numbers(self) -> Stated:
+        """Where the reflectors sit, as far as it is known."""
+        count = 3 * self.points.shape[1]
+        names = tuple(f"reflector{i + 1}_{axis}" for i in range(self.points.shape[1]) for axis in "xyz")
+        values = np.zeros(count) if self.places is None else self.places.ravel()
+        std = np.full(count, np.inf if self.places is None else self.places_std)
+        return Stated(names, values, std, np.full(count, LENGTH_TOLERANCE))
+
+    def start(self, model: ArmModel) -> Array:
+        """The places stated, or the mean of the measured points as the tool sees them."""
+        return self.seen_from(model).ravel() if self.places is None else self.numbers.start()
+
+    @property
+    def clearest(self) -> int:
+        """The reflector that is seen most often, from 0."""
+        return int(np.argmax(self.seen.sum(axis=0)))
+
+    def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
+        """Positions of the reflector that is seen most often."""
+        rows = self.seen[:, self.clearest]
+        return Measurements(self.joints[rows], self.points[rows, self.clearest], None, prismatic, source=self.source)
+
+    def seen_from(self, model: ArmModel) -> Array:
+        """Mean of the measured points in the frame of a model's tool ``(k, 3)``, m."""
+        tool = model.pose(self.joints, self.conditions)
+        local = np.einsum("nij,nki->nkj", tool.rotation, self.points - tool.position[:, None])
+        weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
+        return np.asarray(np.sum(np.where(self.seen[..., None], local, 0.0) * weight, axis=0))
+
+    def predict(self, model: ArmModel, unknowns: Array) -> Array:
+        """Predicted points ``(N, k, 3)``, m."""
+        return self._points(model, self.numbers.whole(unknowns))
+
+    def _points(self, model: ArmModel, numbers: Array) -> Array:
+        tool = model.pose(self.joints, self.conditions)
+        return np.asarray(tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3)))
+
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
+        """One per reflector seen."""
+        return np.asarray((self.points - self._points(model, numbers))[self.seen])
+
+    def whitened(self, model: ArmModel, numbers: Array) -> Array:
+        """Of the reflectors seen."""
+        errors = self.points - self._points(model, numbers)
+        return np.asarray(np.einsum("nkij,nkj->nki", self._whitening(), errors)[self.seen])
+
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
+        """Of the reflectors seen."""
+        tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
+        count = self.points.shape[1]
+        lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
+        by_arm = point_jacobian(pose[:, None], lever)
+        by_place = np.einsum("nij,kl->nkilj", tool.rotation, np.eye(count)).reshape(len(self.joints), count, 3, -1)
+        by_arm, by_place = (
+            np.einsum("nkij,nkjp->nkip", self._whitening(), part)[self.seen] for part in (by_arm, by_place)
+        )
+        return by_arm, by_place
+
+    def _whitening(self) -> Array:
+        return np.broadcast_to(whitening_of(self.covariance), (*self.points.shape, 3))
+
+
+def whitening_of(covariance: Array) -> Array:
+    """W with W C W^T = 1 for covariances C ``(..., 3, 3)``: inverse of the Cholesky factor."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+
+def tracker_covariance(
+    points: Array,
+    station: Array,
+    *,
+    adm: tuple[float, float] = (10e-6, 0.3e-6),
+    angle: tuple[float, float] = (15e-6, 6e-6),
+) -> Array:
+    """Anisotropic covariance ``(..., 3, 3)`` of laser-tracker points ``(..., 3)`` seen from ``station`` ``(3,)``.
+
+    Radial and transverse maximum permissible errors grow with distance, a + b L each; half of them is taken as the
+    standard uncertainty (Leica AT500: 10 um + 0.3 um/m radial, 15 um + 6 um/m transverse).
+
+    Args:
+        points: m.
+        station: m.
+        adm: (a, b) of the distance meter, m and m/m.
+        angle: (a, b) of the angular encoders, m and m/m.
+    """
+    away = points - station
+    distance = np.linalg.norm(away, axis=-1)[..., None, None]
+    along = away[..., :, None] * away[..., None, :] / distance**2
+    radial, across = ((a + b * distance) / 2 for a, b in (adm, angle))
+    return np.asarray(radial**2 * along + across**2 * (np.eye(3) - along))
+
+
+# Which way is down, as an inclinometer or accelerometer on the tool tells it: one to three components of gravity. It
+# sees angles only: no length of the arm, and nothing of a motion about the vertical. Down in the arm's world (how far
+# the base stands from level) and the sensor's axes on the tool are found together with the arm. SI units.
+
+
+DOWN = np.array([0.0, 0.0, -1.0])
+"""Down where the arm's base stands level."""
+
+
+@dataclass(frozen=True, eq=False)
+class TiltObservations(OneGroup):
+    """Components of the direction of gravity along K axes fixed to the tool.
+
+    Attributes:
+        joints: ``(N, n)``, rad or m.
+        components: Cosines between down and each axis ``(N, K)``, K from 1 to 3.
+        std: Standard uncertainty of each ``(N, K)``, rad.
+        axes_std: Of a component of an axis: 0 where the axes are x, y and z of the tool, infinite where they are
+            unknown.
+        down_std: Of a component of down: 0 where the arm's world is level, infinite where that is unknown.
+        conditions: Payload, temperature and torques, where known.
+        source: Where the data come from.
+        origins: File and line of each row; None where they come from no file.
+    """
+
+    joints: Array
+    components: Array
+    std: Array
+    axes_std: float = np.inf
+    down_std: float = np.inf
+    conditions: Conditions = NONE_KNOWN
+    source: str = "inclinometer"
+    kind: str = "tilt"
+    origins: Origins | None = None
+    per_row = ("components", "std")
+    miss_unit = "deg"
+    rounding = 1e-5
+    sized = False
+
+    @property
+    def framed(self) -> bool:
+        """A level world is a frame: the base can be seen to tilt in it."""
+        return self.down_std == 0.0
+
+    @property
+    def width(self) -> int:  # type: ignore[override]
+        """One equation for each component."""
+        return int(self.components.shape[1])
+
+    @cached_property
+    def numbers(self) -> Stated:
+        """The axes, then down."""
+        count = self.components.shape[1]
+        names = [f"axis{i + 1}_{axis}" for i in range(count) for axis in "xyz"]
+        return Stated(
+            (*names, "down_x", "down_y", "down_z"),
+            np.concatenate([np.eye(3)[:count].ravel(), DOWN]),
+            np.repeat([self.axes_std, self.down_std], [3 * count, 3]),
+            np.full(3 * count + 3, ANGLE_TOLERANCE),
+        )
+
+    def readings(self) -> Array:
+        """The components."""
+        return self.components
+
+    def start(self, model: ArmModel) -> Array:
+        """A reading is linear in the products of an axis with down, and a matrix of products has rank one."""
+        rotation, count = model.pose(self.joints, self.conditions).rotation, self.components.shape[1]
+        values = self.numbers.values.copy()
+        axes, down = values[:-3].reshape(-1, 3), values[-3:]
+        if self.axes_std and self.down_std:
+            flat = rotation.reshape(-1, 9)
+            products = [steady_solution(flat, reading).reshape(3, 3) for reading in self.components.T]
+            left, _, right = np.linalg.svd(np.hstack(products))
+            sign = 1.0 if left[2, 0] < 0.0 else -1.0  # the other answer hangs the arm from the ceiling
+            down, axes = sign * left[:, 0], sign * right[0].reshape(count, 3)
+        elif self.down_std:
+            matrix = np.concatenate([rotation @ axis for axis in axes])
+            down = steady_solution(matrix, self.components.T.ravel())
+        elif self.axes_std:
+            local = np.swapaxes(rotation, 1, 2) @ down
+            axes = np.array([steady_solution(local, reading) for reading in self.components.T])
+        parts = [part / max(float(np.linalg.norm(part)), 1e-12) for part in (*axes, down)]
+        return np.concatenate(parts)[self.numbers.free]
+
+    def missed(self, model: ArmModel, numbers: Array) -> Array:
+        """Measured minus predicted components, rad: the length of a row of three is the angle between them."""
+        *axes, down = (direction(vector)[0] for vector in numbers.reshape(-1, 3))
+        local = np.swapaxes(model.pose(self.joints, self.conditions).rotation, 1, 2) @ down
+        return np.asarray(self.components - local @ np.array(axes).T)
+
+    def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
+        """By rotations of the tool, and by the directions."""
+        *axes, (down, by_down) = (direction(vector) for vector in numbers.reshape(-1, 3))
+        rotation = model.pose(self.joints, self.conditions).rotation
+        turned = model.jacobian(self.joints, self.conditions)[:, 3:]
+        local = np.swapaxes(rotation, 1, 2) @ down
+        by_model = np.zeros((*self.components.shape, turned.shape[-1]))
+        by_own = np.zeros((*self.components.shape, len(numbers)))
+        for k, (axis, by_axis) in enumerate(axes):
+            ahead = rotation @ axis
+            by_model[:, k] = np.einsum("ni,nip->np", np.cross(ahead, down), turned)
+            by_own[:, k, 3 * k : 3 * k + 3] = local @ by_axis
+            by_own[:, k, -3:] = ahead @ by_down
+        return by_model / self.std[..., None], by_own / self.std[..., None]
+
+    def bonds(self, numbers: Array) -> tuple[Array, Array]:
+        """That the directions found have length one, as strongly as all readings together."""
+        fitted = np.flatnonzero(self.numbers.std.reshape(-1, 3).all(axis=1))
+        strong = np.sqrt(len(self.joints)) / float(np.median(self.std))
+        residual, jacobian = np.zeros(len(fitted)), np.zeros((len(fitted), len(numbers)))
+        for row, i in enumerate(fitted):
+            (residual[row],), jacobian[row, 3 * i : 3 * i + 3] = unit_length(numbers[3 * i : 3 * i + 3])
+        return residual * strong, jacobian * strong
