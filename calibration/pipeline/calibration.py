@@ -272,7 +272,11 @@ def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observation
 
 
 def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
-    """The uncertainty that a calibration's record holds, or None if it holds none or no spare equations gave one."""
+    """The uncertainty that a calibration's record holds, or None if it holds none or no spare equations gave one.
+
+    Older records hold a scatter that differs from pose to pose, and the factor of 95 of 100 for that; what holds 95 of
+    100 is unknown then.
+    """
     kept = record.get("uncertainty")
     if not isinstance(kept, Mapping):
         return None
@@ -280,7 +284,9 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
     if not np.isfinite(covariance).all():
         return None
     parts: dict[str, Any] = {
-        name: Within95(kept[name]["factor"], kept[name]["covered"]) for name in WITHIN if name in kept
+        name: Within95(kept[name]["factor"], kept[name]["covered"])
+        for name in WITHIN
+        if name in kept and name.replace("within95", "local") not in kept  # that factor is of another scatter
     }
     return PoseUncertainty(
         tuple(kept["parameters"]), covariance, float(kept["position_repeat_m"]), kept["attitude_repeat_rad"], **parts
