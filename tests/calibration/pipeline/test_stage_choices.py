@@ -133,7 +133,11 @@ def test_residual_models_are_judged_on_3000_rows_at_most(dynamic, sets, monkeypa
 
 def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynamic, sets):
     class Wires:
-        source, kind = "wires.csv", "distance"
+        source, kind, tracked = "wires.csv", "distance", False
+
+        @property
+        def parts(self):
+            return (self,)
 
     stages.refuse_options(Wires(), Choices())
     stages.refuse_options(Wires(), Choices(residual="none", frames="fitted"))
