@@ -16,22 +16,19 @@ if _TYPE_CHECKING:
     from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
     from pickenv.agents.evaluation.compare import PolicyComparison, compare
     from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
-    from pickenv.agents.evaluation.reaches import episode_seeds, run_reaches
-    from pickenv.agents.evaluation.reaches_behind import reaches_behind
+    from pickenv.agents.evaluation.reaches import episode_seeds, reaches_behind, run_reaches
     from pickenv.agents.evaluation.rollout import Rollout, roll_out
     from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
     from pickenv.agents.policies.harvest_policy import ScriptedHarvest
     from pickenv.agents.policies.learned import LearnedPolicy, load_policy, shipped_baselines
-    from pickenv.agents.policies.oracle import OracleReach
     from pickenv.agents.policies.pick_policy import ScriptedPick
     from pickenv.agents.policies.policy import Policy
     from pickenv.agents.policies.remembering import RememberingPolicy, RememberingReach, load_remembering
-    from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
-    from pickenv.agents.policies.servo import ServoReach
+    from pickenv.agents.policies.scripted import OracleReach, RandomReach, ScriptedReach, ServoReach
     from pickenv.agents.training.data_sets import datasets
     from pickenv.agents.training.training import Trained, train
     from pickenv.agents.training.training_setup import Training
-    from pickenv.inspect.runs.episode_ends import Reaches
+    from pickenv.inspect.runs.episode_summary import Reaches
 
 __all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GridSettings", "LearnedPolicy", "OracleReach"]
 __all__ += ["Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]

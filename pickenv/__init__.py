@@ -48,7 +48,7 @@ def __dir__() -> list[str]:
 
 def _register() -> None:
     """Tell Gymnasium of the environments; their modules are loaded when one is made."""
-    for name, module in (("Reach", "reach"), ("ReachGoal", "reach_goal"), ("ReachIdeal", "reach_ideal")):
+    for name, module in (("Reach", "reach"), ("ReachGoal", "reach_goal"), ("ReachIdeal", "reach_goal")):
         _gymnasium.register(
             id=f"pickenv/{name}-v0",
             entry_point=f"pickenv.envs.reaching.{module}:{name}Env",

@@ -44,10 +44,9 @@ from pickenv.extras import absent_extras
 from pickenv.files import write_json, write_text
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors
+from pickenv.inspect.runs.comparison_summary import Comparison, compared, policy_errors
 from pickenv.inspect.runs.field_grid import field_grid
-from pickenv.inspect.runs.gripping import gripped
-from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
+from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, recorded_run, save_part
 from pickenv.intervals import share_interval
 from pickenv.orchard.gripper import misalignment

@@ -22,7 +22,7 @@ import typer
 from matplotlib.figure import Figure
 
 from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_tolerances, plant_at
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration import fit, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.files import write_json

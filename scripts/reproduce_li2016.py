@@ -39,10 +39,10 @@ from pickenv.calibration import Calibration, fit, random_joints, simulated_track
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.harvester.arm_paths import ultrasonic_hold
-from pickenv.harvester.assignment import assign
 from pickenv.harvester.harvest import Harvest, Strategy
 from pickenv.harvester.harvest_summary import Measure, funnel, funnel_shares, summary
 from pickenv.harvester.machine import Machine, load_machine
+from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.picking import load_picking
 from pickenv.harvester.rules import lower_bound

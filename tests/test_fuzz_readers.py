@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_arm, load_plant
 from pickenv.arm.files.arm_file import ARMS
-from pickenv.arm.files.ur_yaml import UR_KEYS, UR_LINKS
-from pickenv.arm.files.urdf_text import urdf_text
+from pickenv.arm.files.load import UR_KEYS, UR_LINKS
+from pickenv.arm.files.urdf import urdf_text
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.calibration import Measurements, random_joints
 from pickenv.calibration.reading.description import DESCRIPTIONS, load_description

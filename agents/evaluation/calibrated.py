@@ -11,8 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.content import content_sha256
+from pickenv.arm.files.arm import Arm, content_sha256
 from pickenv.arm.plant.campaign import TRACKER, load_instrument
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plant_count

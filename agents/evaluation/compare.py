@@ -22,8 +22,10 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.calibration import Calibration
 from pickenv.errors import InputError
+from pickenv.files import write_json, write_text
 from pickenv.inspect.colours import policy_key, policy_rank
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors, compared
+from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors, compared
+from pickenv.inspect.runs.episode_summary import content_of_comparison
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 from pickenv.inspect.runs.recorded_episodes import (
     RecordedEpisodes,
@@ -32,12 +34,40 @@ from pickenv.inspect.runs.recorded_episodes import (
     last_of,
     missing_positions,
 )
-from pickenv.inspect.runs.run_folder import RECORD, load_comparison, read_run
+from pickenv.inspect.runs.run_folder import RECORD, REPORT, load_comparison, read_run, recorded_run, save_part
 from pickenv.limits import check_limit
 from pickenv.orchard.gripper import Gripper, capture_probability, lateral_tolerance, load_gripper, misalignment
 from pickenv.provenance import command_line
 from pickenv.seeds import seed_words, stream
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
+
+# A comparison of policies as a run folder: every episode, the table, one recording, one page, its figures.
+
+
+SUMMARY, RECORDING = "comparison.json", "comparison.rrd"
+
+
+def write_comparison(found: PolicyComparison, folder: Path) -> list[Path]:
+    """Write the run folder, for `pickenv inspect`, `report`, `figures` and for further comparisons.
+
+    Raises:
+        InputError: If it cannot be written.
+    """
+    from pickenv.inspect.figures.run_drawings import write_drawings
+    from pickenv.inspect.recordings.policy_recording import record_policies
+    from pickenv.inspect.reports.comparison_report import page, policy_drawings
+
+    episodes, comparison = found.episodes, found.comparison
+    with recorded_run(folder, "comparison", found.command, episodes.seed) as run:
+        written = [save_part(folder, episodes, episodes.seed)]
+        if comparison is not None:
+            written.append(save_part(folder, comparison, episodes.seed))
+        written.append(write_json(folder / SUMMARY, content_of_comparison(episodes)))
+        written += write_drawings(policy_drawings(episodes, comparison), folder / "figures", ("png",))
+        written.append(record_policies(episodes, comparison, folder / RECORDING))
+        written.append(write_text(folder / REPORT, page(run)))
+    return written
+
 
 GRID_STEP = 0.1
 """Cell size of a policy's error field, m."""

@@ -14,7 +14,6 @@ from pickenv.agents.policies import foreign
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
 from pickenv.agents.policies.harvest_policy import ScriptedHarvest
 from pickenv.agents.policies.learned import LearnedPolicy, load_policy
-from pickenv.agents.policies.oracle import OracleReach
 from pickenv.agents.policies.pick_policy import ScriptedPick
 from pickenv.agents.policies.policy import Policy
 from pickenv.agents.policies.remembering import (
@@ -23,8 +22,7 @@ from pickenv.agents.policies.remembering import (
     load_remembering,
     remembers,
 )
-from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
-from pickenv.agents.policies.servo import ServoReach
+from pickenv.agents.policies.scripted import OracleReach, RandomReach, ScriptedReach, ServoReach
 from pickenv.arm import Arm
 from pickenv.envs.shared.task import FEEDBACK
 from pickenv.errors import InputError

@@ -14,7 +14,7 @@ from pickenv.calibration import Calibration
 from pickenv.container import read_container
 from pickenv.errors import InputError
 from pickenv.inspect.colours import policy_key, policy_rank
-from pickenv.inspect.runs.comparison import stage_label
+from pickenv.inspect.runs.comparison_summary import stage_label
 from pickenv.reservations import obey
 from pickenv.wrappers import Compensate
 

@@ -16,7 +16,7 @@ from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing
-from pickenv.inspect.runs.gripping import gripper_curves
+from pickenv.inspect.runs.matters import gripper_curves
 
 STATISTICS: Mapping[str, Callable[[Array], Estimate]] = {
     "mean": mean_over_arms,

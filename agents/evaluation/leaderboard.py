@@ -25,7 +25,7 @@ from pickenv.agents.evaluation.grid_tables import interval_words, read_grid, wit
 from pickenv.agents.evaluation.pick_board import PICK_PLANT, PickTally, pick_rows, pick_tallies
 from pickenv.agents.evaluation.statistics import interquartile_mean
 from pickenv.agents.policies.learned import BASELINES, shipped_baselines
-from pickenv.arm.files.content import content_sha256
+from pickenv.arm.files.arm import content_sha256
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.container import refusing_damage
 from pickenv.envs.reaching.vector import ReachVectorEnv

@@ -15,7 +15,7 @@ from pickenv.arm import Pose, displace_pose, forward
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.errors import InputError
-from pickenv.inspect.runs.episode_ends import Reaches, reaches_of
+from pickenv.inspect.runs.episode_summary import Reaches, reaches_of
 from pickenv.orchard.gripper import Gripper, capture_probability, misalignment
 from pickenv.seeds import seed_words, stream
 from pickenv.wrappers import Compensate

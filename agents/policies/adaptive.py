@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import ObservationParts, camera_of, read_observation
 from pickenv.agents.policies.scripted import ScriptedReach
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import link_model, random_joints
 from pickenv.calibration.compensation.compensator import aimed

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.harvester.assignment import assign
+from pickenv.harvester.optimiser import assign
 from pickenv.harvester.work import Work, zone_work
 
 ARRIVED = 1e-3

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.canopies import pick_canopies
+from pickenv.agents.evaluation.reaches import pick_canopies
 from pickenv.agents.policies.pick_policy import ScriptedPick
 from pickenv.arm import Array
 from pickenv.envs.picking.pick_vector import PickVectorEnv

@@ -22,14 +22,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Geometry, displace_pose, forward
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.kinematics.backend import clipped, possible
 from pickenv.arm.kinematics.forward import Chain, Scalar, attach, chain_of, frames, split_joints, tool_frame
 from pickenv.arm.kinematics.geometry import Array, Pose
-from pickenv.arm.kinematics.jacobians import jacobian_columns
 from pickenv.arm.kinematics.pose_error import frame_error, small_rotation
 from pickenv.arm.kinematics.series import Series
-from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE, attitude_weight, truncated_inverse
+from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE, attitude_weight, jacobian_columns, truncated_inverse
 from pickenv.arm.kinematics.tracing import FLAG, SYMBOLS, Outputs, Trace, Traced, outside
 from pickenv.calibration.identification.extended_kalman_filter import FilterState, predict, random_walk, update
 from pickenv.errors import InputError

@@ -23,12 +23,9 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import Arm, Geometry, draw_plants, load_tolerances, plant_at, rotation_vector
 from pickenv.arm.files.joint_chain import ChainJoint
 from pickenv.arm.files.link_origins import link_origins
-from pickenv.arm.files.mjcf import mjcf_row
-from pickenv.arm.files.mjcf_text import write_mjcf
-from pickenv.arm.files.mjcf_values import ORIENTATIONS, MjcfValues, truth
-from pickenv.arm.files.ur_yaml import UR_KEYS, UR_LINKS, ur_row
-from pickenv.arm.files.urdf import urdf_row
-from pickenv.arm.files.urdf_text import leading_links, roll_pitch_yaw, urdf_text
+from pickenv.arm.files.load import UR_KEYS, UR_LINKS, ur_row
+from pickenv.arm.files.mjcf import ORIENTATIONS, MjcfValues, mjcf_row, truth, write_mjcf
+from pickenv.arm.files.urdf import leading_links, roll_pitch_yaw, urdf_row, urdf_text
 from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Pose, behind, identity_pose, inverse_pose
 from pickenv.calibration.delivery.corrected_chain import (

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv
 
 from pickenv.arm import Geometry, Pose, pose_error
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import Identifiability, Identification, identifiability
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, ErrorModel

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from pickenv.arm import Arm, Geometry, Pose
-from pickenv.arm.files.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
+from pickenv.arm.files.arm import finite, geometry_arrays, geometry_from_arrays
 from pickenv.arm.kinematics.geometry import Array, geometry_fingerprint
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.compensation.compensator import Compensator

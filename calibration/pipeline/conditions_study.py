@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Plant, displace_pose, load_tolerances
-from pickenv.arm.effects.thermal import ThermalGrowth, warmed
+from pickenv.arm.effects.drives import ThermalGrowth, warmed
 from pickenv.arm.kinematics.forward import pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant_batch import plant_at

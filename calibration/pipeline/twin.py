@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pickenv.arm import Arm, Plant
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.arm.plant.posterior import Layout, Posterior

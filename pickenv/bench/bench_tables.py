@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from pickenv.bench.gain_folds import LS
-from pickenv.bench.gains import Gain, agreement
+from pickenv.bench.gains import LS, Gain, agreement
 from pickenv.bench.real_sets import SETS
 from pickenv.bench.run_bench import OURS, PEER_SET, Bench
 from pickenv.bench.spread_rows import NOTE, SPREAD, Figures, spread_table, used_words

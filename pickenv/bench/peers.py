@@ -19,7 +19,7 @@ import numpy as np
 
 import pickenv
 from pickenv.arm import Geometry, Pose, load_arm
-from pickenv.arm.files.urdf_text import urdf_text
+from pickenv.arm.files.urdf import urdf_text
 from pickenv.calibration import Measurements, align, complete_model, frames_model, identify, read_measurements
 from pickenv.calibration.model.observations import random_split, same_poses
 from pickenv.errors import InputError

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.bench.gain_folds import SPLITS, Fold, folds_of, judged_fold
-from pickenv.bench.gains import Gain, gains_of
+from pickenv.bench.gains import SPLITS, Fold, Gain, folds_of, gains_of, judged_fold
 from pickenv.bench.peers import PEERS, judged_peer, judged_pickenv
 from pickenv.bench.real_sets import SETS, learnable
 from pickenv.bench.spread_rows import SPREAD, spread_figures

@@ -212,7 +212,7 @@ def _saved(path: Path) -> tuple[int | None, str]:
     from pickenv.agents.evaluation.grid import PolicyGrid
     from pickenv.inspect.runs import saved
     from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-    from pickenv.inspect.runs.comparison import Comparison
+    from pickenv.inspect.runs.comparison_summary import Comparison
     from pickenv.inspect.runs.harvest_trace import HarvestTrace
     from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 

@@ -81,7 +81,7 @@ def compare(
 ) -> None:
     """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter."""
     from pickenv.agents.evaluation.compare import compare as run
-    from pickenv.agents.evaluation.compare_run import write_comparison
+    from pickenv.agents.evaluation.compare import write_comparison
     from pickenv.inspect.runs.episode_summary import content_of_comparison
     from pickenv.inspect.runs.run_folder import RECORD
 

@@ -65,7 +65,7 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
 
 def _record(run: Run, policy: str | None) -> Path:
     from pickenv.inspect.recordings.comparison_recording import record_comparison
-    from pickenv.inspect.runs.comparison import Comparison
+    from pickenv.inspect.runs.comparison_summary import Comparison
     from pickenv.inspect.runs.run_folder import load_part
 
     if run.kind == "evaluation":

@@ -54,8 +54,7 @@ def effects(
     import numpy as np
 
     from pickenv.arm import load_plant
-    from pickenv.arm.plant.effect_shares import draw_reaches, effect_shares
-    from pickenv.arm.plant.motion import Pace
+    from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares
 
     check_limit("--reaches", reaches, "reaches")
     check_limit("--dwell", dwell, "dwell_s")
@@ -84,9 +83,9 @@ def iso9283(
     import numpy as np
 
     from pickenv.arm import load_plant
+    from pickenv.arm.plant.campaign import Pace
     from pickenv.arm.plant.iso9283 import Iso9283Settings
     from pickenv.arm.plant.iso9283 import iso9283 as test
-    from pickenv.arm.plant.motion import Pace
     from pickenv.calibration import Calibration
     from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
 

@@ -51,7 +51,7 @@ def report(
     ] = True,
 ) -> None:
     """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
-    from pickenv.inspect.recordings.viewer_picture import viewer_picture
+    from pickenv.inspect.recordings.open_recording import viewer_picture
     from pickenv.inspect.reports.run_pages import page_of
     from pickenv.inspect.runs.run_folder import added_to, read_run
 

@@ -38,7 +38,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.harvester.zones import Grid
     from pickenv.orchard.camera import CameraFile
     from pickenv.orchard.gripper import GripperFile
-    from pickenv.orchard.station import Station
+    from pickenv.orchard.occlusion import Station
     from pickenv.study.design.config import StudyConfig
     from pickenv.toml_tables import toml_table
 

@@ -8,7 +8,7 @@ from pickenv.envs.picking.pick import PickEnv as PickEnv
 from pickenv.envs.picking.pick_vector import PickVectorEnv as PickVectorEnv
 from pickenv.envs.reaching.reach import ReachEnv as ReachEnv
 from pickenv.envs.reaching.reach_goal import ReachGoalEnv as ReachGoalEnv
-from pickenv.envs.reaching.reach_ideal import ReachIdealEnv as ReachIdealEnv
+from pickenv.envs.reaching.reach_goal import ReachIdealEnv as ReachIdealEnv
 from pickenv.envs.reaching.vector import ReachGoalVectorEnv as ReachGoalVectorEnv
 from pickenv.envs.reaching.vector import ReachIdealVectorEnv as ReachIdealVectorEnv
 from pickenv.envs.reaching.vector import ReachVectorEnv as ReachVectorEnv

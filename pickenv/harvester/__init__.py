@@ -2,7 +2,6 @@
 
 from types import ModuleType as _ModuleType
 
-from pickenv.harvester.assignment import assign as assign
 from pickenv.harvester.harvest import Harvest as Harvest
 from pickenv.harvester.harvest import Strategy as Strategy
 from pickenv.harvester.harvest import harvest as harvest
@@ -11,6 +10,7 @@ from pickenv.harvester.harvest_summary import funnel as funnel
 from pickenv.harvester.harvest_summary import summary as summary
 from pickenv.harvester.machine import Machine as Machine
 from pickenv.harvester.machine import load_machine as load_machine
+from pickenv.harvester.optimiser import assign as assign
 from pickenv.harvester.pick_point import pick_point as pick_point
 from pickenv.harvester.picking import Picking as Picking
 from pickenv.harvester.picking import load_picking as load_picking

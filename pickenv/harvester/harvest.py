@@ -17,9 +17,9 @@ from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
 from pickenv.errors import InputError
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
-from pickenv.harvester.assignment import assign
 from pickenv.harvester.joint_motion import master_time
 from pickenv.harvester.machine import Machine
+from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.picking import Luck, Outcome, Picking, attempt, displacements, draw_luck
 from pickenv.harvester.trees import Tree, tree_leaves

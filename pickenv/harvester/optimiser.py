@@ -5,13 +5,15 @@ Both keep the no-overlap constraints of `Work.conflict`. Units: s.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
 
+from pickenv.errors import InputError
 from pickenv.extras import require
-from pickenv.harvester.rules import hungarian_waves, lower_bound, nearest_neighbour
+from pickenv.harvester.rules import hungarian_waves, li_rule, lower_bound, nearest_neighbour, static_columns
 from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain_lists
 from pickenv.harvester.zones import SHIPPED
 from pickenv.toml_tables import NUMBER, read, toml_table
@@ -193,3 +195,25 @@ class Effort:
 @lru_cache(maxsize=1)
 def _effort() -> Effort:
     return read(Effort, SHIPPED, section="optimiser")
+
+
+# A plan for a zone by the name of the method that makes it.
+
+
+def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> Plan:
+    """A plan by the name of its method.
+
+    Raises:
+        InputError: If the method is unknown.
+    """
+    methods: dict[str, Callable[[Work], Plan]] = {
+        "li": li_rule,
+        "nearest": nearest_neighbour,
+        "columns": static_columns,
+        "hungarian": hungarian_waves,
+        "search": lambda work: local_search(work, rng),
+        "cp-sat": lambda work: cp_sat(work, rng),
+    }
+    if method not in methods:
+        raise InputError(f"unknown assignment '{method}'; give one of {', '.join(methods)}")
+    return methods[method](work)

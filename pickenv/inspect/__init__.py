@@ -22,7 +22,7 @@ if _TYPE_CHECKING:
     from pickenv.inspect.recordings.log_rerun import LogRerun, LogRerunVector
     from pickenv.inspect.reports.calibration_report import write_calibration_report
     from pickenv.inspect.reports.run_pages import drawings_of, page_of
-    from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
+    from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
     from pickenv.inspect.runs.run_folder import Run, read_run
 
 __all__ = ["Comparison", "LogRerun", "LogRerunVector", "PolicyErrors", "Run", "comparison_drawings", "drawings_of"]

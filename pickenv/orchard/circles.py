@@ -19,9 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.extras import require
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import Array, Flags, Integers
-from pickenv.orchard.detections import Detections
-from pickenv.orchard.stereo import StereoCamera, triangulate
-from pickenv.orchard.vision import fruit_threshold, matched_sizes, red_minus_green
+from pickenv.orchard.vision import (
+    Detections,
+    StereoCamera,
+    fruit_threshold,
+    matched_sizes,
+    red_minus_green,
+    triangulate,
+)
 from pickenv.toml_tables import NUMBER, PX, SHARE, WHOLE_PX, toml_table
 
 STEP, SPREAD = 2, 1.5  # of the radii that are voted for, and of a vote around its pixel

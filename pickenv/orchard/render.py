@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.errors import InputError
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Integers
-from pickenv.orchard.stereo import StereoCamera, project
+from pickenv.orchard.vision import StereoCamera, project
 from pickenv.toml_tables import NUMBER, SHARE, WHOLE, WHOLE_PX, Unit, toml_table
 
 BACKGROUND, LEAF = -1, -2

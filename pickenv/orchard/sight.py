@@ -17,12 +17,10 @@ from pickenv.orchard.camera import camera_axes, camera_frame, orchard_frame
 from pickenv.orchard.canopy import Canopy, face
 from pickenv.orchard.checks import Array, Flags
 from pickenv.orchard.circles import CircleSearch, load_circle_search, locate_circles
-from pickenv.orchard.detections import Detections, match_detections
 from pickenv.orchard.preset_files import shipped
 from pickenv.orchard.render import Leaves, Look, StereoPair, load_look, render_stereo, sample_leaves, turned_leaves
 from pickenv.orchard.sight_errors import Chances, SightErrors, Sightings, draw_chances, load_sight_errors, sighted
-from pickenv.orchard.stereo import StereoCamera, load_stereo_camera
-from pickenv.orchard.vision import locate
+from pickenv.orchard.vision import Detections, StereoCamera, load_stereo_camera, locate, match_detections
 
 VISIONS = ("rendered", "measured_errors", "ideal")
 DETECTORS = ("li2016", "circles")

@@ -18,9 +18,8 @@ if _TYPE_CHECKING:
     from pickenv.study.analysis.study_recording import record_study
     from pickenv.study.analysis.study_report import write_outputs
     from pickenv.study.design.config import StudyConfig, load_study
-    from pickenv.study.results.quantiles import quantiles_of
+    from pickenv.study.results.quantiles import quantiles_of, yields_of
     from pickenv.study.results.study_folder import check_folder, read_rows, read_summary, study_of
-    from pickenv.study.results.yields import yields_of
     from pickenv.study.running.run_study import run_study
     from pickenv.study.running.runners import Crew
 

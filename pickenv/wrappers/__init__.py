@@ -13,8 +13,7 @@ from pickenv.faces import offered as _offered
 if _TYPE_CHECKING:
     from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper, CompensationWrapper
     from pickenv.wrappers.gap import GapScaling, GapScalingVector, scaled_reach, scaled_reach_vector
-    from pickenv.wrappers.miscalibrate import Miscalibrate
-    from pickenv.wrappers.mujoco_arm import geometry_in_mujoco
+    from pickenv.wrappers.mujoco_arm import Miscalibrate, geometry_in_mujoco
     from pickenv.wrappers.same_arm import PickMemory, SameArm, SameArmVector
     from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
     from pickenv.wrappers.tool_steps import ToolStepping, ToolSteppingVector

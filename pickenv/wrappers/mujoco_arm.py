@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, SupportsFloat
 
+import gymnasium as gym
 import numpy as np
+from gymnasium.utils import RecordConstructorArgs
 
-from pickenv.arm import Array, Geometry, Pose
-from pickenv.arm.kinematics.axes import geometry_from_axes
+from pickenv.arm import Array, Geometry, Plant, Pose, forward, pose_error
+from pickenv.arm.kinematics.forward import geometry_from_axes
 from pickenv.errors import InputError
+from pickenv.wrappers.compensation import Compensate
 
 SLIDE, HINGE = 2, 3
 """MuJoCo's numbers of the joint types of an arm."""
@@ -82,3 +85,102 @@ def mujoco_or_sentence() -> Any:
         return import_module("mujoco")
     except ImportError as error:
         raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
+
+
+# A real arm's error in somebody else's environment: success is judged where the true tool is, not where it seems.
+# Reaching tasks on MuJoCo end where their perfect arm believes to be. Here the environment's own arm is that belief;
+# the true tool differs from it by what a plant says at the same joints, and the policy never sees it. Metres,
+# radians.
+
+
+FAR = 1e-3
+"""The goal that is achieved must be the tool's position within this, m."""
+
+
+class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Let a foreign reaching environment on MuJoCo have an arm that errs.
+
+    For environments of Gymnasium-Robotics' goal interface (`achieved_goal`, `desired_goal`, `compute_reward`) whose
+    goal is a position of the tool, commanded by joint or by tool targets. The observation stays what the controller
+    believes; reward and `info["is_success"]` are of the true tool. `info` gets `tool_error_mm`, how far it is from
+    where it is believed, and `true_distance_mm`, how far from the goal.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> from pickenv.wrappers import Miscalibrate, geometry_in_mujoco
+        >>> def with_error(env: gym.Env, plant) -> gym.Env:
+        ...     return Miscalibrate(env, plant.arm.nominal, plant)
+
+    Change log:
+     * v0.2.0 - Added.
+    """
+
+    def __init__(
+        self, env: gym.Env[Any, Any], nominal: Geometry, true: Plant | Geometry, compensator: Compensate | None = None
+    ) -> None:
+        """Wrap ``env``.
+
+        Args:
+            env: The environment.
+            nominal: Its arm as its model has it (`geometry_in_mujoco`), joints by the model's names.
+            true: The arm as it is: a plant without memory, or a geometry.
+            compensator: Turns joint targets into commands for the true arm, as a calibration does; None for raw.
+
+        Raises:
+            InputError: If it is no goal environment on MuJoCo, or the arms differ in their joints, or the plant has
+                effects with a memory.
+        """
+        RecordConstructorArgs.__init__(self, nominal=nominal, true=true, compensator=compensator)
+        gym.Wrapper.__init__(self, env)
+        inner: Any = env.unwrapped
+        if not hasattr(inner, "compute_reward") or "achieved_goal" not in getattr(env.observation_space, "spaces", {}):
+            raise InputError(f"{type(inner).__name__} has no achieved_goal and compute_reward; wrap a goal environment")
+        if not (hasattr(inner, "model") and hasattr(inner, "data")):
+            raise InputError(f"{type(inner).__name__} has no MuJoCo model and data; wrap an environment on MuJoCo")
+        truth = true.geometry if isinstance(true, Plant) else true
+        if truth.joints != nominal.joints:
+            raise InputError(f"the true arm has {truth.joints} joints, the nominal one {nominal.joints}; give one arm")
+        if isinstance(true, Plant) and true.has_state:
+            raise InputError(f"plant '{true.name}' has effects with a memory; switch them off (without=…)")
+        self._nominal, self._true, self._compensator = nominal, true, compensator
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset, and say how far the true tool is from where it is believed."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return observation, self._judged(observation, info)
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Step; reward and success are the true tool's."""
+        observation, _, terminated, truncated, info = self.env.step(action)
+        info = self._judged(observation, info)
+        inner: Any = self.env.unwrapped
+        reward = inner.compute_reward(self._achieved, observation["desired_goal"], info)
+        return observation, float(reward), terminated, truncated, info
+
+    def tool_error(self) -> Array:
+        """True less believed tool position at the present joints ``(3,)``, m, in the model's world."""
+        inner: Any = self.env.unwrapped
+        joints = joints_in_mujoco(inner.model, inner.data, self._nominal)
+        believed = forward(self._nominal, joints)
+        command = joints if self._compensator is None else np.asarray(self._compensator(joints), dtype=float)
+        true = self._true.tool_pose(command) if isinstance(self._true, Plant) else forward(self._true, command)
+        self._believed = believed.position
+        return np.asarray(pose_error(believed, true)[:3])
+
+    def _judged(self, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
+        error = self.tool_error()
+        achieved, desired = (np.asarray(observation[key], dtype=float) for key in ("achieved_goal", "desired_goal"))
+        if achieved.shape != (3,) or np.linalg.norm(achieved - self._believed) > FAR:
+            raise InputError(
+                "the goal that is achieved is not the position of the nominal arm's tool; wrap a reaching task, and "
+                "name the site that its goal is of"
+            )
+        self._achieved = achieved + error
+        inner: Any = self.env.unwrapped
+        distance = float(np.linalg.norm(self._achieved - desired))
+        info = dict(info) | {"tool_error_mm": float(np.linalg.norm(error)) * 1e3, "true_distance_mm": distance * 1e3}
+        if hasattr(inner, "_is_success"):
+            info["is_success"] = inner._is_success(self._achieved, desired)
+        elif "is_success" in info:
+            raise InputError(f"{type(inner).__name__} does not say how it judges success (_is_success); add it")
+        return info

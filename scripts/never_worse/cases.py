@@ -31,8 +31,7 @@ import pickenv
 from pickenv.arm import Arm, Geometry, Plant, Pose, forward, load_arm, load_plant, rotation_matrix
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.geometry import Array, behind, from_standard_dh, identity_pose, inverse_pose
-from pickenv.arm.plant.campaign import switched_on
-from pickenv.arm.plant.motion import Pace, moved
+from pickenv.arm.plant.campaign import Pace, moved, switched_on
 from pickenv.arm.plant.named_plants import draw_arms
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.bench.real_sets import SETS

@@ -30,7 +30,7 @@ from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
 from pickenv.agents.policies.remembering import RememberingPolicy, load_remembering
 from pickenv.agents.training.training import train
 from pickenv.arm import Array, forward
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.files import write_json
 from pickenv.inspect.figures.style import WIDTH, new_figure, save_figure

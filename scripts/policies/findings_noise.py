@@ -10,7 +10,7 @@ import numpy as np
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid
 from pickenv.agents.evaluation.grid_tables import with_interval
 from pickenv.agents.evaluation.rollout import roll_out
-from pickenv.agents.policies.servo import ServoReach
+from pickenv.agents.policies.scripted import ServoReach
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import policy_colours, policy_label
 from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb

@@ -21,7 +21,7 @@ import typer
 from picking_conditions import SCRIPTS, SEEDS, kept, lines_of, picked, row_of
 from rich.progress import track
 
-from pickenv.agents.evaluation.canopies import pick_canopies
+from pickenv.agents.evaluation.reaches import pick_canopies
 from pickenv.agents.policies.learned import load_policy
 from pickenv.agents.training.training import CHECKPOINT, train
 from pickenv.agents.training.training_setup import Training

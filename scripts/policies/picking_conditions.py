@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import typer
 
-from pickenv.agents.evaluation.canopies import pick_canopies
+from pickenv.agents.evaluation.reaches import pick_canopies
 from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
 from pickenv.agents.training.policy_search import KNOBS, Searches, arguments_of, search
 from pickenv.agents.training.training_setup import HELD_OUT

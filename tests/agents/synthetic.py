@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.agents.evaluation.grid import Cell, GridSettings, PolicyGrid
 from pickenv.agents.evaluation.rollout import Rollout
-from pickenv.inspect.runs.episode_ends import Reaches
+from pickenv.inspect.runs.episode_summary import Reaches
 from pickenv.orchard.gripper import load_gripper
 
 FRUIT = np.linspace(0.5, 1.5, 8)

@@ -231,7 +231,7 @@ def test_a_training_refuses_files_that_have_changed_since_it_was_begun(files, ca
             if moment == "between":
                 raise Stopped
 
-    monkeypatch.setattr("pickenv.agents.training.callbacks.save_checkpoint", save)
+    monkeypatch.setattr("pickenv.agents.training.training.save_checkpoint", save)
     with pytest.raises(Stopped if moment == "between" else InputError, match=None if moment == "between" else said):
         train(training, out)
     with pytest.raises(InputError, match=said) as caught:

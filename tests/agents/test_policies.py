@@ -8,9 +8,7 @@ import pickenv  # noqa: F401
 from pickenv.agents.evaluation.reaches import run_reaches
 from pickenv.agents.evaluation.rollout import PerArm, roll_out
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
-from pickenv.agents.policies.oracle import OracleReach
-from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
-from pickenv.agents.policies.servo import ServoReach
+from pickenv.agents.policies.scripted import OracleReach, RandomReach, ScriptedReach, ServoReach
 from pickenv.errors import InputError
 
 CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0, "fruit_noise_mm": 0.0}

@@ -12,14 +12,13 @@ from scipy.spatial.transform import Rotation
 from pickenv.agents.evaluation.rollout import MOST_ROWS, Rollout, roll_out
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
 from pickenv.agents.policies.policy import read_observation
-from pickenv.agents.policies.scripted import RandomReach, ScriptedReach
-from pickenv.agents.policies.servo import ServoReach
+from pickenv.agents.policies.scripted import RandomReach, ScriptedReach, ServoReach
 from pickenv.arm import forward, inverse, joint_jacobian, load_arm
 from pickenv.arm.kinematics.inverse import InverseSolution
 from pickenv.calibration import link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
 from pickenv.errors import InputError
-from pickenv.inspect.runs.episode_ends import Reaches
+from pickenv.inspect.runs.episode_summary import Reaches
 from pickenv.orchard import load_gripper
 from pickenv.wrappers.gap import Scaling, joined_observation
 

@@ -4,7 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from pickenv.agents.evaluation.canopies import pick_canopies
+from pickenv.agents.evaluation.reaches import pick_canopies
 from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
 from pickenv.agents.training.policy_search import KNOBS, arguments_of, search
 from pickenv.envs.picking.pick_vector import PickVectorEnv

@@ -13,9 +13,8 @@ import pytest
 
 from pickenv.agents.policies.learned import load_policy
 from pickenv.agents.training.checkpoints import check_checkpoint
-from pickenv.agents.training.hyperparams import tuned
 from pickenv.agents.training.training import resumed, train
-from pickenv.agents.training.training_setup import Training, make_model
+from pickenv.agents.training.training_setup import Training, make_model, tuned
 from pickenv.arm import load_plant
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
@@ -40,9 +39,9 @@ class Killed(Exception):
 
 def stop_after(monkeypatch, writes: int) -> None:
     """Let the training end right after its n-th checkpoint was written."""
-    import pickenv.agents.training.callbacks
+    import pickenv.agents.training.training
 
-    real, count = pickenv.agents.training.callbacks.save_checkpoint, [0]
+    real, count = pickenv.agents.training.training.save_checkpoint, [0]
 
     def save(*arguments):
         real(*arguments)
@@ -50,7 +49,7 @@ def stop_after(monkeypatch, writes: int) -> None:
         if count[0] == writes:
             raise Killed
 
-    monkeypatch.setattr("pickenv.agents.training.callbacks.save_checkpoint", save)
+    monkeypatch.setattr("pickenv.agents.training.training.save_checkpoint", save)
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)

@@ -14,7 +14,7 @@ from pickenv.arm import Pose, rotation_matrix
 from pickenv.bench import peers
 from pickenv.bench import run_bench as module
 from pickenv.bench.bench_tables import bench_json, blocked_json
-from pickenv.bench.gain_folds import BEFORE, NOMINAL
+from pickenv.bench.gains import BEFORE, NOMINAL
 from pickenv.bench.peers import PEERS, Peer, homogeneous, judged_peer, last_words, peer_python
 from pickenv.bench.run_bench import GAINS, QUICK, ROWS, BenchSettings, run_bench
 from pickenv.errors import InputError

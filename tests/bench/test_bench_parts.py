@@ -5,9 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.bench import gain_folds, run_bench
-from pickenv.bench.gain_folds import Fold, left_by_models, seen_of
-from pickenv.bench.gains import agreement
+from pickenv.bench import gains, run_bench
+from pickenv.bench.gains import Fold, agreement, left_by_models, seen_of
 from pickenv.bench.peers import PeerTask, accuracy_on
 from pickenv.bench.real_sets import RealSet
 from pickenv.bench.run_bench import BenchSettings, Part
@@ -79,8 +78,8 @@ def test_what_models_leave_are_squares_of_positions_and_residuals_are_learnt_of_
             calibration=SimpleNamespace(errors=lambda rows: left[kind] if rows == "b positions" else None)
         )
 
-    monkeypatch.setattr(gain_folds, "calibrate", calibrated)
-    monkeypatch.setattr(gain_folds, "fit_remainder", learnt)
+    monkeypatch.setattr(gains, "calibrate", calibrated)
+    monkeypatch.setattr(gains, "fit_remainder", learnt)
     found, _ = left_by_models("arm", *sets, rng)
     names = {"nominal": "nominal", "LS": "geometric", "LS + terms": "terms", "LS + BPNN": "bpnn", "LS + GP": "gp"}
     assert list(found) == list(names)
@@ -98,7 +97,7 @@ def test_an_arm_is_seen_at_the_joints_of_the_rows_with_attitudes_where_they_have
         assert plant == "plant" and joints is rows.joints
         return SimpleNamespace(position=rows.position + 1.0, rotation=-rotation)
 
-    monkeypatch.setattr(gain_folds, "simulated_tracker", tracked)
+    monkeypatch.setattr(gains, "simulated_tracker", tracked)
     seen = seen_of("plant", rows, rng)
     np.testing.assert_array_equal(seen.position, rows.position + 1.0)
     assert (seen.rotation is not None) == turned

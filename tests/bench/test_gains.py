@@ -7,9 +7,19 @@ import pytest
 from scipy import stats
 
 from pickenv.arm import forward, load_arm
-from pickenv.bench import gain_folds
-from pickenv.bench.gain_folds import BEFORE, LS, NOMINAL, TERMS, Fold, folds_of, judged_fold
-from pickenv.bench.gains import agreement, gains_of, predicted_gain
+from pickenv.bench import gains
+from pickenv.bench.gains import (
+    BEFORE,
+    LS,
+    NOMINAL,
+    TERMS,
+    Fold,
+    agreement,
+    folds_of,
+    gains_of,
+    judged_fold,
+    predicted_gain,
+)
 from pickenv.bench.real_sets import SETS, learnable
 from pickenv.calibration import Measurements
 from pickenv.errors import InputError
@@ -133,7 +143,7 @@ def positions(count, rng, lift=0.0):
 
 def test_the_twin_never_sees_the_rows_held_out(rng, monkeypatch):
     """Held-out rows are measured otherwise: the arms drawn, and what is left of them, stay the same to the bit."""
-    monkeypatch.setattr(gain_folds, "LEARNT", {})
+    monkeypatch.setattr(gains, "LEARNT", {})
     data = positions(48, rng, 2e-4)
     rows = folds_of(np.arange(48), "blocks", 5, rng)[1]
     other = data.position.copy()
@@ -150,8 +160,8 @@ def test_the_twin_never_sees_the_rows_held_out(rng, monkeypatch):
 
 def test_arms_that_cannot_be_calibrated_are_counted_and_drawn_anew(rng, monkeypatch):
     data, calls = positions(48, rng), []
-    monkeypatch.setattr(gain_folds, "LEARNT", {})
-    judged = gain_folds.left_by_models
+    monkeypatch.setattr(gains, "LEARNT", {})
+    judged = gains.left_by_models
 
     def left(arm, train, test, rng):
         calls.append(train.position)
@@ -159,7 +169,7 @@ def test_arms_that_cannot_be_calibrated_are_counted_and_drawn_anew(rng, monkeypa
             raise InputError("it does not converge")
         return judged(arm, train, test, rng)
 
-    monkeypatch.setattr(gain_folds, "left_by_models", left)
+    monkeypatch.setattr(gains, "left_by_models", left)
     rows, refuses = folds_of(np.arange(48), "blocks", 5, rng)[0], (2,)
     fold = judged_fold(load_arm("ur5"), data, rows, 1, np.random.SeedSequence(5))
     assert (fold.refused, len(fold.predicted), len(calls)) == (1, 1, 3)

@@ -9,7 +9,7 @@ import pytest
 
 from pickenv.agents.evaluation.blocked_gain import MEASURED, measured_gains
 from pickenv.bench.bench_tables import GAIN_HEADS, HELD
-from pickenv.bench.gain_folds import BEFORE, LEARNT, LS
+from pickenv.bench.gains import BEFORE, LEARNT, LS
 from pickenv.bench.run_bench import GAINS, SETS
 
 ROOT = Path(__file__).parents[2]

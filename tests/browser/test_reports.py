@@ -113,7 +113,7 @@ def test_hovering_reads_a_poses_millimetres(browser: Any, reports: dict[str, Pat
 
 
 def test_hovering_reads_an_arrows_millimetres(browser: Any, reports: dict[str, Path], run_folder: Path) -> None:
-    from pickenv.inspect.runs.comparison import Comparison
+    from pickenv.inspect.runs.comparison_summary import Comparison
     from pickenv.inspect.runs.run_folder import load_part, read_run
 
     comparison = load_part(read_run(run_folder), Comparison)

@@ -15,7 +15,7 @@ import pytest
 
 from pickenv.study.analysis.sensitivity import ARMS_PER_TERM, sensitivities_of
 from pickenv.study.analysis.sobol import LEAST, SAMPLES, sobol_indices
-from pickenv.study.results.variance_indices import variance_indices
+from pickenv.study.results.quantiles import variance_indices
 from pickenv.study.running import components
 
 DEVIATIONS = 24

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Arm, Plant, forward, load_arm, load_plant
-from pickenv.arm.files.mjcf_text import mjcf_text
+from pickenv.arm.files.mjcf import mjcf_text
 from pickenv.calibration import fit, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.wrappers import Miscalibrate, geometry_in_mujoco

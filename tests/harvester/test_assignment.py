@@ -9,10 +9,9 @@ import pytest
 
 from pickenv.errors import InputError
 from pickenv.harvester.arm_paths import ultrasonic_hold
-from pickenv.harvester.assignment import assign
 from pickenv.harvester.joint_motion import travel_time
 from pickenv.harvester.machine import load_machine
-from pickenv.harvester.optimiser import _changed
+from pickenv.harvester.optimiser import _changed, assign
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.rules import li_rule, lower_bound
 from pickenv.harvester.work import Work, timetable, zone_work

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pickenv.harvester.assignment import assign
+from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.work import zone_work
 

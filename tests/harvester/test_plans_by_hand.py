@@ -11,8 +11,7 @@ from scipy.optimize import milp
 
 from pickenv.errors import InputError
 from pickenv.harvester import optimiser
-from pickenv.harvester.assignment import assign
-from pickenv.harvester.optimiser import cp_sat, local_search
+from pickenv.harvester.optimiser import assign, cp_sat, local_search
 from pickenv.harvester.pick_point import _heights, _point_costs, border_indices, pick_heading, pick_point
 from pickenv.harvester.rules import lower_bound
 from pickenv.harvester.work import Work, timetable

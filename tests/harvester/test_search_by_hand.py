@@ -11,9 +11,8 @@ import pytest
 
 from pickenv.errors import InputError
 from pickenv.harvester import optimiser, rules
-from pickenv.harvester.assignment import assign
 from pickenv.harvester.machine import load_machine
-from pickenv.harvester.optimiser import _ticks, cp_sat, local_search
+from pickenv.harvester.optimiser import _ticks, assign, cp_sat, local_search
 from pickenv.harvester.pick_point import Search, _heights, _point_costs, _search, pick_heading, pick_point, searched
 from pickenv.harvester.rules import lower_bound
 from pickenv.harvester.true_machine import Controller, Nominal, load_true_machine

@@ -16,7 +16,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.runs.calibration_trace import trace_of
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
+from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
 from pickenv.inspect.runs.run_folder import Run, recorded_run, save_part
 
 STEP = 0.055

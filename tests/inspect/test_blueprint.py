@@ -10,7 +10,7 @@ import pytest
 
 from pickenv.inspect.recordings import blueprint
 from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 
 
 def rows(reading: Any, component: str) -> list[Any]:

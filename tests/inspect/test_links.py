@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm, load_plant, shipped_arms, shipped_plants
-from pickenv.inspect.runs.links import capsules, nominal_points, true_points
+from pickenv.inspect.runs.saved import capsules, nominal_points, true_points
 
 
 @pytest.mark.parametrize("name", shipped_plants())

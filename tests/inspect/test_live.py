@@ -27,7 +27,7 @@ from pickenv.inspect.recordings import live
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.recordings.live import Live, open_live
 from pickenv.inspect.recordings.open_recording import check_recording
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.run_folder import recorded_run, save_part
 
 RERUN = Path(sys.executable).with_name("rerun")

@@ -15,9 +15,8 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, lane
 from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.comparison_summary import summary_markdown
-from pickenv.inspect.runs.links import drawn_parts, nominal_points, true_points
+from pickenv.inspect.runs.comparison_summary import Comparison, summary_markdown
+from pickenv.inspect.runs.saved import drawn_parts, nominal_points, true_points
 
 GAIN = 25.0
 COLOURS = {"raw": (230, 159, 0), "ls": (0, 114, 178), "ls_bpnn": (0, 158, 115)}

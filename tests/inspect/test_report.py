@@ -30,7 +30,7 @@ from pickenv.inspect.reports.report_page import (
 )
 from pickenv.inspect.reports.report_page import Page as ReportPage
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.run_folder import Run, load_part
 from pickenv.intervals import share_interval
 

@@ -22,9 +22,8 @@ from pickenv.inspect.reports import calibration_report, demo_report, report_page
 from pickenv.inspect.reports.report_page import Bar, Folded, Interactive, Page, Pair, Picture
 from pickenv.inspect.reports.report_words import between, estimated, parameter_words, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.gripping import gripped
-from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
+from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, load_part
 from pickenv.intervals import mean_interval, share_interval
 

@@ -22,7 +22,7 @@ from pickenv.errors import InputError
 from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect import drawings_of, page_of
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
 from pickenv.inspect.runs.run_folder import ISO9283, KINDS, Run, read_run, recorded_run, save_part
 

@@ -16,7 +16,7 @@ from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.runs import saved
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.run_folder import (
     KINDS,
     Run,

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.view import cut_away, eye_direction, shown_box
+from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect.runs.saved import cut_away, eye_direction, shown_box
 
 
 @pytest.mark.parametrize("shape", [(10, 10, 10), (9, 5, 9), (4, 12, 6)])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.recordings.viewer_picture import WINDOW, viewer_picture
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.recordings.open_recording import WINDOW, viewer_picture
+from pickenv.inspect.runs.comparison_summary import Comparison
 
 pytestmark = pytest.mark.browser
 

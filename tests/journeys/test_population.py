@@ -21,7 +21,7 @@ import pytest
 
 from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepared_study
-from pickenv.study.results.yields import yields_of
+from pickenv.study.results.quantiles import yields_of
 from pickenv.study.running.batched import evaluate_batch
 
 ROOT = Path(__file__).parents[2]

@@ -17,8 +17,7 @@ from typer.main import get_command
 
 from pickenv.arm import Geometry, Plant, Pose, forward, load_arm
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.plant.campaign import switched_on
-from pickenv.arm.plant.motion import Pace, moved
+from pickenv.arm.plant.campaign import Pace, moved, switched_on
 from pickenv.arm.plant.named_plants import draw_arms
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration import Calibration

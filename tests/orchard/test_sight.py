@@ -24,7 +24,6 @@ from pickenv.orchard import (
     shipped,
     sighted,
 )
-from pickenv.orchard.detections import Detections
 from pickenv.orchard.render import Leaves, StereoPair, render_stereo
 from pickenv.orchard.sight import _matched, picture, sightings
 from pickenv.orchard.sight_errors import (
@@ -32,6 +31,7 @@ from pickenv.orchard.sight_errors import (
     tabulated,
     together,
 )
+from pickenv.orchard.vision import Detections
 
 LEAFY = load_canopy("li2016")
 VIEW = Viewpoint(np.array([0.1, -1.0, 1.6]), np.array([0.0, 1.0, 0.0]))

@@ -11,8 +11,7 @@ from pickenv.errors import InputError
 from pickenv.inspect.figures.style import save_figure
 from pickenv.study.analysis import study_figures as figures
 from pickenv.study.analysis.sensitivity import sensitivities_of
-from pickenv.study.results.quantiles import quantiles_of
-from pickenv.study.results.yields import yields_of
+from pickenv.study.results.quantiles import quantiles_of, yields_of
 
 ARMS = 60
 REQUIRED = 0.95

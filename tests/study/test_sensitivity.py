@@ -9,7 +9,7 @@ from scipy import stats
 from pickenv.errors import InputError
 from pickenv.study.analysis.sensitivity import _interval, sensitivities_of, tolerance_kind
 from pickenv.study.analysis.sobol import sobol_indices
-from pickenv.study.results.variance_indices import variance_indices
+from pickenv.study.results.quantiles import variance_indices
 
 
 def rows_of(columns, squared_error, arm=None):

@@ -6,8 +6,8 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.intervals import share_interval
-from pickenv.study.results.streaming import SETTING
-from pickenv.study.results.yields import yields_of
+from pickenv.study.results.quantiles import yields_of
+from pickenv.study.results.row_table import SETTING
 
 REQUIRED = 0.95
 

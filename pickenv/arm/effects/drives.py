@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, Any
 
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
-from pickenv.arm.kinematics.forward import Scalar
-from pickenv.toml_tables import MILLISECONDS, toml_table
+from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, frames
+from pickenv.arm.kinematics.pose_error import displaced_frame
+from pickenv.toml_tables import DEG, HOURS, KELVIN, MILLISECONDS, MM, Unit, toml_table
 
 
 @dataclass(frozen=True)
@@ -44,3 +45,160 @@ def followed(m: ModuleType, servo: Servo, motor: Sequence[Scalar], q: Sequence[S
     """Motor positions after the command ``q`` has been held for ``dt`` seconds."""
     numbers = zip(motor, q, servo.time_constant, strict=True)
     return [target + (value - target) * exponential(m, -dt / constant) for value, target, constant in numbers]
+
+
+# Links grow with temperature, L (1 + alpha dT), and the arm warms up over the first hours: dT' = (final - dT) / tau.
+# dT is the rise above the temperature at which the true geometry holds. Units: K, s.
+
+
+@toml_table
+class ThermalGrowth:
+    """Growth of each link with the arm's temperature.
+
+    Attributes:
+        expansion: Coefficient of linear expansion alpha of each link, 1/K.
+        initial_rise: Temperature rise when the arm is switched on, K.
+        final_rise: Temperature rise of the warm arm, K.
+        time_constant: Time constant of the warm-up, s.
+    """
+
+    expansion: Annotated[tuple[Scalar, ...], Unit("um_per_m_K", 1e-6).not_negative, PER_JOINT]
+    initial_rise: Annotated[Scalar, KELVIN]
+    final_rise: Annotated[Scalar, KELVIN]
+    time_constant: Annotated[Scalar, HOURS.positive]
+
+
+def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> Scalar:
+    """Temperature rise in K, ``dt`` seconds after it was ``rise``."""
+    return thermal.final_rise + (rise - thermal.final_rise) * exponential(m, -dt / thermal.time_constant)
+
+
+def grown_chain(thermal: ThermalGrowth, chain: Chain, rise: Scalar) -> Chain:
+    """The chain with a and d of every link grown by a temperature rise of ``rise`` K."""
+    links = []
+    for link, alpha in zip(chain.links, thermal.expansion, strict=True):
+        factor = 1.0 + alpha * rise
+        links.append(link._replace(a=link.a * factor, d=link.d * factor))
+    return chain._replace(links=tuple(links))
+
+
+def grown_joints(thermal: ThermalGrowth, chain: Chain, joints: Sequence[Scalar], rise: Scalar) -> list[Scalar]:
+    """Joint displacements of the warm arm: what a slide has run out grows with its rack, angles stay."""
+    numbers = zip(chain.links, joints, thermal.expansion, strict=True)
+    return [value * (1.0 + alpha * rise) if link.prismatic else value for link, value, alpha in numbers]
+
+
+# Joints that yield under the arm's own weight, of which only a calibration's moments are known: neither k nor masses.
+# A joint's torque is linear in the mass and first moments of every link behind it, so dq = c tau is linear in c g m
+# and c g m r: what `pickenv.calibration.model.arm_model.GravityTerm` identifies. Units: rad or m, rad/m or 1.
+
+
+AXES = {"x": 0, "y": 3, "z": 6}
+"""Where a link's axes begin among a frame's components."""
+
+
+@dataclass(frozen=True)
+class GravityYield:
+    """How each joint yields.
+
+    Attributes:
+        moments: Joint that yields, link that weighs on it (both from 0), and what of it: "m" its mass at its origin,
+            "x", "y", "z" a first moment along its axis.
+        sizes: One number per moment: rad/m for a mass on a joint that turns, rad for a first moment.
+        up: Direction against gravity in the axes of frame 0.
+    """
+
+    moments: tuple[tuple[int, int, str], ...]
+    sizes: tuple[Scalar, ...]
+    up: tuple[float, float, float]
+
+
+def weighed_down(m: ModuleType, effect: GravityYield, chain: Chain, q: Sequence[Scalar]) -> list[Scalar]:
+    """Joint displacements after the joints have yielded."""
+    links = frames(m, chain, q)
+    base = links[0]
+    up = [sum(base[axis + i] * part for axis, part in zip((0, 3, 6), effect.up, strict=True)) for i in range(3)]
+    moved = list(q)
+    for (joint, link, moment), size in zip(effect.moments, effect.sizes, strict=True):
+        own = links[joint + 1]
+        if chain.links[joint].prismatic:
+            moved[joint] = moved[joint] - size * _dot(own[6:9], up)
+            continue
+        lever = links[link + 1][AXES[moment] :][:3] if moment != "m" else _less(links[link + 1], own)
+        moved[joint] = moved[joint] - size * _dot(own[6:9], _cross(lever, up))
+    return moved
+
+
+def _less(one: Frame, other: Frame) -> tuple[Scalar, ...]:
+    return tuple(a - b for a, b in zip(one[9:], other[9:], strict=True))
+
+
+def _dot(one: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+
+
+def _cross(one: Sequence[Scalar], other: Sequence[Scalar]) -> tuple[Scalar, ...]:
+    (a, b, c), (x, y, z) = one, other
+    return b * z - c * y, c * x - a * z, a * y - b * x
+
+
+# How an instrument that looks at a target on the tool errs: reading by reading, with the range, and by its mounting.
+# Every number is used as a standard deviation, makers' limits too. Runs on floats, arrays and tensors. Units: m, rad.
+
+
+@toml_table
+class MeasurementNoise:
+    """Normal errors of a measuring instrument, per axis.
+
+    Attributes:
+        position_std: Of a position at zero range, m.
+        attitude_std: Of an attitude, rad.
+        range_std: What each metre of range adds to a position's, m/m.
+        centring_std: How far the target's centre lies beside the point that is meant, m; it stays as long as the
+            target is mounted.
+    """
+
+    position_std: Annotated[float, MM.not_negative]
+    attitude_std: Annotated[float, DEG.not_negative]
+    range_std: Annotated[float, Unit("um_per_m", 1e-6, most=1e6).not_negative] = 0.0
+    centring_std: Annotated[float, MM.not_negative] = 0.0
+
+    def position_std_at(self, distance: Any) -> Any:
+        """Of a position seen from ``distance`` metres, m."""
+        return self.position_std + self.range_std * distance
+
+
+def distance_between(m: ModuleType, point: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
+    """Distance of two points, m."""
+    x, y, z = (a - b for a, b in zip(point, other, strict=True))
+    return m.sqrt(x * x + y * y + z * z)
+
+
+def read_frame(
+    m: ModuleType,
+    noise: MeasurementNoise,
+    stand: tuple[float, float, float],
+    frame: Frame,
+    reading: Sequence[Scalar],
+    mounting: Sequence[Scalar],
+) -> Frame:
+    """The tool frame that an instrument reports.
+
+    Args:
+        m: ``math``, ``numpy`` or ``torch``.
+        noise: How it errs.
+        stand: Where it stands, in the frame's world, m.
+        frame: The true tool frame.
+        reading: Six standard normal numbers for each reading.
+        mounting: Three for the mounting of the target.
+    """
+    if noise.centring_std:
+        aside = [noise.centring_std * value for value in mounting]
+        axes = zip(frame[0:3], frame[3:6], frame[6:9], frame[9:], strict=True)
+        seen = (aside[0] * x + aside[1] * y + aside[2] * z + p for x, y, z, p in axes)
+        frame = (*frame[:9], *seen)
+    std: Any = noise.position_std
+    if noise.range_std:
+        std = noise.position_std_at(distance_between(m, frame[9:], stand))
+    scales = (std,) * 3 + (noise.attitude_std,) * 3
+    return displaced_frame(m, frame, [scale * value for scale, value in zip(scales, reading, strict=True)])

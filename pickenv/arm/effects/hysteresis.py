@@ -11,9 +11,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
+from typing import Annotated, Any
 
+from pickenv.arm.effects.structure import Weight
+from pickenv.arm.files.joint_keys import BOOM
 from pickenv.arm.kinematics.backend import chosen, clipped
-from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
+from pickenv.arm.kinematics.pose_error import displaced_frame
+from pickenv.toml_tables import GRAVITY, MM, WHOLE, Then, Unit, fault, toml_table
 
 
 @dataclass(frozen=True)
@@ -115,3 +120,145 @@ def joints_behind_backlash(
             free = chosen(m, torques[i] > preload, high, chosen(m, torques[i] < -preload, low, free))
         behind.append(free)
     return behind
+
+
+# What yields where an arm slides: the boom under a couple beside its tip, its twist, carriages in their guides. All
+# three follow the masses that hang behind a link, wherever they are: gravity's force and moment there come from
+# `pickenv.arm.effects.structure.weights_behind`, of the straight arm, and deflections are taken to first order.
+# Units: m, rad, N, kg.
+
+
+@toml_table
+class BoomCouple:
+    """Masses that hang beside a boom's tip bend it by their couple: delta = M L^2 / 2EI, slope = M L / EI.
+
+    Attributes:
+        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
+        length: Free length at zero displacement, m; the displacement adds to it.
+        flexural_rigidity: EI, N*m^2.
+    """
+
+    joint: Annotated[int, WHOLE, BOOM]
+    length: Annotated[Scalar, MM.not_negative]
+    flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
+
+
+@toml_table
+class BoomTorsion:
+    """Masses that hang beside a boom twist it: angle = M L / GJ.
+
+    Attributes:
+        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
+        length: Free length at zero displacement, m; the displacement adds to it.
+        torsional_rigidity: GJ, N*m^2.
+    """
+
+    joint: Annotated[int, WHOLE, BOOM]
+    length: Annotated[Scalar, MM.not_negative]
+    torsional_rigidity: Annotated[Scalar, Unit("N_m2").positive]
+
+
+@toml_table
+class Bearing:
+    """Where a slide runs: two bearings, one behind the other, each a spring across the slide's axis.
+
+    Together they give 2k against a force across the axis, and k s^2 / 2 against a moment.
+
+    Attributes:
+        joint: Index (from 0) of the prismatic joint.
+        stiffness: Of one bearing, N/m.
+        span: Distance s between the two at zero displacement, m.
+        overhang: How far the link's origin is ahead of its guide's outlet at zero displacement, m; the displacement
+            adds to it and is taken off the span. None where the bearings travel with the link, about its origin.
+    """
+
+    joint: Annotated[int, WHOLE, BOOM]
+    stiffness: Annotated[Scalar, Unit("N_per_um", 1e6).positive]
+    span: Annotated[Scalar, MM.positive]
+    overhang: Annotated[Scalar | None, MM.not_negative] = None
+
+
+def _once(bearings: Any, _context: Any) -> Any:
+    if len({bearing.joint for bearing in bearings}) < len(bearings):
+        raise fault("each joint once")
+    return bearings
+
+
+@toml_table
+class SlideCompliance:
+    """Slides give way across their axis, and turn, in their bearings.
+
+    Attributes:
+        bearings: One entry per slide that yields.
+    """
+
+    bearings: Annotated[tuple[Bearing, ...], Then(_once)]
+
+
+def couple_flexure(m: ModuleType, couple: BoomCouple, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
+    """A `Flexure` that bends the boom under the part across it of the moment about its tip."""
+    length = q[couple.joint] + couple.length
+    turn = length / couple.flexural_rigidity
+
+    def bend(i: int, frame: Frame) -> Frame:
+        if i != couple.joint:
+            return frame
+        zx, zy, zz, px, py, _ = frame[6:]
+        mx, my = moment_about(weights[i + 1], px, py)
+        along = mx * zx + my * zy
+        wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
+        return displaced_frame(m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
+
+    return bend
+
+
+def torsion_flexure(m: ModuleType, torsion: BoomTorsion, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
+    """A `Flexure` that twists the boom under the part along it of the moment about its tip."""
+    turn = (q[torsion.joint] + torsion.length) / torsion.torsional_rigidity
+
+    def twist(i: int, frame: Frame) -> Frame:
+        if i != torsion.joint:
+            return frame
+        zx, zy, zz, px, py, _ = frame[6:]
+        mx, my = moment_about(weights[i + 1], px, py)
+        angle = turn * (mx * zx + my * zy)
+        return displaced_frame(m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
+
+    return twist
+
+
+def slide_flexure(m: ModuleType, slides: SlideCompliance, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
+    """A `Flexure` that moves and turns each slide in its bearings, under all that hangs on it."""
+    by_joint = {bearing.joint: bearing for bearing in slides.bearings}
+
+    def give(i: int, frame: Frame) -> Frame:
+        bearing = by_joint.get(i)
+        if bearing is None:
+            return frame
+        zx, zy, zz, px, py, _ = frame[6:]
+        span, arm = bearing.span, 0.0
+        if bearing.overhang is not None:
+            span = span - q[i]
+            arm = bearing.overhang + q[i] + 0.5 * span
+        mx, my = moment_about(weights[i], px - arm * zx, py - arm * zy)
+        turn = 2.0 / (bearing.stiffness * span * span)
+        sunk = GRAVITY * weights[i][0] / (2.0 * bearing.stiffness)  # gravity across z is (zx zz, zy zz, zz^2 - 1)
+        moved = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
+        return displaced_frame(m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), moved))
+
+    return give
+
+
+def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+    """Gravity's moment (x, y) about a point above or below (x, y) of the world; about the vertical there is none."""
+    mass, moment_x, moment_y = weight
+    return -GRAVITY * (moment_y - mass * y), GRAVITY * (moment_x - mass * x)
+
+
+def _swung(
+    wx: Scalar, wy: Scalar, wz: Scalar, arm: Scalar, z: Sequence[Scalar], moved: Sequence[Scalar]
+) -> tuple[Scalar, ...]:
+    """Displacement of a frame that turns by w about a point ``arm`` behind it along z, and is moved besides."""
+    zx, zy, zz = z
+    across = (wy * zz - wz * zy, wz * zx - wx * zz, wx * zy - wy * zx)
+    return (*(part + arm * way for part, way in zip(moved, across, strict=True)), wx, wy, wz)

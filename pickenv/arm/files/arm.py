@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any
 
-from pickenv.arm.kinematics.geometry import Array, Geometry, geometry_fingerprint
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, geometry_fingerprint
+from pickenv.errors import InputError
 
 MOST_RATIO = 1e3
 """No link moves further than this times the joint that it follows."""
@@ -33,3 +41,98 @@ class Arm:
     def fingerprint(self) -> str:
         """Hash of the nominal geometry: a calibration fitted to one arm is refused on another."""
         return geometry_fingerprint(self.nominal)
+
+
+# A geometry as named arrays and back, for files: what comes back is checked, because it will move an arm.
+
+
+ORTHONORMAL = 1e-9
+"""How far R R^T of a rotation may be from the identity: far above rounding, far below what is felt at a tool."""
+
+
+def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
+    """A geometry's numbers by name, for saving."""
+    named = {name: getattr(geometry, name) for name in (*LINK_PARAMETERS, "lower", "upper")}
+    for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
+        named |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
+    if geometry.coupling is not None:
+        coupling = geometry.coupling
+        named["coupling"] = np.array([coupling.joint, coupling.ratio, coupling.slides], dtype=float)
+    return named
+
+
+def geometry_from_arrays(
+    named: Mapping[str, NDArray[Any]], joint_names: Sequence[str], prismatic: Sequence[bool], which: str
+) -> Geometry:
+    """The inverse of `geometry_arrays`.
+
+    Args:
+        named: The arrays.
+        joint_names: One name per joint.
+        prismatic: Joint types.
+        which: The geometry's name, for messages: "nominal".
+
+    Raises:
+        InputError: If an array is missing, of another shape or not finite, a rotation is none, or limits are swapped.
+    """
+    if not all(isinstance(name, str) for name in joint_names) or not all(type(kind) is bool for kind in prismatic):
+        raise InputError("joint names are text, and joint types are true (slides) or false (turns)")
+    if len(joint_names) != len(prismatic) or not joint_names:
+        raise InputError(f"{len(joint_names)} joint names are given for {len(prismatic)} joints")
+    joints = len(prismatic)
+    coupling = _coupling(named, joints, which) if "coupling" in named else None
+    links = joints if coupling is None else len(coupling.joint)
+    shapes = dict.fromkeys(LINK_PARAMETERS, (links,)) | dict.fromkeys(("lower", "upper"), (joints,))
+    shapes |= {f"{key}_position": (3,) for key in ("base", "tool")}
+    numbers = {name: finite(named, name, shape, which) for name, shape in shapes.items()}
+    if np.any(numbers["lower"] >= numbers["upper"]):
+        worst = int(np.argmax(numbers["lower"] >= numbers["upper"]))
+        raise InputError(f"the lower limit of joint {joint_names[worst]} in {which} is not below its upper limit")
+    base, tool = (
+        Pose(numbers.pop(f"{key}_position"), _rotation(named, f"{key}_rotation", which)) for key in ("base", "tool")
+    )
+    return Geometry(tuple(joint_names), tuple(prismatic), **numbers, base=base, tool=tool, coupling=coupling)
+
+
+def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
+    """Which joint moves each link, checked."""
+    values = finite(named, "coupling", (3, named["coupling"].shape[-1]), which)
+    joint, ratio, slides = values.tolist()
+    if not set(joint) <= set(range(joints)) or 0.0 in ratio or not set(slides) <= {0.0, 1.0}:
+        raise InputError(f"{which}/coupling names a joint that is not there, a ratio of zero, or no kind of link")
+    return Coupling(tuple(map(int, joint)), tuple(ratio), tuple(map(bool, slides)))
+
+
+def finite(named: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...], which: str) -> Array:
+    """The array called ``name``; refused unless it has this shape and holds finite numbers in double precision."""
+    value = named[name]
+    if value.shape != shape or value.dtype != np.float64:
+        raise InputError(f"{which}/{name} holds {value.dtype} of shape {value.shape}, not numbers of shape {shape}")
+    if not np.isfinite(value).all():
+        where = tuple(int(i) + 1 for i in np.argwhere(~np.isfinite(value))[0])
+        raise InputError(f"{which}/{name} holds {value[~np.isfinite(value)][0]} at place {where}")
+    return value
+
+
+def _rotation(named: Mapping[str, NDArray[Any]], name: str, which: str) -> Array:
+    matrix = finite(named, name, (3, 3), which)
+    if np.abs(matrix @ matrix.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(matrix) < 0:
+        raise InputError(f"{which}/{name} is not a rotation (orthonormal and right-handed)")
+    return matrix
+
+
+# What a thing made of numbers holds, as a hash: equal content, equal hash, wherever it came from.
+
+
+def content_sha256(*parts: Any) -> str:
+    """SHA-256 of dataclasses, arrays, numbers and text, by their values."""
+    return hashlib.sha256(json.dumps([plain(part) for part in parts], sort_keys=True).encode()).hexdigest()
+
+
+def plain(value: Any) -> Any:
+    """A value as JSON has it: dataclasses by their fields' names, arrays as lists."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, tuple | list):
+        return [plain(entry) for entry in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value

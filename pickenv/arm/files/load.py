@@ -2,12 +2,76 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+from scipy.spatial.transform import Rotation
+
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.arm_file import ARMS, read_arm
-from pickenv.toml_tables import file_named, shipped_in
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
+from pickenv.arm.files.xml_values import xml_number
+from pickenv.arm.kinematics.geometry import Pose, identity_pose
+from pickenv.errors import InputError
+from pickenv.texts import read_text, shortened, yaml_content
+from pickenv.toml_tables import RAD, M, file_named, shipped_in
+
+# A Universal Robots arm by its kinematics file: `default_kinematics.yaml` of ROS's `ur_description` (format of 2.x).
+# `ur_calibration` writes such a file from what the maker measured of one robot and its controller keeps. Each of six
+# joints turns about z of a frame that the file places in the frame before, by x, y, z in m and roll, pitch, yaw in
+# rad about fixed axes. The base is the controller's (`base` of ROS), the tip its flange (`tool0`).
+
+
+UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+LIMITS_OF = "ur10e"
+"""The file has no limits and speeds; this arm's are taken, the slowest of its series."""
+
+
+def load_ur_yaml(path: str | Path) -> Arm:
+    """Read a UR kinematics file.
+
+    Raises:
+        InputError: If it is none, or a joint or a number is missing; the message names it.
+    """
+    path = Path(path)
+    row, mark = ur_row(path)
+    geometry, speed = row.geometry()
+    source = f"UR kinematics {path.name}{mark}; limits and speeds are those of {LIMITS_OF}, which the file has not"
+    return Arm(path.stem, source, geometry, None, speed)
+
+
+def ur_row(path: Path) -> tuple[JointRow, str]:
+    """The joints that `load_ur_yaml` makes an arm of, and the file's mark of the robot.
+
+    Raises:
+        InputError: If it is none, or a joint or a number is missing; the message names it.
+    """
+    content = yaml_content(read_text(path, "a UR kinematics file (.yaml)"), path)
+    links = content.get("kinematics") if isinstance(content, Mapping) else None
+    if not isinstance(links, Mapping):
+        raise InputError(f"{path} has no 'kinematics'; give a UR kinematics file as ur_calibration writes it")
+    like = read_arm(ARMS / f"{LIMITS_OF}.toml")
+    joints, drives = [], {}
+    for i, (link, name) in enumerate(zip(UR_LINKS, UR_JOINTS, strict=True)):
+        numbers = links.get(link)
+        if not isinstance(numbers, Mapping) or any(key not in numbers for key in UR_KEYS):
+            raise InputError(f"{path}: '{link}' of kinematics lacks one of {', '.join(UR_KEYS)}; give all six")
+        try:
+            values = [
+                xml_number(str(numbers[key]), f"{key} of {link}", (M if key in "xyz" else RAD).most) for key in UR_KEYS
+            ]
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        origin = Pose(np.array(values[:3]), Rotation.from_euler("xyz", values[3:]).as_matrix())
+        joints.append(ChainJoint(name, name, 1.0, 0.0, False, origin, np.array([0.0, 0.0, 1.0])))
+        limits = (like.nominal.lower[i], like.nominal.upper[i], like.speed[i])
+        drives[name] = Drive(False, *map(float, limits))
+    mark = f", {shortened(links['hash'])}" if "hash" in links else ""
+    return JointRow(path.stem, "base", "tool0", tuple(joints), identity_pose(), drives), mark
 
 
 def shipped_arms() -> list[str]:
@@ -36,8 +100,6 @@ def load_arm(name: str | Path) -> Arm:
 
             return load_mjcf(stem, tip or None)
         case ".yaml" | ".yml":
-            from pickenv.arm.files.ur_yaml import load_ur_yaml
-
             return load_ur_yaml(stem)
     path = file_named("arm", name, ARMS, ".toml, .urdf, .xml, .yaml")
     return _read(path, path.stat().st_mtime_ns)

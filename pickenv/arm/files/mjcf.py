@@ -14,20 +14,268 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.files.flange import Carried, flange
 from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, driver_of
-from pickenv.arm.files.mjcf_values import Attributes, MjcfValues, truth
-from pickenv.arm.files.xml_values import xml_root
-from pickenv.arm.kinematics.geometry import Pose, behind, identity_pose
+from pickenv.arm.files.link_origins import link_origins
+from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
+from pickenv.arm.files.xml_values import numbers_text, xml_number, xml_numbers, xml_root
+from pickenv.arm.kinematics.forward import PARALLEL
+from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
+from pickenv.arm.kinematics.pose_error import rotation_matrix
 from pickenv.errors import InputError
-from pickenv.texts import is_file, listed, shortened
-from pickenv.toml_tables import M
+from pickenv.files import write_text
+from pickenv.texts import decimal_number, is_file, listed, one_line, shortened
+from pickenv.toml_tables import DEG, RAD, M
+
+# MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
+# kinematics are exact. Masses are not known of an arm's table: each link is a rod of `DENSITY`, so that inertias are
+# valid and a simulation runs; they say nothing about the real arm. Metres, radians, kg.
+
+
+DENSITY, LEAST_MASS = 3.0, 0.2
+"""kg/m of a link, and the lightest one's mass in kg."""
+
+STIFFNESS, DAMPING = 2000.0, 200.0
+"""Of the position drives, N*m/rad or N/m, and N*m*s/rad or N*s/m."""
+
+TOOL_SITE = "tool"
 
 Element = ElementTree.Element
+
+
+def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
+    """A MuJoCo model of the chain; a site named "tool" has the tool's pose.
+
+    Where a joint moves several links, those after its own follow it by an equality constraint: set their joint
+    positions too where only kinematics are computed. Characters that XML cannot hold are left out of names.
+
+    Raises:
+        InputError: If a joint moves no link as it moves itself, for which MJCF has no joint; URDF has.
+    """
+    leaders = leading_links(geometry)
+    if None in leaders:
+        title = geometry.joint_names[leaders.index(None)]
+        raise InputError(f"joint '{title}' moves no link as it moves itself; write URDF instead")
+    root = Element("mujoco", model=one_line(name))
+    if comment:
+        root.append(ElementTree.Comment(one_line(comment.replace("--", "- -"))))
+    ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
+    body = ElementTree.SubElement(root, "worldbody")
+    drives, couplings = Element("actuator"), Element("equality")
+    origins = link_origins(geometry)
+    ends = [*(origin.position for origin in origins[1:]), geometry.tool.position]
+    links = zip(geometry.owners, geometry.ratios, geometry.slides, origins, ends, strict=True)
+    for i, (owner, ratio, slides, origin, end) in enumerate(links):
+        body = ElementTree.SubElement(body, "body", {"name": f"link{i + 1}", **_placed(origin)})
+        _weigh(body, end)
+        leads, title = leaders[owner] == i, one_line(geometry.joint_names[owner])
+        limits = sorted((ratio * float(geometry.lower[owner]), ratio * float(geometry.upper[owner])))
+        joint = title if leads else f"{title} (follows, link {i + 1})"
+        kind = "slide" if slides else "hinge"
+        ElementTree.SubElement(body, "joint", name=joint, type=kind, axis="0 0 1", range=numbers_text(limits))
+        if leads:
+            settings = {"kp": repr(STIFFNESS), "kv": repr(DAMPING), "ctrlrange": numbers_text(limits)}
+            ElementTree.SubElement(drives, "position", {"name": title, "joint": joint, **settings})
+        else:
+            law = numbers_text([0.0, ratio, 0.0, 0.0, 0.0])
+            ElementTree.SubElement(couplings, "joint", joint1=joint, joint2=title, polycoef=law)
+    ElementTree.SubElement(body, "site", {"name": TOOL_SITE, "size": "0.01", **_placed(geometry.tool)})
+    root.append(drives)
+    if len(couplings):
+        root.append(couplings)
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def write_mjcf(geometry: Geometry, path: str | Path, name: str = "arm", comment: str = "") -> Path:
+    """Write `mjcf_text` to a file, whole or not at all."""
+    return write_text(path, mjcf_text(geometry, name, comment))
+
+
+def _weigh(body: Element, end: Array) -> None:
+    """Mass and inertia of a rod from a link's origin to ``end``, m, and its picture."""
+    length = float(np.linalg.norm(end))
+    mass = max(DENSITY * length, LEAST_MASS)
+    inertia = mass * (
+        length**2 / 12.0 + ROD_RADIUS**2 / 2.0
+    )  # across the rod; along it no less, so that it is never singular
+    inertial = {"pos": numbers_text(end / 2.0), "mass": repr(mass), "diaginertia": numbers_text([inertia] * 3)}
+    ElementTree.SubElement(body, "inertial", inertial)
+    if length > ROD_RADIUS:
+        shape = {"type": "capsule", "fromto": numbers_text([0.0, 0.0, 0.0, *end]), "size": repr(ROD_RADIUS)}
+        ElementTree.SubElement(body, "geom", {**shape, "contype": "0", "conaffinity": "0"})
+
+
+def _placed(pose: Pose) -> dict[str, str]:
+    x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat()
+    return {"pos": numbers_text(pose.position), "quat": numbers_text([w, x, y, z])}
+
+
+# What the attributes of an MJCF element mean: default classes, units of angles, and the ways to tell an orientation.
+# As MuJoCo 3's compiler reads them. Metres and radians come out.
+
+
+Attributes: TypeAlias = Mapping[str, str]
+ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
+
+
+def truth(word: str) -> bool:
+    """What "true" and "false" mean."""
+    return word == "true"
+
+
+@dataclass(frozen=True)
+class MjcfValues:
+    """How a file is to be read.
+
+    Attributes:
+        degrees: Whether its angles are degrees, which is MJCF's default.
+        sequence: Order of its Euler angles; small letters turn about moving axes.
+        autolimits: Whether a range alone limits a joint.
+        defaults: Attributes of each class of defaults, by element and class.
+    """
+
+    degrees: bool
+    sequence: str
+    autolimits: bool
+    defaults: Mapping[tuple[str, str], Attributes]
+
+    @classmethod
+    def of(cls, root: Element) -> MjcfValues:
+        """The settings of a whole file.
+
+        Raises:
+            InputError: If a setting is unknown.
+        """
+        given: dict[str, str] = {}
+        for compiler in root.iterfind("compiler"):
+            given |= compiler.attrib
+        unit, sequence = given.get("angle", "degree"), given.get("eulerseq", "xyz")
+        if unit not in ("degree", "radian"):
+            raise InputError(f"angle of <compiler> is '{shortened(unit)}'; give degree or radian")
+        if len(sequence) != 3 or set(sequence) - set("xyzXYZ"):
+            raise InputError(f"eulerseq of <compiler> is '{shortened(sequence)}'; give three of x, y, z, X, Y, Z")
+        defaults: dict[tuple[str, str], Attributes] = {}
+        waiting = [(part, "main", "") for part in reversed(root.findall("default"))]
+        while waiting:
+            part, name, above = waiting.pop()
+            for tag in ("joint", "site"):
+                found = dict(defaults.get((tag, name), defaults.get((tag, above), {})))
+                for own in part.iterfind(tag):
+                    found = _over(found, own.attrib)
+                defaults[tag, name] = found
+            inner = [(child, child.get("class", ""), name) for child in part.iterfind("default")]
+            waiting += inner[::-1]
+        return cls(unit == "degree", sequence, truth(given.get("autolimits", "true")), defaults)
+
+    def merged(self, tag: str, element: Element, childclass: str) -> Attributes:
+        """An element's attributes over those of its class.
+
+        Raises:
+            InputError: If there is no such class.
+        """
+        name = element.get("class", childclass) or "main"
+        if name != "main" and (tag, name) not in self.defaults:
+            raise InputError(f"there is no default class '{shortened(name)}'; name one of the file")
+        return _over(self.defaults.get((tag, name), {}), element.attrib)
+
+    def angle(self, value: float) -> float:
+        """An angle of the file, rad."""
+        return math.radians(value) if self.degrees else value
+
+    def vector(self, given: Attributes, key: str, most: float) -> Array:
+        """Three numbers, or zeros."""
+        return xml_numbers(given.get(key, "0 0 0"), key, most)
+
+    def direction(self, given: Attributes, owner: str) -> Array:
+        """The unit vector of a joint's axis."""
+        return _unit(xml_numbers(given.get("axis", "0 0 1"), "axis", M.most), f"axis of {owner}")
+
+    def joint_number(self, given: Attributes, key: str, slides: bool, owner: str) -> float:
+        """A joint's number, m or rad."""
+        value = xml_number(given.get(key, "0"), owner, M.most if slides else self._most)
+        return value if slides else self.angle(value)
+
+    def limits(self, given: Attributes, slides: bool) -> tuple[float, float] | None:
+        """Lower and upper end of a joint's range where it is limited."""
+        word = given.get("limited", "auto")
+        if word == "false" or "range" not in given:
+            return None
+        low, high = map(float, xml_numbers(given["range"], "range", M.most if slides else self._most, 2))
+        if word != "true" and not (self.autolimits and low < high):
+            return None
+        return (low, high) if slides else (self.angle(low), self.angle(high))
+
+    def pose(self, given: Attributes) -> Pose:
+        """Where a body, frame or site stands in its parent."""
+        return Pose(self.vector(given, "pos", M.most), self._rotation(given))
+
+    def polynomial(self, text: str, owner: str, most: float) -> list[float]:
+        """The five coefficients of a joint's tie; those left out are MuJoCo's."""
+        parts = [decimal_number(part) for part in text.split()]
+        good = [part for part in parts if part is not None and math.isfinite(part) and abs(part) <= most]
+        if len(good) != len(parts) or len(parts) > 5:
+            raise InputError(f"polycoef of joint '{shortened(owner)}' is '{shortened(text)}'; give up to five numbers")
+        return [*good, *(0.0, 1.0, 0.0, 0.0, 0.0)[len(good) :]]
+
+    @property
+    def _most(self) -> float:
+        return DEG.most if self.degrees else RAD.most
+
+    def _rotation(self, given: Attributes) -> Array:
+        ways = [key for key in ORIENTATIONS if key in given]
+        if len(ways) > 1:
+            raise InputError(f"an orientation is given by both {ways[0]} and {ways[1]}; leave one out")
+        match ways:
+            case ["quat"]:
+                w, *xyz = _unit(xml_numbers(given["quat"], "quat", M.most, 4), "quat")
+                return np.asarray(Rotation.from_quat([*xyz, w]).as_matrix())
+            case ["axisangle"]:
+                turn = xml_numbers(given["axisangle"], "axisangle", self._most, 4)
+                return rotation_matrix(_unit(turn[:3], "axisangle") * self.angle(float(turn[3])))
+            case ["euler"]:
+                turned = np.eye(3)
+                turns = xml_numbers(given["euler"], "euler", self._most).tolist()
+                for letter, angle in zip(self.sequence, turns, strict=True):
+                    step = rotation_matrix(np.eye(3)["xyz".index(letter.lower())] * self.angle(angle))
+                    turned = turned @ step if letter.islower() else step @ turned
+                return turned
+            case ["xyaxes"]:
+                numbers = xml_numbers(given["xyaxes"], "xyaxes", M.most, 6)
+                x = _unit(numbers[:3], "xyaxes")
+                y = _unit(numbers[3:] - x * (x @ numbers[3:]), "xyaxes")
+                return np.column_stack([x, y, np.cross(x, y)])
+            case ["zaxis"]:
+                z = _unit(xml_numbers(given["zaxis"], "zaxis", M.most), "zaxis")
+                across = np.array([-z[1], z[0], 0.0])  # the shortest turn from z to it
+                sine = float(np.linalg.norm(across))
+                axis = across / sine if sine > 1e-10 else np.array([1.0, 0.0, 0.0])
+                return rotation_matrix(axis * math.atan2(sine, z[2]))
+        return np.eye(3)
+
+
+def _over(below: Attributes, own: Attributes) -> dict[str, str]:
+    """Attributes over inherited ones; of orientations one remains, and any other way beats quat, as in MuJoCo."""
+    ways = [key for key in ORIENTATIONS if key in own]
+    inherited = [key for key in ORIENTATIONS[1:] if key in below]
+    dropped = {"quat"} if ways == ["quat"] and inherited else set()
+    kept = {key: value for key, value in below.items() if not ways or dropped or key not in ORIENTATIONS}
+    return {**kept, **{key: value for key, value in own.items() if key not in dropped}}
+
+
+def _unit(values: Array, what: str) -> Array:
+    length = float(np.linalg.norm(values))
+    if length < PARALLEL:
+        raise InputError(f"{what} has no direction; give a unit vector")
+    return values / length
+
+
 WORLD = "world"
 
 

@@ -15,7 +15,96 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose
+from pickenv.errors import InputError
 from pickenv.extras import require
+
+# Modified DH parameters of any serial chain, from its joint axes at the zero position. Frame i has z on joint axis i
+# and x on the common normal to axis i + 1 (Craig 2005, section 3.4). Frame 0 coincides with frame 1 at zero, so
+# alpha0, a0, theta1 and d1 are zero and the base pose carries the rest. Metres and radians.
+
+
+PARALLEL = 1e-9
+"""Axes whose directions have a cross product shorter than this count as parallel."""
+
+
+def geometry_from_axes(
+    joint_names: tuple[str, ...],
+    prismatic: tuple[bool, ...],
+    points: ArrayLike,
+    directions: ArrayLike,
+    tool: Pose,
+    lower: ArrayLike,
+    upper: ArrayLike,
+) -> Geometry:
+    """Turn joint axes into a `Geometry`.
+
+    Args:
+        joint_names: Names of the joints.
+        prismatic: Joint types.
+        points: A point on each axis at zero joints ``(n, 3)``, m, world frame.
+        directions: Axis directions ``(n, 3)``, world frame.
+        tool: Tool pose at zero joints, world frame.
+        lower: Lower joint limits.
+        upper: Upper joint limits.
+
+    Raises:
+        InputError: If an axis has no direction.
+    """
+    points, directions = np.asarray(points, dtype=float), np.asarray(directions, dtype=float)
+    lengths = np.linalg.norm(directions, axis=1)
+    if np.any(lengths < PARALLEL):
+        raise InputError(f"axis {int(np.argmin(lengths)) + 1} has no direction; give a unit vector")
+    z = directions / lengths[:, None]
+    n = len(z)
+    origins, x = np.zeros((n, 3)), np.zeros((n, 3))
+    for i in range(n):
+        before = points[0] if i == 0 else origins[i - 1]
+        near = points[i] + z[i] * (z[i] @ (before - points[i]))  # foot of the frame before on this axis
+        if i == n - 1:
+            origins[i], x[i] = near, _perpendicular(z[i], x[i - 1] if i else np.array([1.0, 0.0, 0.0]))
+        else:
+            previous = x[i - 1] if i else np.array([1.0, 0.0, 0.0])
+            origins[i], x[i] = _common_normal(near, z[i], points[i + 1], z[i + 1], previous)
+    table = np.zeros((4, n))
+    for i in range(1, n):
+        step = origins[i] - origins[i - 1]
+        twist, turn = _angle(z[i - 1], z[i], x[i - 1]), _angle(x[i - 1], x[i], z[i])
+        table[:, i] = twist, step @ x[i - 1], turn, step @ z[i]
+    last = np.column_stack([x[-1], np.cross(z[-1], x[-1]), z[-1]])
+    first = np.column_stack([x[0], np.cross(z[0], x[0]), z[0]])
+    alpha, a, theta, d = table
+    base = Pose(origins[0], first)
+    hand = Pose(last.T @ (tool.position - origins[-1]), last.T @ tool.rotation)
+    low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+    return Geometry(joint_names, prismatic, alpha, a, theta, d, np.zeros(n), low, high, base, hand)
+
+
+def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
+    """Foot on axis (near, z) of the common normal to axis (point, next_z), and its direction."""
+    cross = np.cross(z, next_z)
+    sine = float(np.linalg.norm(cross))
+    if sine < PARALLEL:  # any normal will do: take the one at ``near``
+        across = point - near - z * (z @ (point - near))
+        distance = float(np.linalg.norm(across))
+        return near, across / distance if distance > PARALLEL else _perpendicular(z, previous)
+    # Distance along z from ``near`` to the foot: volume of (point - near, next_z, cross) over sine squared.
+    along = float(np.cross(point - near, next_z) @ cross) / sine**2
+    return near + along * z, cross / sine
+
+
+def _perpendicular(z: Array, wish: Array) -> Array:
+    """The unit vector across ``z`` that is nearest to ``wish``."""
+    across = wish - z * (z @ wish)
+    if np.linalg.norm(across) < 1e-6:
+        across = np.eye(3)[int(np.argmin(np.abs(z)))]
+        across = across - z * (z @ across)
+    return np.asarray(across / np.linalg.norm(across))
+
+
+def _angle(start: Array, end: Array, axis: Array) -> float:
+    """Angle from ``start`` to ``end`` about ``axis``, rad."""
+    return float(np.arctan2(np.cross(start, end) @ axis, start @ end))
+
 
 Scalar = Any
 """A Python float, a NumPy array or a torch tensor: the executors' common ground."""
@@ -190,3 +279,59 @@ def forward_torch(geometry: Geometry, q: Any) -> Pose:
     if q.ndim == 0 or q.shape[-1] != geometry.joints:
         raise ValueError(f"joints have shape {tuple(q.shape)}, but this arm has {geometry.joints} joints (last axis)")
     return pose_of(tool_frame(torch, chain_of(geometry), q.unbind(-1)), torch)
+
+
+# The arm as something to draw: a polyline along its links. A link runs from the previous frame's origin along a to
+# the elbow, then along d to its own origin. Metres.
+
+
+SHORTEST_LINK = 0.02
+"""m; a link part that is longer than this in some pose is drawn, a shorter one is skipped."""
+
+
+def nominal_points(geometry: Geometry, q: ArrayLike) -> Array:
+    """Points ``(..., 2n + 2, 3)`` along the arm as ``geometry`` describes it, base first and tool last, in m.
+
+    Args:
+        geometry: The arm.
+        q: Joints ``(..., n)``, rad or m.
+    """
+    joints = split_joints(geometry.joints, q)
+    chain = chain_of(geometry)
+    return _points(chain, frames(np, chain, joints), joints)
+
+
+def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
+    """Points ``(..., 2n + 2, 3)`` along the true arm, in m: its true geometry, drawn to where the tool really stood.
+
+    Where along the arm compliance, drives or the ground displace it is not asked: what they add at the tool is spread
+    evenly along the links. Base and tool are exact.
+
+    Args:
+        geometry: True geometry.
+        q: Joint commands ``(..., n)``, rad or m.
+        tool: True tool positions ``(..., 3)``, m.
+    """
+    points = nominal_points(geometry, q)
+    lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)
+    along = np.concatenate([np.zeros_like(lengths[..., :1]), np.cumsum(lengths, axis=-1)], axis=-1)
+    rest = np.asarray(tool, dtype=float) - points[..., -1, :]
+    return np.asarray(points + (along / along[..., -1:])[..., None] * rest[..., None, :])
+
+
+def _points(chain: Chain, frame_list: Sequence[Frame], joints: Sequence[Array]) -> Array:
+    points = [frame_list[0][9:]]
+    moved = joints if chain.coupling is None else chain.coupling.displacements(joints)
+    for link, frame, q in zip(chain.links, frame_list[1:], moved, strict=True):
+        zx, zy, zz, px, py, pz = frame[6:]
+        d = link.d + q if link.prismatic else link.d
+        points += [(px - d * zx, py - d * zy, pz - d * zz), (px, py, pz)]
+    points.append(attach(frame_list[-1], chain.tool)[9:])
+    shape = np.broadcast_shapes(*(np.shape(value) for point in points for value in point))
+    return np.stack([np.stack([np.broadcast_to(value, shape) for value in point], -1) for point in points], -2)
+
+
+def drawn_parts(points: Array) -> list[int]:
+    """Which link parts of the polyline ``(..., K, 3)`` are long enough to be drawn: indices of their first points."""
+    lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1).reshape(-1, points.shape[-2] - 1)
+    return [int(i) for i in np.flatnonzero(lengths.max(axis=0) > SHORTEST_LINK)]

@@ -18,9 +18,13 @@ from scipy.stats import qmc
 
 from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
-from pickenv.arm.kinematics.jacobians import joint_jacobian
 from pickenv.arm.kinematics.pose_error import pose_error
-from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE, noncompensable_error, truncated_inverse
+from pickenv.arm.kinematics.task_space import (
+    DIRECTION_TOLERANCE,
+    joint_jacobian,
+    noncompensable_error,
+    truncated_inverse,
+)
 
 STEP_LIMIT = 0.4
 """Largest Gauss-Newton step, in half-ranges of a joint or 0.4 rad, so that a step stays where the Jacobian holds."""

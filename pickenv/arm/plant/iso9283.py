@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Array, Frame, Geometry, Plant, PlantState, Pose, forward, inverse, load_instrument, pose_error
-from pickenv.arm.effects.measurement_noise import read_frame
+from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import Cube, largest_cube
-from pickenv.arm.plant.campaign import TRACKER, Instrument, switched_on
-from pickenv.arm.plant.motion import Pace, move_time, stopped
+from pickenv.arm.plant.campaign import TRACKER, Instrument, Pace, move_time, stopped, switched_on
 from pickenv.errors import InputError
 from pickenv.intervals import Ends, statistic_interval
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import qmc
 
+from pickenv.arm.effects.drives import ThermalGrowth
 from pickenv.arm.effects.hysteresis import Backlash
 from pickenv.arm.effects.structure import JointCompliance, Load, gravity_torques
-from pickenv.arm.effects.thermal import ThermalGrowth
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.load import load_arm, shipped_arms
 from pickenv.arm.kinematics.forward import chain_of, frames

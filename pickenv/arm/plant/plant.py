@@ -19,15 +19,32 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.effects import guides, hysteresis, structure
-from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
-from pickenv.arm.effects.gravity_yield import GravityYield, weighed_down
-from pickenv.arm.effects.ground import BaseTilt, immediate_tilt, long_run, sunk, tilted_frame
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
-from pickenv.arm.effects.own_waves import DriveHarmonics, LocalStructure
-from pickenv.arm.effects.residual_field import ResidualField, strayed
-from pickenv.arm.effects.settling import Settling, Swing, at_rest, swung
-from pickenv.arm.effects.thermal import ThermalGrowth, grown_chain, grown_joints, warmed
+from pickenv.arm.effects import hysteresis, structure
+from pickenv.arm.effects.drives import (
+    Encoder,
+    GravityYield,
+    MeasurementNoise,
+    Servo,
+    ThermalGrowth,
+    followed,
+    grown_chain,
+    grown_joints,
+    quantised,
+    warmed,
+    weighed_down,
+)
+from pickenv.arm.effects.ground import (
+    BaseTilt,
+    Settling,
+    Swing,
+    at_rest,
+    immediate_tilt,
+    long_run,
+    sunk,
+    swung,
+    tilted_frame,
+)
+from pickenv.arm.effects.residual_field import DriveHarmonics, LocalStructure, ResidualField, strayed
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import (
     Chain,
@@ -41,8 +58,37 @@ from pickenv.arm.kinematics.forward import (
     tool_frame,
 )
 from pickenv.arm.kinematics.geometry import Geometry, Pose
-from pickenv.arm.plant.dynamics import Components, PlantState
 from pickenv.arm.plant.posterior import Posterior
+
+# What the true arm remembers from one moment to the next; `pickenv.arm.plant.plant` moves it on.
+
+
+Components = tuple[Scalar, ...]
+
+
+class PlantState(NamedTuple):
+    """What a plant remembers; every part is empty while its effect is off, and each component has the joints' shape.
+
+    Attributes:
+        motor: Motor positions, n of them, rad or m (servo).
+        friction: Joint displacements behind the friction, n (stick band).
+        backlash: Joint displacements behind the gaps, n (backlash).
+        profile: Motion profiles, n (settling).
+        vibration: Displacements of the swinging modes, n (settling).
+        rate: Velocities of what swings, n, rad/s or m/s (settling).
+        rise: Temperature rise, one, K (thermal growth).
+        sinkage: Creep about x and y in rad, settlement in m (base tilt).
+    """
+
+    motor: Components = ()
+    friction: Components = ()
+    backlash: Components = ()
+    profile: Components = ()
+    vibration: Components = ()
+    rate: Components = ()
+    rise: Components = ()
+    sinkage: Components = ()
+
 
 WITH_STATE = ("backlash", "stick_band", "thermal_growth", "base_tilt", "settling", "servo")
 
@@ -104,9 +150,9 @@ class Plant:
     drive_harmonics: DriveHarmonics | None = None
     local_structure: LocalStructure | None = None
     measurement_noise: MeasurementNoise | None = None
-    boom_couple: guides.BoomCouple | None = None
-    boom_torsion: guides.BoomTorsion | None = None
-    slide_compliance: guides.SlideCompliance | None = None
+    boom_couple: hysteresis.BoomCouple | None = None
+    boom_torsion: hysteresis.BoomTorsion | None = None
+    slide_compliance: hysteresis.SlideCompliance | None = None
     roller_play: structure.RollerPlay | None = None
     backlash: hysteresis.Backlash | None = None
     stick_band: hysteresis.StickBand | None = None
@@ -341,13 +387,13 @@ def _flexure(
     """What slides and boom do, one after the other: bearings, bending, couple, twist, play in the rollers."""
     bends: list[Flexure] = []
     if plant.slide_compliance is not None and weights is not None:
-        bends.append(guides.slide_flexure(m, plant.slide_compliance, weights, joints))
+        bends.append(hysteresis.slide_flexure(m, plant.slide_compliance, weights, joints))
     if plant.boom_bending is not None:
         bends.append(structure.boom_flexure(plant.boom_bending, plant.load.payload if plant.load else 0.0, joints))
     if plant.boom_couple is not None and weights is not None:
-        bends.append(guides.couple_flexure(m, plant.boom_couple, weights, joints))
+        bends.append(hysteresis.couple_flexure(m, plant.boom_couple, weights, joints))
     if plant.boom_torsion is not None and weights is not None:
-        bends.append(guides.torsion_flexure(m, plant.boom_torsion, weights, joints))
+        bends.append(hysteresis.torsion_flexure(m, plant.boom_torsion, weights, joints))
     if plant.roller_play is not None:
         bends.append(structure.roller_flexure(plant.roller_play, joints))
     if len(bends) < 2:

@@ -23,7 +23,7 @@ class Layout:
     Attributes:
         leads: The joint of each lead error, from 0.
         harmonics: Joint and order (1/rad, 1/m) of each periodic error, which has a sine and a cosine coefficient.
-        moments: As `pickenv.arm.effects.gravity_yield.GravityYield` has them.
+        moments: As `pickenv.arm.effects.drives.GravityYield` has them.
         up: Direction against gravity in the axes of frame 0.
         boom: Joint of a boom that bends and its free length in m, or None; tip load and own weight over EI.
     """

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from pickenv import toml_tables
-from pickenv.arm.effects.own_waves import drawn_harmonics, drawn_structure, standard_normal_of
+from pickenv.arm.effects.residual_field import drawn_harmonics, drawn_structure, standard_normal_of
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.twin_arms import twin_arms

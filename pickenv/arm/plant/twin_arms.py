@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm.effects.gravity_yield import GravityYield
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import GravityYield, MeasurementNoise
 from pickenv.arm.effects.residual_field import ResidualField
 from pickenv.arm.effects.structure import BoomBending, Harmonic, TransmissionError
 from pickenv.arm.files.arm import Arm

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.effects.residual_field import Features, ResidualField
-from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.geometry_arrays import finite, geometry_arrays, geometry_from_arrays
+from pickenv.arm.files.arm import Arm, finite, geometry_arrays, geometry_from_arrays
 from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.posterior import Layout, Posterior

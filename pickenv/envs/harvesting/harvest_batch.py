@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
-from pickenv.envs.harvesting.harvest_task import HarvestTask
-from pickenv.envs.harvesting.harvest_zone import AS_DRAWN, GivenZones, drawn_zone
+from pickenv.envs.harvesting.harvest_task import AS_DRAWN, GivenZones, HarvestTask, drawn_zone
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import Compensate
 from pickenv.errors import InputError

@@ -12,7 +12,7 @@ from pickenv.arm import Array
 from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting.harvest_batch import COLLECTED, HANGING, HarvestState
 from pickenv.envs.harvesting.harvest_task import HarvestTask
-from pickenv.envs.shared.drawing import GHOST_WORDS, staged
+from pickenv.envs.shared.arm_env import GHOST_WORDS, staged
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import Compensate
 from pickenv.harvester.machine import Machine

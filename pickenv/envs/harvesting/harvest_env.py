@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState
-from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
-from pickenv.envs.harvesting.harvest_zone import OPTIONS, given_zones
-from pickenv.envs.shared.drawn_env import DrawnEnv
+from pickenv.envs.harvesting.harvest_task import OPTIONS, HarvestTask, given_zones, harvest_spaces, make_harvest_task
+from pickenv.envs.shared.arm_env import DrawnEnv
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError

@@ -19,7 +19,7 @@ from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState
 from pickenv.envs.harvesting.harvest_env import LONGEST
 from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
-from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
+from pickenv.envs.shared.arm_env import checked_render_mode, drawn
 from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.errors import InputError
 

@@ -13,8 +13,7 @@ from pickenv.arm.plant.tree import tree_map
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState
 from pickenv.envs.harvesting.harvest_env import LONGEST
-from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
-from pickenv.envs.harvesting.harvest_zone import OPTIONS, given_zones
+from pickenv.envs.harvesting.harvest_task import OPTIONS, HarvestTask, given_zones, harvest_spaces, make_harvest_task
 from pickenv.envs.shared.stream_vector import Flags, Information, Rows, StreamVectorEnv
 from pickenv.envs.shared.task import Compensate, checked_action
 

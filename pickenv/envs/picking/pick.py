@@ -9,11 +9,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Frame
-from pickenv.envs.picking.pick_arm import PickMotion, PickSight, act_arm, apart_mm, begin_arm, look_at_arm
-from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_scene import PickScene
-from pickenv.envs.picking.pick_start import PICK_OPTIONS, Asked, draw_starts
-from pickenv.envs.picking.pick_task import LONGEST, MOST_LEFT, STILL, make_pick, pick_reward, pick_spaces
+from pickenv.envs.picking.pick_arm import PickMotion, PickSight, act_arm, apart_mm, begin_arm, look_at_arm, reach_of
+from pickenv.envs.picking.pick_scene import (
+    LONGEST,
+    MOST_LEFT,
+    PICK_OPTIONS,
+    STILL,
+    Asked,
+    PickScene,
+    draw_starts,
+    make_pick,
+    pick_reward,
+    pick_spaces,
+)
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder

@@ -12,9 +12,7 @@ from pickenv.arm import Array, PlantState
 from pickenv.arm.plant.plant import Plant
 from pickenv.envs.picking.fruit_table import FruitTable
 from pickenv.envs.picking.pick_arm import PickMotion, act_arm, apart_mm, begin_arm, look_at_arm
-from pickenv.envs.picking.pick_scene import CLOSE, PickSetting
-from pickenv.envs.picking.pick_start import PickStart
-from pickenv.envs.picking.pick_task import LONGEST, MOST_LEFT, STILL, pick_reward
+from pickenv.envs.picking.pick_scene import CLOSE, LONGEST, MOST_LEFT, STILL, PickSetting, PickStart, pick_reward
 from pickenv.envs.shared.arm_batch import Columns, Flags, NumpyArms, Rows
 from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.situation import drawn_start

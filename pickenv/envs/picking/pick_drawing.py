@@ -6,7 +6,7 @@ import numpy as np
 
 from pickenv.arm import Array, Frame, Geometry
 from pickenv.envs.picking.pick_scene import PickScene, PickSetting, to_base
-from pickenv.envs.shared.drawing import GHOST_WORDS, arm_at_work, staged, standing, tool_dial
+from pickenv.envs.shared.arm_env import GHOST_WORDS, arm_at_work, staged, standing, tool_dial
 from pickenv.orchard.gripper import lateral_tolerance
 from pickenv.pictures.arm_shapes import Solids, cup_solids, frustum_solids, hand_solids, joined_solids
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words

@@ -13,12 +13,15 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from pickenv import orchard as trees
 from pickenv.arm import Array, Frame
-from pickenv.envs.picking.pick_reach import UP, Flags, Reach
-from pickenv.envs.shared.task import as_numbers
+from pickenv.arm.kinematics.forward import Scalar
+from pickenv.envs.picking.pick_arm import UP, Flags, Reach
+from pickenv.envs.shared.spaces import box
+from pickenv.envs.shared.task import Task, as_numbers, check_count, check_number, make_task
 from pickenv.errors import InputError
 from pickenv.orchard.camera import DRAWS
 
@@ -436,3 +439,126 @@ def looked_at(
         visible_side=hidden.visible_side,
     )
     return believed, (rng.random(count) < found) & trees.in_image(camera, positions, viewpoint, ahead)
+
+
+# What `pickenv/Pick-v0` is made with: its arguments, checked, as a task of the arm and a setting of fruit.
+
+
+LONGEST = 400
+"""Steps of the time budget, whatever `max_episode_steps` says: the environment is not told of that."""
+STILL = 1.0
+"""Time without a command after which the observation says that the arm stands still, s."""
+MOST_LEFT = 50
+COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
+
+
+def make_pick(
+    plant: str = "orchard",
+    without: Sequence[str] = (),
+    gripper: str = "li_cup",
+    camera: str = "laser_line",
+    canopy: str = "li2016",
+    fruit_map: str = "li2016_lab",
+    fruit_size: str = "li2016",
+    fruit: float = 10.0,
+    looks: int = 16,
+    vision: str = PUBLISHED,
+    detector: str = "li2016",
+    order: str = "nearest",
+    arms: str = "fixed",
+    tolerances: str = "medium",
+    population: int = 256,
+    population_seed: int = 0,
+    out_of_range: str = "clip",
+    **situation: Any,
+) -> tuple[Task, PickSetting]:
+    """Check the arguments (`pickenv/Pick-v0` explains them) and read the presets.
+
+    Raises:
+        InputError: If an argument is impossible; one sentence says which.
+    """
+    check_number("fruit", fruit, positive=True)
+    check_count("looks", looks)
+    drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
+    task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **drawn, **situation)
+    return task, make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks, vision, detector, order)
+
+
+def pick_spaces(task: Task) -> tuple[spaces.Box, spaces.Box]:
+    """Observation and action space."""
+    bounds = box([1.0] * task.joints + [task.reach] * 6 + [2 * task.reach] * 3 + [math.pi] * 3)
+    low = np.concatenate([bounds.low, np.zeros(5, np.float32)])
+    high = np.concatenate([bounds.high, np.ones(5, np.float32)])
+    return spaces.Box(low, high, dtype=np.float32), spaces.Box(-1.0, 1.0, (task.joints + 1,), np.float32)
+
+
+def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
+    """Reward of a step in which so much fruit was collected undamaged, and newly damaged."""
+    return COLLECTED * collected + DAMAGED * damaged + STEP
+
+
+# How an episode of `pickenv/Pick-v0` begins: everything that is drawn for it, from the environment's own generator.
+
+
+PICK_OPTIONS = ("fruit", "start_joints", "arm")
+"""What `reset` takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class PickStart:
+    """What is drawn for an episode.
+
+    Attributes:
+        scene: The fruit.
+        arm: Number of the true arm, or None where there is but one.
+        key: Of the streams from which the situation is looked up.
+    """
+
+    scene: PickScene
+    arm: int | None
+    key: int
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What is asked of an episode, and what there was before.
+
+    Attributes:
+        arm: The environment's arm so far, or None.
+        again: Whether a new seed was given: then arms "per_env" are drawn anew, too.
+        fruit: Positions in place of drawn ones, as `reset` takes them, or None.
+        wanted: Number of the arm that was asked for, or None.
+    """
+
+    arm: int | None
+    again: bool = False
+    fruit: Any = None
+    wanted: int | None = None
+
+
+def draw_starts(
+    task: Task, orchard: PickSetting, reach: Reach, rngs: Sequence[np.random.Generator], asked: Sequence[Asked]
+) -> list[PickStart]:
+    """Draw episodes, each from a generator of its own.
+
+    Args:
+        task: The arm's task.
+        orchard: What kind of fruit.
+        reach: Where the arm gets.
+        rngs: Source of every random draw of each.
+        asked: What is asked of each.
+
+    Raises:
+        InputError: If none of the fruit is within reach, or there is no such arm.
+    """
+    scenes = draw_scenes(orchard, reach, rngs, [each.fruit for each in asked])
+    starts = []
+    for scene, rng, each in zip(scenes, rngs, asked, strict=True):
+        arm = each.arm
+        if task.arms != "fixed" or each.wanted is not None:
+            if each.again or arm is None or task.arms == "per_episode":
+                arm = int(rng.integers(task.population))
+            if each.wanted is not None:
+                arm = task.given_arm(each.wanted)
+        starts.append(PickStart(scene, arm, 0 if task.situation.plain else int(rng.integers(2**63))))
+    return starts

@@ -10,10 +10,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant
+from pickenv.envs.picking.pick_arm import reach_of
 from pickenv.envs.picking.pick_batch import BELIEVED, TOOL, PickBatch
-from pickenv.envs.picking.pick_reach import reach_of
-from pickenv.envs.picking.pick_start import PICK_OPTIONS, Asked, PickStart, draw_starts
-from pickenv.envs.picking.pick_task import LONGEST, make_pick, pick_spaces
+from pickenv.envs.picking.pick_scene import LONGEST, PICK_OPTIONS, Asked, PickStart, draw_starts, make_pick, pick_spaces
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.stream_vector import Flags, Information, Rows, StreamVectorEnv
 from pickenv.envs.shared.streams import state_of_words, words_of_state

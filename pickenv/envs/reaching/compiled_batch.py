@@ -16,8 +16,7 @@ from pickenv.arm import Array, Plant, plants_on
 from pickenv.arm.kinematics.machine_code import Compiled
 from pickenv.arm.kinematics.tracing import DOUBLE, FLAG, SINGLE, WORD, Outputs, Trace, Traced
 from pickenv.arm.plant.plant_batch import arrays_of
-from pickenv.envs.reaching.batch import Views
-from pickenv.envs.reaching.numpy_batch import NumpyBatch
+from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared.arm_batch import Words
 from pickenv.envs.shared.backends import TRACER
 from pickenv.envs.shared.simulation import (

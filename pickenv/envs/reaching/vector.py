@@ -12,16 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.named_plants import IDEAL
-from pickenv.envs.reaching.batch import Batch, Start, Views
-from pickenv.envs.reaching.numpy_batch import NumpyBatch
+from pickenv.envs.reaching.batch import Batch, NumpyBatch, Start, Views
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared import spaces
 from pickenv.envs.shared.arm_batch import Flags
+from pickenv.envs.shared.arm_env import checked_render_mode, drawn
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
 from pickenv.envs.shared.given_goals import given_goals
-from pickenv.envs.shared.plain_spec import PlainSpec
 from pickenv.envs.shared.simulation import NUMBER_KEYS
+from pickenv.envs.shared.spaces import PlainSpec
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import Compensate, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
@@ -219,7 +218,7 @@ class ReachVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         """One picture per environment, as in `pickenv/Reach-v0`."""
         if self.render_mode is None:
             return None
-        from pickenv.envs.reaching.reach_drawing import draw_reach
+        from pickenv.envs.reaching.reach import draw_reach
 
         if not self._seeded.all():
             raise InputError("render was called before reset; call reset first")

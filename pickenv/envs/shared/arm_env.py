@@ -3,15 +3,108 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
-from pickenv.arm import Array, Plant, plant_at, plants_on
+from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on
+from pickenv.arm.kinematics.forward import true_points
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
-from pickenv.envs.shared.drawn_env import DrawnEnv
-from pickenv.envs.shared.exact import exact_plant
-from pickenv.envs.shared.task import Compensate, Task, check_choice
+from pickenv.envs.shared.spaces import PlainSpec
+from pickenv.envs.shared.task import Compensate, Task, check_choice, exact_plant
+from pickenv.errors import InputError
+from pickenv.extras import require
+from pickenv.pictures.arm_shapes import (
+    GAIN,
+    ArmLook,
+    Solids,
+    arm_look,
+    arm_solids,
+    ghost_points,
+    ghost_solids,
+    joined_solids,
+)
+from pickenv.pictures.stage import Dial, Eye, Mesh, Rgb, Stage, Words
+from pickenv.pictures.tree_shapes import ground_around, pedestal
+
+if TYPE_CHECKING:
+    from pickenv.pictures.stage import Pixels, Stage
+
+# What environments that can be drawn have in common: render modes, pictures, and the window that shows them.
+
+
+RENDER_MODES = ("human", "rgb_array")
+
+
+class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
+    """An environment that can be seen; `_stage` says what there is to see, once an episode has begun.
+
+    Attributes:
+        render_mode: None, "human" or "rgb_array".
+        dark: Whether pictures have a dark background; it can be changed at any time.
+    """
+
+    metadata = {"render_modes": list(RENDER_MODES), "render_fps": 10}  # noqa: RUF012
+
+    def __init__(self, render_mode: str | None) -> None:
+        self.render_mode = checked_render_mode(render_mode, RENDER_MODES)
+        self.dark = False
+        self._window: Any = None
+
+    def render(self) -> Any:
+        """Draw arms, the ghost of where the controller believes them to be, and fruit: an RGB array, or a window."""
+        if self.render_mode is None:
+            gym.logger.warn(
+                "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
+            )
+            return None
+        from pickenv.pictures.drawers import Window
+
+        picture = drawn(self._stage())
+        if self.render_mode == "rgb_array":
+            return picture
+        self._window = self._window or Window(self.metadata["render_fps"])
+        self._window.show(picture)
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _stage(self) -> Stage | None:
+        """What there is to see; None before the first reset."""
+        raise NotImplementedError
+
+
+def checked_render_mode(mode: str | None, modes: tuple[str, ...]) -> str | None:
+    """The render mode, which is known and for which all that draws is there.
+
+    Raises:
+        InputError: If it is unknown.
+        MissingExtra: If what draws is not installed.
+    """
+    if mode is not None:
+        check_choice("render_mode", mode, modes)
+        require("matplotlib")
+    return mode
+
+
+def drawn(stage: Stage | None) -> Pixels:
+    """The picture of a stage.
+
+    Raises:
+        InputError: If there is none, since no episode has begun.
+    """
+    from pickenv.pictures.drawers import painted
+
+    if stage is None:
+        raise InputError("render was called before reset; call reset first")
+    return painted(stage)
+
 
 Information = dict[str, Any]
 EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
@@ -70,3 +163,56 @@ class ArmEnv(DrawnEnv):
 
     def _word(self, number: int) -> Scalar:
         return number if self._x is FLOATS else np.array([number], dtype=np.uint64)
+
+
+# One arm at work as a stage to draw: the true arm, the ghost of where its controller believes it to be, its base.
+# What the environments of one arm add to it stands beside them. Units: m; mm in words and on the dial.
+
+
+MARK: Rgb = (0, 114, 178)
+GHOST_WORDS = f"ghost: the arm as believed, deviation × {GAIN}"
+
+
+def arm_at_work(geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array) -> Solids:
+    """The true arm and its ghost.
+
+    Args:
+        geometry: The nominal arm.
+        command: What the drives got ``(n,)``, rad or m.
+        tool: True tool position ``(3,)``, m.
+        axis: Direction in which it points ``(3,)``.
+        believed: Where the controller believes it ``(3,)``, m.
+    """
+    look = arm_look(geometry)
+    true = arm_solids(look, true_points(geometry, command, tool), axis)
+    return joined_solids(true, ghost_solids(look, ghost_points(geometry, command, tool, believed)))
+
+
+def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
+    """Ground, and what the arm's base stands on."""
+    x, y, z = (float(value) for value in geometry.base.position)
+    return ground_around(x, y, ground, dark), pedestal(x, y, ground, z, float(arm_look(geometry).radius[0]))
+
+
+def ground_below(look: ArmLook, geometry: Geometry) -> float:
+    """Height of a ground that an arm does not reach, m."""
+    return float(min(look.low[2] - 0.1, geometry.base.position[2] - 0.35))
+
+
+def across(axis: Array, offset: Array) -> Array:
+    """The part of an offset (m) across the tool's axis, to the right and up as the eye sees it ``(2,)``, mm."""
+    right = np.cross([0.0, 1.0, 0.0], axis)
+    right /= max(float(np.linalg.norm(right)), 1e-9)
+    return 1e3 * np.array([offset @ -right, offset @ -np.cross(axis, right)])
+
+
+def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
+    """Where the true tool is, seen from the fruit along the tool's axis."""
+    return Dial(across(axis, offset)[None], tolerance_mm, MARK)
+
+
+def staged(
+    solids: Solids, still: tuple[Mesh, ...], eye: Eye, words: tuple[Words, ...], dial: Dial | None, dark: bool
+) -> Stage:
+    """A stage of these solids."""
+    return Stage(eye, *solids, still=still, words=words, dial=dial, dark=dark)

@@ -33,7 +33,7 @@ class Executor:
         shifted: A 64-bit word shifted to the right by a constant, zeros moving in.
         unit: Uniform number in [0, 1) from the upper 53 bits of a word.
         word: A 64-bit word from Python integers in [0, 2^64).
-        spares_constants: Whether `pickenv.envs.shared.exact` pays: where every operation walks through an array.
+        spares_constants: Whether `pickenv.envs.shared.task` pays: where every operation walks through an array.
     """
 
     name: str

@@ -19,9 +19,8 @@ from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
 from pickenv.envs.shared import situation
 from pickenv.envs.shared.backends import Executor
-from pickenv.envs.shared.exact import inexact
 from pickenv.envs.shared.streams import ARM, CAMERA, FRUIT, episode_key, normal, stream_key, uniform
-from pickenv.envs.shared.task import GOAL_MARGIN, Task
+from pickenv.envs.shared.task import GOAL_MARGIN, Task, inexact
 
 DEGREES = 57.29577951308232
 """Degrees in one radian."""

@@ -2,17 +2,43 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from pickenv.envs.shared.given_goals import GOALS
 from pickenv.envs.shared.task import Task
 from pickenv.errors import InputError
+
+# A specification that can be written down: paths among an environment's arguments stand in it as text.
+
+
+class PlainSpec:
+    """An environment, single or vector, whose `spec.to_json()` works whatever files were given as paths."""
+
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What it was made by."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        if given is not None and any(isinstance(value, PurePath) for value in given.kwargs.values()):
+            given = copy.copy(given)
+            given.kwargs = {
+                key: str(value) if isinstance(value, PurePath) else value for key, value in given.kwargs.items()
+            }
+        self._spec = given
+
 
 OPTIONS = ("start_joints", *GOALS, "arm")
 

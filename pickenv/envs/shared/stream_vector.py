@@ -11,9 +11,8 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.envs.shared.drawn_env import checked_render_mode, drawn
-from pickenv.envs.shared.plain_spec import PlainSpec
-from pickenv.envs.shared.spaces import final_rows, given_mask, given_options, given_seeds
+from pickenv.envs.shared.arm_env import checked_render_mode, drawn
+from pickenv.envs.shared.spaces import PlainSpec, final_rows, given_mask, given_options, given_seeds
 from pickenv.envs.shared.task import check_choice, check_count
 from pickenv.errors import InputError
 

@@ -21,17 +21,17 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.inspect.colours import viridis, viridis_map
 from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, change, new_figure
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
 from pickenv.inspect.runs.comparison_summary import (
     GAIN,
     SCALE_PERCENTILE,
+    Comparison,
+    PolicyErrors,
     colour_scale_mm,
     error_spread,
     field_mm,
     ticks,
 )
-from pickenv.inspect.runs.links import nominal_points
-from pickenv.inspect.runs.view import eye_direction, shown_box
+from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
 
 PANEL_WIDTH, BESIDE_PANELS = WIDTH / 3.0, 1.5
 """Inches; the latter is the height of the titles and the colour bar."""

@@ -14,11 +14,11 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_pixels, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
-from pickenv.inspect.figures.plot_slices import error_slices
+from pickenv.inspect.figures.plot_errors import error_slices
 from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.gripping import gripped, gripper_curves
+from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect.runs.matters import gripped, gripper_curves
 from pickenv.inspect.runs.view_errors import ViewErrors
 from pickenv.intervals import clustered_share_interval
 

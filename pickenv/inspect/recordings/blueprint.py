@@ -15,12 +15,74 @@ from rerun.encodings import TensorDimensionIndexSelection
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import lane
-from pickenv.inspect.recordings.blueprint_views import ghost, layout, seen_from, space, with_colour_bar
-from pickenv.inspect.recordings.detail_tabs import detail_tabs
-from pickenv.inspect.recordings.details import Details
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm
-from pickenv.inspect.runs.view import eye_direction
+from pickenv.inspect.recordings.details import DAY_WORDS, FLOOR, Details, attitude_length
+from pickenv.inspect.recordings.field_day import Day
+from pickenv.inspect.runs import comparison_summary
+from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors, colour_scale_mm, error_spread, field_mm
+from pickenv.inspect.runs.saved import eye_direction, shown_box
+
+# Views that several tabs of a blueprint are made of: the workspace in 3D, a colour bar.
+
+
+BACKGROUND = (72, 72, 80)
+"""Explicit, so that 3D views look the same in either theme; a grey from which both ends of Viridis stand out."""
+EYE_DISTANCE = 2.2
+"""In units of the shown box's radius."""
+MOST_ABREAST = 4
+"""Views side by side before there is another row of them."""
+
+
+def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
+    """A blueprint without panels but the time line, which stands still at first and then loops, if not told else."""
+    return rrb.Blueprint(
+        content,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=time_line, **{"loop_mode": "all", "play_state": "paused"} | time),
+        auto_views=False,
+    )
+
+
+def seen_from(
+    eye: Array, look: Array, origin: str, contents: list[str], name: str, *, ground: bool = True, **more: Any
+) -> Any:
+    """A view in 3D from ``eye`` to ``look`` ``(3,)``, above a grid on the ground or not."""
+    grid = {"visible": True, "spacing": 0.5, "stroke_width": 0.5, "color": (255, 255, 255, 30)}
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=contents,
+        name=name,
+        background=BACKGROUND,
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=look, eye_up=[0.0, 0.0, 1.0]),
+        line_grid=rrb.LineGrid3D(**(grid if ground else {"visible": False})),
+        **more,
+    )
+
+
+def space(comparison: Comparison, name: str, contents: list[str], origin: str = "/world", **more: Any) -> Any:
+    """The workspace in 3D, always seen by the same eye at first; each view can be orbited on its own."""
+    centre, radius = shown_box(comparison)
+    eye = centre + EYE_DISTANCE * radius * eye_direction(comparison)
+    return seen_from(eye, centre, origin, [*contents, "+ /world/workspace", "+ /world/axes"], name, **more)
+
+
+def ghost(comparison: Comparison) -> list[str]:
+    """The nominal arm as contents of a view, where there are reaches that it makes."""
+    return ["+ /world/arm/nominal"] if len(comparison.fruit) else []
+
+
+def with_colour_bar(views: list[Any], key: str, meaning: str, name: str) -> Any:
+    """A tab: ``views`` side by side, in rows where they are many, and below them the colour bar `/legend/key`."""
+    bar = rrb.Spatial2DView(
+        origin=f"/legend/{key}",
+        contents=[f"+ /legend/{key}/**"],
+        name=meaning,
+        background=BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-14.0, 534.0], y_range=[-4.0, 20.0]),
+    )
+    rows = rrb.Grid(*views, grid_columns=-(-len(views) // -(-len(views) // MOST_ABREAST)))
+    return rrb.Vertical(rows, bar, row_shares=[5.2, 1.0], name=name)
+
 
 REACHES_PER_SECOND = 2.0
 
@@ -159,3 +221,85 @@ def _table(policies: tuple[PolicyErrors, ...]) -> Any:
             entity_order=[entity for entity, _ in entities],
         ),
     )
+
+
+# Tabs for the reasons behind the errors: arms, effects, attitude, uncertainty, a day in the field.
+
+
+def detail_tabs(comparison: Comparison, details: Details, gain: float) -> list[Any]:
+    """One tab for each part of ``details`` that there is."""
+    tabs = [_effects(comparison, details, gain)]
+    if details.attitude:
+        tabs.append(_attitude(comparison, details))
+    if comparison.field_uncertainty is not None:
+        tabs.append(_uncertainty(comparison))
+    if details.day is not None:
+        tabs.append(_day(details.day))
+    if len(comparison.fruit):
+        tabs.insert(0, _arms(comparison, gain))
+    return tabs
+
+
+def _arms(comparison: Comparison, gain: float) -> Any:
+    first = comparison.policies[0].label
+    exaggerated = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/fruit", "+ /world/miss/**"]
+    urdf = ["+ /urdf_nominal/**", "+ /urdf_true/**"]
+    return rrb.Horizontal(
+        space(comparison, f"Nominal arm (wire) and true arm under the {first} command, ×{gain:g}", exaggerated),
+        space(comparison, "Nominal and true arm as exported (URDF), true size", urdf, origin="/"),
+        name=f"True arm ×{gain:g}",
+    )
+
+
+def _effects(comparison: Comparison, details: Details, gain: float) -> Any:
+    views = []
+    for name, field in details.effects.items():
+        mean = comparison_summary.error_spread(1e3 * np.linalg.norm(field, axis=-1)).mean
+        title = f"{name.replace('_', ' ')} | mean {mean:.2f} mm | ×{gain:g}"
+        views.append(space(comparison, title, [f"+ /world/effect/{name}", *ghost(comparison)]))
+    meaning = f"Colour: position error, 0 to {comparison_summary.colour_scale_mm(comparison):.2f} mm"
+    return with_colour_bar(views, "position", meaning, "Effects, each alone")
+
+
+def _attitude(comparison: Comparison, details: Details) -> Any:
+    labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
+    labels[FLOOR] = "No joint motion removes"
+    top, length = comparison_summary.attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
+    views = []
+    for key, field in details.attitude.items():
+        mean = comparison_summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
+        title = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree"
+        views.append(space(comparison, title, [f"+ /world/attitude/{key}", *ghost(comparison)]))
+    meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
+    return with_colour_bar(views, "attitude", meaning, "Attitude")
+
+
+def _uncertainty(comparison: Comparison) -> Any:
+    assert comparison.field_uncertainty is not None
+    last, predicted = comparison.policies[-1], 1e3 * comparison.field_uncertainty
+    actual, inside = (
+        comparison_summary.field_mm(last),
+        100.0 * float(np.mean(comparison_summary.field_mm(last) < 2.0 * predicted)),
+    )
+    least, most = float(predicted.min()), float(predicted.max())
+    titles = {
+        "predicted": f"Predicted standard uncertainty u | mean {predicted.mean():.2f} mm, {least:.2f} to {most:.2f} mm",
+        "actual": f"Actual error, {last.label} | mean {actual.mean():.2f} mm | below 2u at {inside:.0f} %",
+    }
+    views = [space(comparison, title, [f"+ /world/uncertainty/{key}"]) for key, title in titles.items()]
+    meaning = f"Colour: uncertainty and error, 0 to {comparison_summary.uncertainty_scale_mm(comparison):.2f} mm"
+    return with_colour_bar(views, "uncertainty", meaning, "Predicted uncertainty")
+
+
+def _day(day: Day) -> Any:
+    largest = max(float(np.percentile(errors, 95, axis=1).max()) for errors in day.errors_mm.values())
+    plot = rrb.TimeSeriesView(
+        origin="/day",
+        contents=["+ /day/**"],
+        name=f"Position error over {day.hours[-1]:g} h of warming up, tilting and sinking as in '{day.plant}', mm | "
+        f"commands as on firm ground | across: reaches, {60.0 * day.hours[0]:.0f} min apart; or choose 'hours'",
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),
+    )
+    words = rrb.TextDocumentView(origin=f"/{DAY_WORDS}", contents=[f"+ /{DAY_WORDS}"], name="Why")
+    return rrb.Horizontal(plot, words, column_shares=[3, 1], name="A day in the field")

@@ -14,8 +14,7 @@ import rerun as rr
 from pickenv.errors import InputError
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, lane, policy_colours, policy_key
 from pickenv.inspect.recordings.blueprint import comparison_blueprint
-from pickenv.inspect.recordings.detail_entities import send_details
-from pickenv.inspect.recordings.details import Details, details_of
+from pickenv.inspect.recordings.details import Details, details_of, send_details
 from pickenv.inspect.recordings.scribe import (
     Scribe,
     f32,
@@ -30,9 +29,8 @@ from pickenv.inspect.recordings.scribe import (
     write_recording,
 )
 from pickenv.inspect.runs import comparison_summary
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.links import drawn_parts, nominal_points, true_points
-from pickenv.inspect.runs.view import cut_away
+from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
+from pickenv.inspect.runs.saved import cut_away, drawn_parts, nominal_points, true_points
 from pickenv.provenance import versions
 
 TIME_LINE = "reach"

@@ -10,7 +10,7 @@ import rerun.blueprint as rrb
 
 from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.inspect.recordings.blueprint_views import layout, seen_from
+from pickenv.inspect.recordings.blueprint import layout, seen_from
 from pickenv.inspect.recordings.episode_entities import GAIN
 from pickenv.inspect.recordings.episodes import (
     UNITS,

@@ -26,7 +26,7 @@ from pickenv.inspect.recordings.episodes import (
     number_groups,
 )
 from pickenv.inspect.recordings.scribe import Scribe, f32, move_arm, reading_columns, send_arm, send_capture
-from pickenv.inspect.runs.links import nominal_points, true_points
+from pickenv.inspect.runs.saved import nominal_points, true_points
 
 FRUIT_RADIUS, TOOL_RADIUS = 0.02, 0.012
 """m."""

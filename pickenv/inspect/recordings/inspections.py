@@ -14,9 +14,8 @@ from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.errors import InputError
 from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.runs.comparison import Comparison, compared, policy_errors, stage_label
-from pickenv.inspect.runs.comparison_summary import GAIN, round_step
-from pickenv.inspect.runs.episode_ends import Reaches
+from pickenv.inspect.runs.comparison_summary import GAIN, Comparison, compared, policy_errors, round_step, stage_label
+from pickenv.inspect.runs.episode_summary import Reaches
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 
 CELLS = 10

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shlex
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
+import threading
+import time
 import warnings
-from collections.abc import Sequence
-from contextlib import nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext, suppress
+from http.client import HTTPConnection
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
 import rerun as rr
@@ -19,7 +26,148 @@ from rerun.chunk import RrdReader
 
 from pickenv.errors import InputError
 from pickenv.inspect.recordings import live
-from pickenv.inspect.recordings.quiet_page import quiet_page
+from pickenv.inspect.recordings.live import viewer_environment
+
+# The viewer's page for a browser on this machine, which may ask nobody else: no telemetry, no fonts, no news. rerun
+# serves the page; what stands here hands it on with a content security policy that names the recording's own server
+# and no other, and only to who asks for this machine by name, so that no foreign site can reach it by a name of its
+# own.
+
+
+HANDED_ON = ("content-type", "content-encoding", "cache-control")
+PATIENCE = 30.0
+"""How long to wait for the viewer's own server, s."""
+
+
+@contextmanager
+def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
+    """Serve the page of a viewer that serves itself at a port; gives the port of the page to open.
+
+    Args:
+        host: This machine's own address, 127.0.0.1.
+        viewer: Port at which rerun serves its page.
+        data: Port at which it serves the recording.
+    """
+    policy = (
+        "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; "
+        f"connect-src 'self' blob: data: http://{host}:{data}"
+    )
+
+    class Page(BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_GET(self) -> None:
+            if self.headers.get("Host") not in (f"{host}:{port}", f"localhost:{port}"):
+                self.send_error(403)
+                return
+            asked = {name: self.headers[name] for name in ("Accept", "Accept-Encoding") if name in self.headers}
+            connection = HTTPConnection(host, viewer, timeout=PATIENCE)
+            try:
+                connection.request("GET", self.path, headers=asked)
+                found = connection.getresponse()
+                content = found.read()
+            except OSError:
+                self.send_error(502)
+                return
+            finally:
+                connection.close()
+            self.send_response(found.status)
+            for name, value in found.getheaders():
+                if name.lower() in HANDED_ON:
+                    self.send_header(name, value)
+            self.send_header("Content-Length", str(len(content)))
+            self.send_header("Content-Security-Policy", policy)
+            self.end_headers()
+            self.wfile.write(content)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing is said of what is asked for."""
+
+    with ThreadingHTTPServer((host, 0), Page) as server:
+        port = server.server_address[1]
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield port
+        finally:
+            server.shutdown()
+
+
+# A picture of a recording as rerun's own viewer shows it, without a screen; needs a graphics adapter.
+
+
+WINDOW = "1600x900"
+STARTING, VIEWER_PICTURE_PATIENCE = 20.0, 60.0
+"""Longest times to wait for the viewer's first answer, and until its picture stands still, s."""
+
+LOOK_AGAIN = 1.0
+"""Time between two looks, s: messages fade and shaders come in late."""
+
+
+def viewer_picture(recording: Path) -> bytes | None:
+    """The recording in its default layout as lossless WebP; None where this computer cannot draw it.
+
+    Args:
+        recording: The .rrd file.
+    """
+    with headless_viewer() as viewer:
+        if viewer is None:
+            return None
+        try:
+            viewer.open(str(recording.resolve()))
+            last, deadline = b"", time.monotonic() + VIEWER_PICTURE_PATIENCE
+            while time.monotonic() < deadline:
+                time.sleep(LOOK_AGAIN)
+                look = viewer.take_screenshot(max_size=256)
+                if look == last and not viewer.get_state().loading:
+                    break
+                last = look
+            return _packed(viewer.take_screenshot())
+        except (OSError, RuntimeError):  # the viewer ended: Mesa's processor driver is known to crash it now and then
+            return None
+
+
+@contextmanager
+def headless_viewer() -> Iterator[Any]:
+    """A client of a viewer that has no window; None where there is no graphics adapter for it."""
+    from rerun.experimental import ViewerClient
+
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    options = ["--headless", "--hide-welcome-screen", "--window-size", WINDOW, "--bind", "127.0.0.1"]
+    with tempfile.TemporaryDirectory() as folder:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "rerun_cli", *options, "--port", str(port)],
+            env=viewer_environment()
+            | {"RERUN_APP_ONLY": "true", "XDG_RUNTIME_DIR": folder},  # it neither asks nor leaves files
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        client, deadline = None, time.monotonic() + STARTING
+        try:
+            while client is None and process.poll() is None and time.monotonic() < deadline:
+                try:
+                    client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+                    client.get_state()
+                except (OSError, RuntimeError):
+                    client = None
+                    time.sleep(0.2)
+            yield client
+        finally:
+            with suppress(ProcessLookupError):  # it has ended
+                os.killpg(process.pid, signal.SIGKILL)  # the command only starts the viewer, which would outlive it
+            process.wait()
+
+
+def _packed(png: bytes) -> bytes:
+    """The same picture at a third of the size."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.open(io.BytesIO(png)).convert("RGB").save(buffer, "WEBP", lossless=True)
+    return buffer.getvalue()
+
 
 BY_CTRL_C = 130
 """Exit code of what Ctrl-C has ended, as shells have it."""

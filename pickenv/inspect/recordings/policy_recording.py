@@ -16,16 +16,15 @@ import rerun.blueprint as rrb
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import WHITE, lane, policy_colours
 from pickenv.inspect.figures.field_figure import field_gain
-from pickenv.inspect.recordings.blueprint_views import seen_from, with_colour_bar
+from pickenv.inspect.recordings.blueprint import seen_from, with_colour_bar
 from pickenv.inspect.recordings.episode_blueprint import EYE, at_the_end, distance_plot, number_plots, target_view
 from pickenv.inspect.recordings.episode_entities import GAIN, send_looks, send_rows
 from pickenv.inspect.recordings.episodes import Row, Scene
 from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, write_recording
-from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.comparison_summary import error_spread, field_mm, scale_end
+from pickenv.inspect.runs.comparison_summary import Comparison, error_spread, field_mm, scale_end
 from pickenv.inspect.runs.episode_summary import comparison_markdown
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy, last_of
-from pickenv.inspect.runs.view import shown_box
+from pickenv.inspect.runs.saved import shown_box
 from pickenv.provenance import versions
 
 SIDEWAYS = np.array([0.8, 0.6, 0.0])

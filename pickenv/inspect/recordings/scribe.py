@@ -19,7 +19,7 @@ from pickenv.errors import InputError
 from pickenv.files import write_whole
 from pickenv.inspect.colours import RED, WHITE, Rgb, viridis
 from pickenv.inspect.runs.comparison_summary import ticks
-from pickenv.inspect.runs.links import capsules
+from pickenv.inspect.runs.saved import capsules
 
 APPLICATION_ID = "pickenv"
 BASE_RADIUS, TOOL_RADIUS = 0.030, 0.012

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from pickenv.inspect.figures import plot_comparison
+from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.runs import episode_summary
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_comparison
 
@@ -26,12 +26,12 @@ def policy_drawings(episodes: RecordedEpisodes, comparison: Comparison | None) -
         Drawing(
             "distance_over_time",
             "Distance between tool and fruit in every episode, and what the gripper forgives.",
-            lambda: plot_comparison.distance_over_time(episodes),
+            lambda: plot_policies.distance_over_time(episodes),
         ),
         Drawing(
             "misses_by_fruit",
             "Where the gripper closed, how far each policy was from the fruit; the same fruit for all.",
-            lambda: plot_comparison.misses_by_fruit(episodes),
+            lambda: plot_policies.misses_by_fruit(episodes),
         ),
     ]
     if comparison is None:
@@ -48,7 +48,7 @@ def policy_drawings(episodes: RecordedEpisodes, comparison: Comparison | None) -
             Drawing(
                 "difference_map",
                 "Which of two policies misses less at each goal, in layers of the workspace seen from above.",
-                lambda: plot_comparison.difference_map(comparison),
+                lambda: plot_policies.difference_map(comparison),
             )
         )
     return found

@@ -21,9 +21,8 @@ from pickenv.inspect.reports import report_page
 from pickenv.inspect.reports.report_interactive import field_spec, pose_spec
 from pickenv.inspect.reports.report_words import axis_table, between, estimated, named_values, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors
-from pickenv.inspect.runs.gripping import gripped
-from pickenv.inspect.runs.matters import PickChange, change_cells, matters, pick_changes
+from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
+from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_cases, load_part
 from pickenv.intervals import mean_interval, share_interval
 

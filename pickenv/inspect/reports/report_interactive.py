@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures.field_figure import field_gain, thinned
-from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
-from pickenv.inspect.runs.view import eye_direction
+from pickenv.inspect.runs.comparison_summary import Comparison, colour_scale_mm, error_spread, field_mm, round_step
+from pickenv.inspect.runs.saved import eye_direction
 
 MOST_ARROWS = 3000
 EYE_DISTANCE = 2.55

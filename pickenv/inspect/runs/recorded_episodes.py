@@ -70,7 +70,7 @@ class RecordedEpisodes:
         period: Time between two moments, s.
         nominal: The arm as its controller believes it to be; None where the environment has no arm.
         true_geometry: Geometry of the true arm; with `joint_command` and `tool_position` it draws it
-            (`pickenv.inspect.runs.links.true_points`).
+            (`pickenv.inspect.runs.saved.true_points`).
         policies: One entry per policy: raw, LS, LS+BPNN, then others.
     """
 

@@ -20,7 +20,7 @@ from pickenv.container import refusing_damage
 from pickenv.errors import InputError
 from pickenv.files import write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
@@ -64,7 +64,7 @@ KINDS: Mapping[str, RunKind] = {
     "demo": RunKind("pickenv demo --out RUN", "pickenv.inspect.reports.demo_report"),
     "calibration": RunKind("pickenv calibrate FILE --arm ARM --run RUN", "pickenv.inspect.reports.calibration_report"),
     "comparison": RunKind("pickenv compare POLICY POLICY --out RUN", "pickenv.inspect.reports.comparison_report"),
-    "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.agents.evaluation.grid_report"),
+    "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.agents.evaluation.grid_tables"),
     "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
     "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
     "harvest": RunKind("python scripts/reproduce_li2016.py --out RUN", "pickenv.inspect.reports.harvest_report"),

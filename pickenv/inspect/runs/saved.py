@@ -8,13 +8,87 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pickenv.arm.kinematics.forward import drawn_parts as drawn_parts
+from pickenv.arm.kinematics.forward import nominal_points as nominal_points
+from pickenv.arm.kinematics.forward import true_points as true_points
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.container import read_container, refusing_damage, write_container
+from pickenv.inspect.runs.comparison_summary import Comparison
+
+# The links of an arm as capsules (rods with round ends), as the viewer wants them. Metres.
+
+
+@dataclass(frozen=True, eq=False)
+class Capsules:
+    """Rods with round ends.
+
+    Attributes:
+        start: Centre of the first end ``(..., 3)``, m.
+        length: Distance between the ends' centres ``(...)``, m.
+        quaternion: Turns the z axis into the rod's direction ``(..., 4)``, order x, y, z, w.
+    """
+
+    start: Array
+    length: Array
+    quaternion: Array
+
+
+def capsules(points: Array, parts: list[int]) -> Capsules:
+    """Capsules ``(..., P)`` along the ``parts`` of the polyline ``points`` ``(..., K, 3)``, from `drawn_parts`."""
+    start, end = points[..., parts, :], points[..., [i + 1 for i in parts], :]
+    along = end - start
+    length = np.linalg.norm(along, axis=-1)
+    safe = np.where(length > 1e-9, length, 1.0)[..., None]
+    direction = np.where(length[..., None] > 1e-9, along / safe, [0.0, 0.0, 1.0])
+    # Half-way quaternion from z to the direction; straight down is turned about x.
+    w = 1.0 + direction[..., 2]
+    down = w < 1e-9
+    quaternion = np.stack([-direction[..., 1], direction[..., 0], np.zeros_like(w), w], axis=-1)
+    quaternion[down] = [1.0, 0.0, 0.0, 0.0]
+    quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    return Capsules(start, length, quaternion)
+
+
+# Where the eye stands: at one point for every picture of a comparison, on screen and on paper. Metres, radians.
+
+
+EYE_TURN, EYE_LIFT = 0.5, 0.45
+"""rad; how far the eye stands beside and above the normal of the field's widest upright face."""
+
+
+def shown_box(comparison: Comparison) -> tuple[Array, float]:
+    """Centre ``(3,)`` and radius of the field's grid, m: what the eye looks at."""
+    size = np.asarray(comparison.grid_shape) * comparison.grid_step
+    return comparison.grid_origin - comparison.grid_step / 2.0 + size / 2.0, float(np.linalg.norm(size) / 2.0)
+
+
+def eye_direction(comparison: Comparison) -> Array:
+    """Unit vector ``(3,)`` from the field to the eye, which looks from outside at the widest upright face, obliquely.
+
+    Outside is where the arm's base is not; oblique, so that cells behind each other do not hide each other.
+    """
+    width_x, width_y, _ = comparison.grid_shape
+    x, y, _ = shown_box(comparison)[0] - comparison.nominal.base.position
+    outward = float(np.arctan2(y, x))
+    along_x = width_y > width_x or (width_y == width_x and abs(x) > abs(y))
+    normal = float(np.arctan2(0.0, x) if along_x else np.arctan2(y, 0.0))
+    side = 1.0 if np.sin(outward - normal) >= 0.0 else -1.0
+    turn = normal + side * EYE_TURN
+    return np.array([np.cos(turn) * np.cos(EYE_LIFT), np.sin(turn) * np.cos(EYE_LIFT), np.sin(EYE_LIFT)])
+
+
+def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
+    """Which field points ``(F,)`` lie in the corner nearest to the eye, where voxels would hide all others."""
+    offset = comparison.field_points - shown_box(comparison)[0]
+    return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
+
 
 FORMAT = 3
 """Version of the files' content."""

@@ -24,9 +24,9 @@ from pickenv.errors import InputError
 from pickenv.study.design.config import LS, RAW, Setting
 from pickenv.study.design.protocol import Circumstances, Protocol, prepared_study
 from pickenv.study.results.outcomes import figures
+from pickenv.study.results.quantiles import variance_indices
 from pickenv.study.results.row_table import OK
 from pickenv.study.results.study_folder import SOBOL, SOBOL_AGAIN, read_record, study_at, write_record
-from pickenv.study.results.variance_indices import variance_indices
 
 GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "joint stiffness": ("joint_compliance", ("joint_stiffness",)),

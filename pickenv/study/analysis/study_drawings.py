@@ -19,10 +19,9 @@ from pickenv.study.analysis.single_arms import Placement, place
 from pickenv.study.analysis.study_verdict import specified
 from pickenv.study.design.config import RAW, StudyConfig
 from pickenv.study.design.protocol import Protocol, prepared_study
-from pickenv.study.results.held_rows import Row, held
-from pickenv.study.results.quantiles import quantiles_of
+from pickenv.study.results.quantiles import quantiles_of, yields_of
+from pickenv.study.results.row_table import Row, held
 from pickenv.study.results.study_folder import read_rows, study_of
-from pickenv.study.results.yields import yields_of
 
 DENSE = tuple(float(p) for p in np.linspace(0.01, 0.99, 99))
 """Probabilities of the distributions that are drawn."""

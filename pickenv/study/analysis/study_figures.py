@@ -31,7 +31,7 @@ from pickenv.inspect.figures.style import (
 )
 from pickenv.study.analysis.study_verdict import FEW, method_label
 from pickenv.study.design.config import RAW
-from pickenv.study.results.held_rows import Row, held
+from pickenv.study.results.row_table import Row, held
 
 AXES = {
     "it_grade": "IT grade of the lengths (ISO 286-1)",

@@ -15,7 +15,7 @@ from pickenv.arm.kinematics.pose_error import pose_error
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.errors import InputError
-from pickenv.inspect.runs.comparison import Comparison, PolicyErrors, compared, policy_errors
+from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors, compared, policy_errors
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 from pickenv.study.analysis.single_arms import ranked
 from pickenv.study.design.config import Setting

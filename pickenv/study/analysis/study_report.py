@@ -22,8 +22,7 @@ from pickenv.study.analysis.study_drawings import Findings, gather, study_drawin
 from pickenv.study.analysis.study_figures import setting_label
 from pickenv.study.analysis.study_verdict import specified, study_verdict
 from pickenv.study.design.config import LS, RAW, StudyConfig
-from pickenv.study.results.held_rows import Row
-from pickenv.study.results.row_table import OK
+from pickenv.study.results.row_table import OK, Row
 from pickenv.study.results.study_folder import read_rows, read_summary
 
 COUNTS = ("within", "arms", "failed")

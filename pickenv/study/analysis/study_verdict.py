@@ -9,7 +9,7 @@ from pickenv.inspect.reports.report_page import PageVerdict
 from pickenv.inspect.reports.report_words import percent
 from pickenv.intervals import share_interval
 from pickenv.study.design.config import RAW, StudyConfig
-from pickenv.study.results.held_rows import Row
+from pickenv.study.results.row_table import Row
 
 REQUIRED_YIELD = 0.95
 """Share of arms for which a way of making and calibrating arms counts as sufficient."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.stats import qmc
 
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.arm.plant.campaign import Instrument, NormalDraws, normal_draws

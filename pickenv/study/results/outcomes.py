@@ -11,8 +11,7 @@ import pyarrow as pa
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
-from pickenv.study.design.config import Setting, StudyConfig
-from pickenv.study.design.deviations import deviations
+from pickenv.study.design.config import Setting, StudyConfig, deviations
 from pickenv.study.design.protocol import Protocol
 from pickenv.study.results.row_table import FIGURES, OK, make_table, setting_columns
 

@@ -6,7 +6,7 @@ that was damaged, edited, renamed or brought from another study is refused by na
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,16 +14,80 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.acero as acero
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+from pyarrow.dataset import Dataset
 
 from pickenv.arm.plant.tolerances import draw_plants
 from pickenv.errors import InputError
 from pickenv.files import write_whole
 from pickenv.sealed import check_sealed_parquet, sealed_parquet
-from pickenv.study.design.config import Setting, StudyConfig
-from pickenv.study.design.deviations import deviations
+from pickenv.study.design.config import RAW, Setting, StudyConfig, deviations
+
+# Which of a study's settings stand for the rest: those in which all that is not shown has its middle value.
+
+
+Row = Mapping[str, Any]
+
+VARIED = ("it_grade", "poses", "noise_mm", "payload_kg")
+"""What a study may vary, beside tolerance class and method."""
+
+
+def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
+    """The rows in which everything that is not shown stands at its middle value; raw arms have no poses and noise."""
+    calibrated = [row for row in rows if row["method"] != RAW] or rows
+    middle = {}
+    for name in ("tolerances", *VARIED):
+        values = list(dict.fromkeys(row[name] for row in calibrated))
+        middle[name] = values[(len(values) - 1) // 2]
+
+    def fits(row: Row) -> bool:
+        free = ("poses", "noise_mm") if row["method"] == RAW else ()
+        return all(row[name] == value for name, value in middle.items() if name not in (*shown, *free))
+
+    return [row for row in rows if fits(row)]
+
+
+# Aggregates over a study's rows that pass through memory in batches, one group per setting. The rows are a Parquet
+# data set of any size; pyarrow's engine reads it once, in one thread and in order, so that equal rows give equal
+# bits.
+
+
+SETTING = ("setting", "tolerances", "it_grade", "poses", "noise_mm", "noise_deg", "payload_kg", "method")
+"""Columns that name a setting."""
+Aggregate = tuple[str, str, Any, str]
+"""Column, pyarrow's name of the aggregate, its options, name of the result."""
+
+
+def grouped(
+    rows: Dataset,
+    columns: Mapping[str, pc.Expression],
+    aggregates: Sequence[Aggregate],
+    only: pc.Expression | None = None,
+) -> pa.Table:
+    """Aggregate computed columns per setting, in one pass and with memory that does not grow with the rows.
+
+    Args:
+        rows: A study's rows.
+        columns: What is computed of each row, by name.
+        aggregates: What is computed of those columns in each setting.
+        only: Which rows count; all when left out.
+
+    Returns:
+        A table with `SETTING` and the aggregates, one row per setting, by number.
+    """
+    every = {name: pc.field(name) for name in SETTING} | dict(columns)
+    steps = [
+        acero.Declaration("scan", acero.ScanNodeOptions(rows, filter=only, use_threads=False)),
+        *([] if only is None else [acero.Declaration("filter", acero.FilterNodeOptions(only))]),
+        acero.Declaration("project", acero.ProjectNodeOptions(list(every.values()), list(every))),
+        acero.Declaration("aggregate", acero.AggregateNodeOptions(list(aggregates), keys=list(SETTING))),
+    ]
+    table: pa.Table = acero.Declaration.from_sequence(steps).to_table(use_threads=False)
+    return table.sort_by("setting")
+
 
 SCHEMA = 1
 """Version of a chunk's file."""
@@ -48,7 +112,7 @@ COLUMNS: Mapping[str, Any] = {
     "iterations": pa.int32(),
     **dict.fromkeys((*FIGURES, "share_within"), pa.float64()),
 }
-"""Type of each column; the deviations of the arm (`pickenv.study.design.deviations`) follow, as float64."""
+"""Type of each column; the deviations of the arm (`pickenv.study.design.config`) follow, as float64."""
 
 AGAIN = "run `pickenv study` again, which computes it anew"
 ASIDE = "take it out of the folder and run `pickenv study` again, which computes what is missing"

@@ -22,7 +22,7 @@ from torch import Tensor
 from pickenv.arm.kinematics.forward import Frame, chain_of, tool_frame
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import frame_error
-from pickenv.arm.plant.motion import Place, in_components
+from pickenv.arm.plant.campaign import Place, in_components
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plants_on
 from pickenv.arm.plant.tree import tree_map

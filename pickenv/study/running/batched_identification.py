@@ -15,13 +15,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from pickenv.arm.effects.measurement_noise import read_frame
+from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.kinematics.forward import Chain, Frame, attach, chain_of, frames
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
-from pickenv.arm.kinematics.jacobians import link_column
 from pickenv.arm.kinematics.pose_error import frame_error
-from pickenv.arm.plant.campaign import visited
-from pickenv.arm.plant.motion import Place, in_components
+from pickenv.arm.kinematics.task_space import link_column
+from pickenv.arm.plant.campaign import Place, in_components, visited
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import with_links
 from pickenv.arm.plant.tree import tree_map

@@ -18,8 +18,8 @@ from pickenv.arm.plant.plant import Plant
 from pickenv.errors import InputError
 from pickenv.study.design.config import LS, RAW, Setting
 from pickenv.study.design.protocol import Circumstances, Protocol
+from pickenv.study.results.quantiles import variance_indices
 from pickenv.study.results.row_table import OK
-from pickenv.study.results.variance_indices import variance_indices
 
 MOST, LEAST = 256, 30
 """Arms of the design at most, and fewest for which it is made: of 20 arms intervals of totals hold 92 %."""

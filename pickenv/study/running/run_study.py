@@ -15,8 +15,7 @@ from pickenv.locks import locked
 from pickenv.study.design.config import LS, RAW, StudyConfig
 from pickenv.study.design.protocol import Protocol, prepared_study
 from pickenv.study.results import study_folder
-from pickenv.study.results.held_rows import held
-from pickenv.study.results.row_table import Study, setting_columns, write_chunk
+from pickenv.study.results.row_table import Study, held, setting_columns, write_chunk
 from pickenv.study.running.runners import Crew, Executor, Work, load_executor, run_serial
 
 BATCHED = "batched"
@@ -102,8 +101,7 @@ def _work(protocol: Protocol, executor: str, device: str) -> Work[Any]:
 def _summary(
     protocol: Protocol, study: Study, folder: Path, executor: str, seconds: float, reused: int
 ) -> dict[str, Any]:
-    from pickenv.study.results.quantiles import quantiles_of
-    from pickenv.study.results.yields import yields_of
+    from pickenv.study.results.quantiles import quantiles_of, yields_of
 
     config, rows = study.config, study_folder.read_rows(folder)
     yields = yields_of(rows, config.share).to_pylist()

@@ -16,13 +16,12 @@ from pickenv.agents.evaluation.compare import GRID_STEP, _command, _field, compa
 from pickenv.agents.evaluation.compared_policies import CALIBRATED_PRIOR, KINDS, Kind, kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.contenders import contenders_of
 from pickenv.agents.evaluation.reaches import episode_seeds
-from pickenv.agents.policies.scripted import RandomReach
-from pickenv.agents.policies.servo import ServoReach
+from pickenv.agents.policies.scripted import RandomReach, ServoReach
 from pickenv.arm import load_plant
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError
 from pickenv.inspect.runs import matters as matters_module
-from pickenv.inspect.runs.comparison import compared, policy_errors, stage_label
+from pickenv.inspect.runs.comparison_summary import compared, policy_errors, stage_label
 from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.inspect.runs.matters import PERCEPTION_MM, PickChange, change_cells, matters, pick_changes, pick_share
 from pickenv.orchard.gripper import load_gripper

@@ -10,7 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at, rotation_matrix
-from pickenv.arm.effects.guides import (
+from pickenv.arm.effects.hysteresis import (
     Bearing,
     BoomCouple,
     BoomTorsion,

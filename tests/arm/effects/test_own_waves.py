@@ -10,7 +10,7 @@ import torch
 from scipy import stats
 
 from pickenv.arm import draw_plants, forward, load_plant, load_tolerances, plant_at
-from pickenv.arm.effects.own_waves import (
+from pickenv.arm.effects.residual_field import (
     StructureTable,
     drawn_harmonics,
     drawn_structure,

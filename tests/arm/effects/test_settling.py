@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from pickenv.arm import load_plant
-from pickenv.arm.effects.settling import Settling, Swing, at_rest, swung
-from pickenv.arm.plant.motion import Pace, commands, move_time, moved
+from pickenv.arm.effects.ground import Settling, Swing, at_rest, swung
+from pickenv.arm.plant.campaign import Pace, commands, move_time, moved
 
 FREQUENCY, ZETA, SHARE, RISE = 6.0, 0.03, 0.4, 0.05
 MODE = Settling((FREQUENCY,), (ZETA,), (SHARE,), RISE)

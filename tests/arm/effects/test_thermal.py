@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, load_plant
-from pickenv.arm.effects.thermal import ThermalGrowth, warmed
+from pickenv.arm.effects.drives import ThermalGrowth, warmed
 from pickenv.arm.kinematics.geometry import Geometry
 
 BARE = load_plant("geometry_only")

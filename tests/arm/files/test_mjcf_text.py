@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm, shipped_arms
-from pickenv.arm.files.mjcf import load_mjcf
-from pickenv.arm.files.mjcf_text import mjcf_text, write_mjcf
+from pickenv.arm.files.mjcf import load_mjcf, mjcf_text, write_mjcf
 from pickenv.arm.kinematics.geometry import Coupling
 from pickenv.errors import InputError
 

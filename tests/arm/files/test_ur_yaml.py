@@ -8,7 +8,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose, forward, load_arm, pose_error
-from pickenv.arm.files.ur_yaml import UR_KEYS, UR_LINKS
+from pickenv.arm.files.load import UR_KEYS, UR_LINKS
 from pickenv.errors import InputError
 
 HALF = 1.570796327

@@ -10,9 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_arm, pose_error, rotation_matrix
-from pickenv.arm.files.urdf import load_urdf
-from pickenv.arm.files.urdf_text import urdf_text, write_urdf
-from pickenv.arm.kinematics.axes import geometry_from_axes
+from pickenv.arm.files.urdf import load_urdf, urdf_text, write_urdf
+from pickenv.arm.kinematics.forward import geometry_from_axes
 from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.errors import InputError
 

@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.arm import forward, inverse, joint_jacobian, load_arm, parameter_jacobian, pose_error
-from pickenv.arm.files.urdf import load_urdf
-from pickenv.arm.files.urdf_text import urdf_text, write_urdf
+from pickenv.arm.files.urdf import load_urdf, urdf_text, write_urdf
 from pickenv.arm.kinematics.forward import forward_torch
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.errors import InputError

@@ -21,13 +21,12 @@ from pickenv.arm import (
     rotation_matrix,
     shipped_instruments,
 )
-from pickenv.arm.effects.measurement_noise import MeasurementNoise, read_frame
+from pickenv.arm.effects.drives import MeasurementNoise, read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import largest_cube
 from pickenv.arm.plant import campaign
-from pickenv.arm.plant.campaign import Instrument, normal_draws, visited
+from pickenv.arm.plant.campaign import Instrument, Pace, normal_draws, visited
 from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283
-from pickenv.arm.plant.motion import Pace
 from pickenv.arm.plant.plant import EFFECTS
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.errors import InputError

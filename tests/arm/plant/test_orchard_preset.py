@@ -9,10 +9,8 @@ import torch
 
 from pickenv.arm import forward, load_plant
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.plant.dynamics import PlantState
-from pickenv.arm.plant.effect_shares import TABLE, draw_reaches, effect_shares
-from pickenv.arm.plant.motion import Pace
-from pickenv.arm.plant.plant import EFFECTS, WITH_STATE
+from pickenv.arm.plant.campaign import TABLE, Pace, draw_reaches, effect_shares
+from pickenv.arm.plant.plant import EFFECTS, WITH_STATE, PlantState
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.errors import InputError
 

@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from pickenv.arm import load_arm, load_plant, shipped_arms
-from pickenv.arm.plant.effect_shares import TABLE
+from pickenv.arm.plant.campaign import TABLE
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.commands import plants
 from pickenv.errors import InputError

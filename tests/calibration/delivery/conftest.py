@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Arm, Geometry, forward, rotation_matrix
-from pickenv.arm.kinematics.axes import geometry_from_axes
+from pickenv.arm.kinematics.forward import geometry_from_axes
 from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration import Calibration, Choices, Measurements, calibrate, random_joints
 from pickenv.calibration.delivery.corrected_chain import link_frames

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.arm import load_arm
-from pickenv.arm.files.urdf_text import urdf_text
+from pickenv.arm.files.urdf import urdf_text
 from pickenv.calibration import export
 from pickenv.errors import InputError
 

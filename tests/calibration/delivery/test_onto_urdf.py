@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_arm, rotation_matrix
-from pickenv.arm.files.urdf_text import roll_pitch_yaw, write_urdf
+from pickenv.arm.files.urdf import roll_pitch_yaw, write_urdf
 from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
 from pickenv.calibration import Calibration, export, random_joints
 from pickenv.calibration.delivery.corrected_chain import same_chain

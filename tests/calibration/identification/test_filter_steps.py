@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from pickenv.arm import Pose, displace_pose, forward, joint_jacobian, load_arm, parameter_jacobian, pose_error
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration.identification.extended_kalman_filter import (
     continue_filter,
     filter_measurements,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Geometry, Plant, displace_pose, forward
-from pickenv.arm.effects.measurement_noise import MeasurementNoise
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration.identification.extended_kalman_filter import (
     FilterState,
     continue_filter,

@@ -19,7 +19,7 @@ from pickenv.calibration import (
     write_arm_urdf,
 )
 from pickenv.calibration.model.arm_model import ComplianceTerm, Conditions, GravityTerm, LeadTerm, ThermalTerm
-from pickenv.inspect.runs.links import nominal_points
+from pickenv.inspect.runs.saved import nominal_points
 
 URDF = """<robot name="lift_arm">
   <link name="floor"/><link name="mast"/><link name="stage1"/><link name="stage2"/><link name="upper"/>

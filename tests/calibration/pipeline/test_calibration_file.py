@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
-from pickenv.arm.files.geometry_arrays import geometry_arrays
+from pickenv.arm.files.arm import geometry_arrays
 from pickenv.calibration import BpnnSettings, Calibration, Measurements, fit
 from pickenv.calibration.pipeline.calibration import FORMAT
 from pickenv.container import read_container, write_container

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import pickenv
 from pickenv.arm import forward
-from pickenv.arm.files.urdf_text import write_urdf
+from pickenv.arm.files.urdf import write_urdf
 from pickenv.calibration import Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.pipeline.calibration import Calibration

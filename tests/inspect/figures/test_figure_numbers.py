@@ -23,14 +23,13 @@ from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.colours import arm_colour, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields, field_gain, round_down, thinned
+from pickenv.inspect.figures.plot_errors import error_slices
 from pickenv.inspect.figures.plot_policies import CycleCurve
-from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.run_drawings import comparison_drawings
 from pickenv.inspect.figures.style import WIDTH
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
-from pickenv.inspect.runs.links import nominal_points
-from pickenv.inspect.runs.view import eye_direction, shown_box
+from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
 
 RNG = np.random.default_rng(17)
 ERRORS = {"raw": RNG.gamma(4, 1.5, 37), "LS": RNG.gamma(4, 0.15, 50), "LS + BPNN": RNG.gamma(2, 0.1, 44)}
@@ -319,7 +318,7 @@ def test_every_second_or_third_cell_is_drawn_where_there_are_too_many(
 
 def test_success_points_are_the_policies_own(comparison: Comparison) -> None:
     """On the figure of a run: each policy's colour stands at its own mean error and share of fruit held."""
-    from pickenv.inspect.runs.gripping import gripped
+    from pickenv.inspect.runs.matters import gripped
 
     (draw,) = [d.draw for d in comparison_drawings(comparison) if d.name == "success_against_misalignment"]  # type: ignore[union-attr]
     figure = draw()

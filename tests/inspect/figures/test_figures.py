@@ -13,12 +13,12 @@ from pickenv.harvester.harvest_summary import Measure
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
+from pickenv.inspect.figures.plot_errors import error_slices
 from pickenv.inspect.figures.plot_policies import CycleCurve
-from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.style import INK, PIXELS_PER_INCH, WIDTH, save_figure, style
-from pickenv.inspect.runs.comparison import Comparison
-from pickenv.inspect.runs.gripping import gripper_curves
+from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
+from pickenv.inspect.runs.matters import gripper_curves
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

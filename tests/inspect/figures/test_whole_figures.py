@@ -15,7 +15,7 @@ from pickenv.errors import InputError
 from pickenv.inspect.colours import OTHERS, RED, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors
 from pickenv.inspect.figures.style import INK, SOFT
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 
 RNG = np.random.default_rng(23)
 ERRORS = {"raw": RNG.gamma(4, 1.5, 40), "LS": RNG.gamma(4, 0.15, 40), "LS + BPNN": RNG.gamma(2, 0.1, 40)}

@@ -20,12 +20,12 @@ from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, Rgb, viri
 from pickenv.inspect.figures import plot_harvest, plot_pixels, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields, field_gain
 from pickenv.inspect.figures.plot_conditions import error_by_condition
+from pickenv.inspect.figures.plot_errors import error_slices
 from pickenv.inspect.figures.plot_policies import CycleCurve
-from pickenv.inspect.figures.plot_slices import error_slices
 from pickenv.inspect.figures.style import INK
-from pickenv.inspect.runs.comparison import Comparison
+from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
-from pickenv.inspect.runs.view import eye_direction, shown_box
+from pickenv.inspect.runs.saved import eye_direction, shown_box
 from pickenv.inspect.runs.view_errors import ViewErrors
 
 RNG = np.random.default_rng(29)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
-from pickenv.arm.kinematics.link_points import nominal_points
+from pickenv.arm.kinematics.forward import nominal_points
 from pickenv.errors import InputError
 from pickenv.inspect.colours import RED
 from pickenv.inspect.films import make_film

@@ -23,7 +23,7 @@ from pickenv.inspect.runs.comparison_summary import (
     ticks,
     uncertainty_scale_mm,
 )
-from pickenv.inspect.runs.gripping import gripped, gripper_curves
+from pickenv.inspect.runs.matters import gripped, gripper_curves
 from pickenv.orchard import capture_probability, load_gripper
 
 
