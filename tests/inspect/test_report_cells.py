@@ -330,7 +330,9 @@ def test_bars_have_a_scale_of_their_unit_or_of_their_own(
 def test_other_rows_blocks_and_arms_are_named_as_what_they_are(results: dict[str, Result]) -> None:
     r = results["poses"]
     few = r.test.conditions.select(np.arange(7))
-    other = SimpleNamespace(joints=r.test.joints[:7], conditions=few, source="x.csv", fingerprint=lambda: "f")
+    other = SimpleNamespace(
+        joints=r.test.joints[:7], conditions=few, source="x.csv", tracked=False, fingerprint=lambda: "f"
+    )
     page = built(lambda: calibration_report.calibration_page(replace(r, test=other)))
     assert "On 7 rows that the fit never saw, what was read lay" in page.verdict.text
     assert "from where the calibrated model says. With the nominal model" in page.verdict.text
