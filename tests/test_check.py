@@ -22,7 +22,7 @@ from pickenv.cli import app
 from pickenv.container import write_container
 from pickenv.files import write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.run_folder import recorded_run, save_part
+from pickenv.inspect.runs.run_folder import listed_files, recorded_run, save_part
 from pickenv.study.design.config import load_study
 from pickenv.study.running.run_study import run_study
 
@@ -282,11 +282,11 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 @pytest.mark.parametrize("damage", DAMAGES)
 @pytest.mark.parametrize("name", [*NAMES, "run.json"])
 def test_damage_in_a_folder_of_runs_is_noticed(damage: str, name: str, folder: Path) -> None:
-    """`pickenv bench policies` leaves such a folder: runs, calibrations beside them, and a table."""
+    """Of somebody's own making: runs, calibrations beside them, and notes."""
     board = folder.parent / "board"
     shutil.copytree(folder, board / "first" / "run")
     shutil.copytree(folder, board / "second")
-    write_text(board / "leaderboard.md", "kept")
+    write_text(board / "notes.md", "kept")
     shutil.copy(folder / "calibration.npz", board / "calibration.npz")
     code, lines = checked(board)
     assert code == 0 and len(lines) == 2 * (1 + len(NAMES)) + 2
@@ -294,3 +294,47 @@ def test_damage_in_a_folder_of_runs_is_noticed(damage: str, name: str, folder: P
     code, lines = checked(board)
     assert code == 3 and any(line.startswith("REFUSED") and "second" in line for line in lines), lines
     assert sum(line.startswith("sound") and "first" in line for line in lines) == 1 + len(NAMES)
+
+
+@pytest.fixture
+def bench_folder(folder: Path) -> Path:
+    """A folder as `pickenv bench` leaves it: a run, a calibration kept beside it, rows and a page."""
+    out = folder.parent / "bench"
+    out.mkdir()
+    with listed_files(out):
+        shutil.copytree(folder, out / "scripted-0-abc")
+        (out / "calibrations").mkdir()
+        shutil.copy(folder / "calibration.npz", out / "calibrations" / "one.npz")
+        write_text(out / "picking-0-abc.json", "{}\n")
+        write_text(out / "leaderboard.md", "| a |\n")
+    return out
+
+
+def test_a_bench_folder_is_sound_as_it_was_left(bench_folder: Path) -> None:
+    code, lines = checked(bench_folder)
+    assert code == 0 and lines[0] == f"sound    {bench_folder}/files.json: list of 7 files"
+    assert lines[-1] == "8 checked, 0 refused"
+
+
+@pytest.mark.parametrize("damage", ["removed", "edited", "swapped", "stray"])
+def test_no_damage_to_a_bench_folder_passes(bench_folder: Path, damage: str) -> None:
+    """Of any file in it, its own list of files among them."""
+    whole = bench_folder.parent / "whole"
+    shutil.copytree(bench_folder, whole)
+    files = sorted(path.relative_to(whole) for path in whole.rglob("*") if path.is_file())
+    assert len(files) == 8
+    for number, name in enumerate(files):
+        shutil.rmtree(bench_folder)
+        shutil.copytree(whole, bench_folder)
+        path = bench_folder / name
+        if damage == "removed":
+            path.unlink()
+        elif damage == "edited":
+            flip(path, np.random.default_rng(number))
+        elif damage == "swapped":
+            shutil.copy(whole / files[(number + 1) % len(files)], path)
+            if path.read_bytes() == (whole / name).read_bytes():
+                continue
+        else:
+            write_text(path.with_name(f"other_{path.name}"), "{}\n")
+        assert checked(bench_folder)[0] == 3, name

@@ -53,6 +53,7 @@ def calibration(
     from pickenv.bench.run_bench import QUICK, ROWS, Bench, BenchSettings, run_bench
     from pickenv.bench.spread_rows import spread_table
     from pickenv.extras import require
+    from pickenv.inspect.runs.run_folder import listed_files
 
     page, blocked = out / "bench.md", out / "measured_gains.json"
     separate({}, {"--out": [page, blocked], "--json": json_file})
@@ -73,7 +74,7 @@ def calibration(
         for name, reason in found.skipped.items():
             print(f"not made: {name}: {reason}")
 
-    with locked(out):
+    with locked(out), listed_files(out):
         with progress_bars() as report:
             told = partial(report, "calibrations")
             found = run_bench(names, settings, data, out, peers, workers=workers, progress=told)
@@ -126,6 +127,7 @@ def policies(
         run_leaderboard,
     )
     from pickenv.extras import require
+    from pickenv.inspect.runs.run_folder import listed_files
     from pickenv.study.running.runners import Crew, load_executor
 
     page = out / "leaderboard.md"
@@ -148,7 +150,7 @@ def policies(
             some = list(each)
             print_table(task, leaderboard_heads(some[0]), [leaderboard_cells(row) for row in some], words=WORDS)
 
-    with locked(out):
+    with locked(out), listed_files(out):
         with progress_bars() as report:
             rows = run_leaderboard(settings, out, report, lambda numbers, work: compute(numbers, work, crew))
         saves = [

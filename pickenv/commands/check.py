@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +20,9 @@ REFUSED = 3
 """Exit code where something is damaged or foreign."""
 
 REMAKE = "make it anew with the command that made it"
+BENCH_PAGES = ("bench.md", "leaderboard.md")
+"""What `pickenv bench` writes before the list of its folder's files."""
+
 SEALED = (".npz", ".pt", ".parquet")
 """Suffixes of the files that carry a seal."""
 
@@ -91,10 +94,15 @@ def findings_of(path: Path) -> list[Finding]:
 def folder_findings(folder: Path) -> list[Finding]:
     """What is found about every file of a run, of a study, or of another folder that holds runs or sealed files."""
     from pickenv.agents.evaluation.grid_tables import GRID
-    from pickenv.inspect.runs.run_folder import PARTS, RECORD, STUDY
+    from pickenv.inspect.runs.run_folder import LIST, PARTS, RECORD, STUDY
 
     if (folder / RECORD).exists():
         return run_findings(folder)
+    if (folder / LIST).exists():
+        return listed_findings(folder)
+    pages = [name for name in BENCH_PAGES if (folder / name).exists()]
+    if pages:
+        return [Finding(str(folder / LIST), "list of files", reason=f"is missing beside {pages[0]}; {REMAKE}")]
     if (folder / STUDY).exists():
         from pickenv.study.results.study_folder import check_folder
 
@@ -113,6 +121,27 @@ def folder_findings(folder: Path) -> list[Finding]:
     return found
 
 
+def listed_findings(folder: Path) -> list[Finding]:
+    """What is found about every file that a folder's own list names or that lies beside them."""
+    from pickenv.inspect.runs.run_folder import LIST, faults_of_list
+
+    try:
+        faults = faults_of_list(folder)
+    except InputError as error:
+        return [Finding(str(folder / LIST), "list of files", reason=str(error))]
+    return [Finding(str(folder / LIST), f"list of {len(faults)} files"), *_of_files(faults)]
+
+
+def _of_files(faults: Sequence[tuple[Path, str | None]]) -> list[Finding]:
+    """What is found about files of which it is known whether they are missing, stray or edited."""
+    return [
+        file_finding(path)
+        if reason is None and path.suffix in SEALED
+        else Finding(str(path), "file of the run", reason=reason)
+        for path, reason in faults
+    ]
+
+
 def run_findings(folder: Path) -> list[Finding]:
     """What is found about a run folder's record and every file that it lists or that lies beside it."""
     from pickenv.inspect.runs.run_folder import FORMAT, RECORD, faults_of, read_run
@@ -122,11 +151,10 @@ def run_findings(folder: Path) -> list[Finding]:
         run = read_run(folder)
     except InputError as error:
         return [Finding(record, "record of a run", reason=str(error))]
-    found = [Finding(record, f"record of a run ({run.kind})", FORMAT, f"made by `{run.command}`")]
-    for path, reason in faults_of(run):
-        sealed = reason is None and path.suffix in SEALED
-        found.append(file_finding(path) if sealed else Finding(str(path), "file of the run", reason=reason))
-    return found
+    return [
+        Finding(record, f"record of a run ({run.kind})", FORMAT, f"made by `{run.command}`"),
+        *_of_files(faults_of(run)),
+    ]
 
 
 def file_finding(path: Path) -> Finding:

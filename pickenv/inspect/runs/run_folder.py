@@ -28,6 +28,9 @@ from pickenv.locks import locked
 from pickenv.provenance import code_fingerprint, file_sha256, versions
 
 RECORD = "run.json"
+LIST = "files.json"
+"""What a folder of many runs, tables and calibrations holds, where it is no run itself."""
+
 PARTS: Mapping[type, str] = {
     Comparison: "comparison.npz",
     CalibrationTrace: "calibration_trace.npz",
@@ -212,10 +215,14 @@ def faults_of(run: Run) -> list[tuple[Path, str | None]]:
 
     A file may be missing, edited, or stray: in the folder, but not written by this run.
     """
-    listed, there = run.files or {}, _stamps(run.folder)
+    return _faults(run.folder, run.files or {}, RECORD)
+
+
+def _faults(folder: Path, listed: Mapping[str, str], own: str) -> list[tuple[Path, str | None]]:
+    there = _stamps(folder)
     found: list[tuple[Path, str | None]] = []
-    for name in sorted({*listed, *there} - {RECORD}):
-        path, reason = run.folder / name, None
+    for name in sorted({*listed, *there} - {own}):
+        path, reason = folder / name, None
         if name not in there:
             reason = "is missing; the run wrote it"
         elif name not in listed:
@@ -224,6 +231,36 @@ def faults_of(run: Run) -> list[tuple[Path, str | None]]:
             reason = "was edited since the run wrote it"
         found.append((path, reason))
     return found
+
+
+@contextmanager
+def listed_files(folder: Path) -> Iterator[None]:
+    """Write into a folder that goes on from what it holds; `LIST` is taken away first, and written when all stands."""
+    (folder / LIST).unlink(missing_ok=True)
+    yield
+    files = {name: file_sha256(folder / name) for name in sorted(_stamps(folder))}
+    write_text(folder / LIST, _list_text(files))
+
+
+def _list_text(files: Mapping[str, str]) -> str:
+    """The only text that `LIST` may hold for these files: its own hash stands in it."""
+    own = hashlib.sha256(json.dumps(dict(files)).encode()).hexdigest()
+    return json.dumps({"files": dict(files), "sha256": own}, indent=2) + "\n"
+
+
+def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
+    """Every file that `LIST` names or that lies in the folder, and what is wrong with it; None where nothing is.
+
+    Raises:
+        InputError: If the list is damaged or was edited.
+    """
+    path, remake = folder / LIST, "run the command that made the folder again; it goes on from what is sound"
+    with refusing_damage(path, "a list of files", remake):
+        text = path.read_text(encoding="utf-8")
+        files = {str(name): str(hashed) for name, hashed in json.loads(text)["files"].items()}
+    if text != _list_text(files):
+        raise InputError(f"{path} is not what was written, it was edited; {remake}")
+    return _faults(folder, files, LIST)
 
 
 def unedited(run: Run, name: str) -> Path:
