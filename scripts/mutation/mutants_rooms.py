@@ -250,9 +250,7 @@ ROOMS = {
         "circle_steps circle_matches circles sight_tables sight",
         most=SECOND,
     ),
-    "conditions": room(
-        "calibration/pipeline", "conditions_study", "tests/calibration/pipeline", "conditions", most=SECOND
-    ),
+    "conditions": room("agents/evaluation", "conditions_study", "tests/agents/evaluation", "conditions", most=SECOND),
     "blocked gain": room("agents/evaluation", "blocked_gain", "tests", "bench/gains_page demo_table", most=SECOND),
     "bench": room(
         "pickenv/bench",

@@ -5,13 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pickenv.calibration.pipeline.conditions_study import HELD_OUT, SWEEPS
 from pickenv.inspect.figures import plot_conditions
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.reports.report_words import estimated
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_conditions
+
+SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}
+"""Conditions that are varied one at a time, the others as at the reference."""
+HELD_OUT = "held-out sessions"
+"""Sessions drawn as the training sessions were, and not among them."""
 
 
 def drawings(run: Run) -> Drawings:

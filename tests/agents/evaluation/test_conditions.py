@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_error
-from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.conditions_study import (
+from pickenv.agents.evaluation.conditions_study import (
     BLIND,
     BOTH,
     HELD_OUT,
@@ -36,6 +34,8 @@ from pickenv.calibration.pipeline.conditions_study import (
     under,
     warming,
 )
+from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_error
+from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.cli import app
 from pickenv.errors import InputError
 from pickenv.inspect.runs.run_folder import faults_of, read_run
@@ -49,6 +49,12 @@ SMALL = ["--arms", "1", "--sessions", "3", "--poses", "20"]
 
 def state(count: int, payload: float = 0.0, weather: float = 0.0, hour: float = 0.0) -> State:
     return State(np.full(count, payload), np.full(count, weather), np.full(count, hour))
+
+
+@pytest.fixture(scope="module")
+def dynamic() -> Plant:
+    """The hybrid arm with compliance, bending, drive errors and a tracker's noise."""
+    return load_plant("qiao2026")
 
 
 def test_the_plant_moves_with_payload_and_heat_as_physics_says(dynamic: Plant) -> None:

@@ -28,16 +28,13 @@ from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, M
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, require_residual
 from pickenv.errors import InputError
+from pickenv.inspect.reports.conditions_report import HELD_OUT
 from pickenv.intervals import LEAST, mean_interval
 
 HELD = 60.0
 """s for which the arm is held before it is measured."""
 LEVELS = 5
 """Levels of each condition that a calibration is judged at."""
-SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}
-"""Conditions that are varied one at a time, the others as at the reference."""
-HELD_OUT = "held-out sessions"
-"""Sessions drawn as the training sessions were, and not among them."""
 REFERENCE, BLIND, TOLD, TERMS, BOTH = (
     "calibrated at the reference",
     "over sessions, not told",
