@@ -118,6 +118,10 @@ def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position
     return figure
 
 
+WIDEST = 16
+"""Characters of a label beside others, above which what is added by + stands on lines of its own."""
+
+
 def error_by_method(
     errors: Mapping[str, ArrayLike],
     *,
@@ -156,7 +160,9 @@ def error_by_method(
             box.set(facecolor=(*colour, 0.75), edgecolor=style.SOFT)
         for i, values in enumerate(series.values(), start=1):
             axes.annotate(f"{values.mean():.3g}", (i + 0.3, values.mean()), va="center", fontsize=7.5)
-        axes.set_xticks(range(1, len(series) + 1), [f"{label}\n({len(values)})" for label, values in series.items()])
+        shown = [label if len(label) <= WIDEST else label.replace("+", "\n+") for label in series]
+        counts = [len(values) for values in series.values()]
+        axes.set_xticks(range(1, len(series) + 1), [f"{name}\n({n})" for name, n in zip(shown, counts, strict=True)])
         axes.grid(axis="x", visible=False)
         if logarithmic:
             axes.set_yscale("log")

@@ -222,7 +222,7 @@ def test_nothing_to_judge_is_refused(qiao: Arm, displaced: Displaced) -> None:
 
 @pytest.mark.slow
 def test_a_measured_ur5_gains_a_quarter_on_blocks(measured_ur5: tuple[Geometry, Measurements]) -> None:
-    """Geometric 0.102 mm; the residual that inner blocks choose stays below 0.080 mm on blocks it never saw."""
+    """Geometric 0.100 mm (0.102 if rows that stand close together counted in full); the residual stays below 0.080."""
     nominal, data = measured_ur5
 
     def refit(train: Measurements) -> Geometry:
@@ -232,4 +232,4 @@ def test_a_measured_ur5_gains_a_quarter_on_blocks(measured_ur5: tuple[Geometry, 
     gate = gate_residuals(data, refit, np.random.default_rng(0), models=("rbf", "gp"))
     assert gate.selected == "gp"
     assert gate.blocked_rms <= 0.080e-3
-    assert gate.verdicts[0].geometric_blocked_rms == pytest.approx(0.102e-3, rel=0.01)
+    assert gate.verdicts[0].geometric_blocked_rms == pytest.approx(0.0999e-3, rel=0.01)
