@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import ast
-import importlib
 import importlib.util
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch as th
-from gymnasium import spaces
-from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from pickenv.agents.evaluation.calibrated import load_compensator
 from pickenv.agents.evaluation.reaches import FRUIT, pick_canopies
 from pickenv.agents.policies.learned import LearnedPolicy
-from pickenv.agents.policies.remembering import HEADS, LSTM, RememberingPolicy, attended
+from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
+from pickenv.agents.training.hyperparams import check_algorithm, class_named, tuned
 from pickenv.arm.files.arm import content_sha256
 from pickenv.container import npz_path
 from pickenv.envs.picking.pick_vector import PickVectorEnv
@@ -28,107 +23,8 @@ from pickenv.files import write_json
 from pickenv.limits import check_limit
 from pickenv.provenance import file_sha256, versions
 from pickenv.wrappers.gap import GapScalingVector, Scaling
-from pickenv.wrappers.same_arm import MOST_SEEN, PickMemory, SameArmVector
+from pickenv.wrappers.same_arm import SameArmVector
 from pickenv.wrappers.tool_steps import ToolSteppingVector, ToolSteps, tool_steps_of
-
-# Tuned parameters read from `pickenv.zoo.hyperparams`, strings in the notation of RL Zoo included; nothing is run.
-
-
-ALGORITHMS = ("ppo", "sac", "tqc", "ppo_lstm", "ppo_history")
-
-
-def check_algorithm(algorithm: str) -> None:
-    """Refuse an unknown algorithm.
-
-    Raises:
-        InputError: If it is not one of `ALGORITHMS`.
-    """
-    if algorithm not in ALGORITHMS:
-        raise InputError(f"unknown algorithm '{algorithm}'; give one of {', '.join(ALGORITHMS)}")
-
-
-def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
-    """Parameters of an algorithm on an environment.
-
-    Raises:
-        InputError: If the algorithm is unknown, or was never tuned on the environment.
-    """
-    check_algorithm(algorithm)
-    known: dict[str, dict[str, Any]] = importlib.import_module(f"pickenv.zoo.hyperparams.{algorithm}").hyperparams
-    if env_id not in known:
-        raise InputError(f"{algorithm} has no tuned parameters for '{env_id}'; give one of {', '.join(known)}")
-    return {key: _value(value) for key, value in known[env_id].items()}
-
-
-def class_named(policy: str) -> Any:
-    """A policy as stable-baselines3 takes it: the class that a dotted name stands for, or one of its own names."""
-    module, _, name = policy.rpartition(".")
-    return getattr(importlib.import_module(module), name) if module else policy
-
-
-def _value(value: Any) -> Any:
-    if not isinstance(value, str):
-        return value
-    if value.startswith("lin_"):
-        start = float(value[4:])
-        return lambda remaining: remaining * start  # a schedule that falls evenly to zero
-    if value.startswith("dict("):
-        call = ast.parse(value, mode="eval").body
-        assert isinstance(call, ast.Call)
-        return {word.arg: ast.literal_eval(word.value) for word in call.keywords}
-    return value
-
-
-# PPO's policy over a window of past picks: what was seen near the next pick counts most, and training finds out how.
-# For `pickenv.wrappers.SameArm` with a window. The encoder is that of `pickenv.agents.policies.remembering`, in
-# torch.
-
-
-def memory_of(space: spaces.Space[Any]) -> PickMemory:
-    """How the observations of a `pickenv.wrappers.SameArm` are laid out; its largest shift is not among them."""
-    assert space.shape is not None and isinstance(space, spaces.Box)
-    window = int((space.high == MOST_SEEN).sum()) // 3
-    return PickMemory((space.shape[0] - 4 * window) // (1 + window), window)
-
-
-class HistoryFeatures(BaseFeaturesExtractor):
-    """What the window's picks say about the next one."""
-
-    def __init__(self, observation_space: spaces.Box, width: int = 32, made: int = 16) -> None:
-        """See a window.
-
-        Args:
-            observation_space: Of a `pickenv.wrappers.SameArm`.
-            width: Numbers by which picks are compared; a multiple of `HEADS`.
-            made: Numbers that are made of each pick beside its error.
-        """
-        memory = memory_of(observation_space)
-        super().__init__(observation_space, memory.joints + HEADS * (3 + made) + 1)
-        self.memory = memory
-        sizes = {
-            "near": (memory.joints, width),
-            "query": (width, width),
-            "key": (width, width),
-            "value": (width + 3, made),
-        }
-        given = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
-        for value in given.values():
-            th.nn.init.orthogonal_(value, 1.0 if value.shape[0] != value.shape[1] else np.sqrt(2.0))
-        given |= {f"{name}_bias": th.nn.Parameter(th.zeros(sizes[name][1])) for name in ("near", "value")}
-        self.given = th.nn.ParameterDict(given)
-
-    def forward(self, observations: th.Tensor) -> th.Tensor:
-        """Features ``(N, features)``."""
-        found: th.Tensor = attended(th, dict(self.given.items()), self.memory, observations)
-        return found
-
-
-class HistoryPolicy(ActorCriticPolicy):
-    """PPO's policy with these features."""
-
-    def __init__(self, *arguments: Any, **named: Any) -> None:
-        super().__init__(*arguments, **{"features_extractor_class": HistoryFeatures, **named})
-
 
 Native = ReachVectorEnv | PickVectorEnv
 ENVIRONMENTS: dict[str, type[Native]] = {
@@ -146,7 +42,7 @@ class Training:
     """What is trained, and how.
 
     Attributes:
-        algorithm: One of `pickenv.agents.training.training_setup.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
+        algorithm: One of `pickenv.agents.training.hyperparams.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
             `pickenv.wrappers.SameArmVector`.
         env_id: Id of the environment.
         steps: Environment steps; the tuned number when None.

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from pickenv.errors import InputError
 from pickenv.extras import is_there, require
-from pickenv.pictures.solids import lettered
+from pickenv.pictures.lettering import lettered
 from pickenv.pictures.stage import Pixels, Stage
 
 if TYPE_CHECKING:

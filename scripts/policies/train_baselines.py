@@ -20,8 +20,9 @@ from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
 from pickenv.agents.policies.learned import BASELINES, LearnedPolicy
 from pickenv.agents.policies.remembering import RememberingPolicy
+from pickenv.agents.training.hyperparams import tuned
 from pickenv.agents.training.training import train
-from pickenv.agents.training.training_setup import Training, tuned
+from pickenv.agents.training.training_setup import Training
 from pickenv.arm import load_plant
 from pickenv.files import write_text
 

@@ -24,7 +24,7 @@ from stable_baselines3 import PPO
 
 import pickenv
 from pickenv.agents.evaluation.grid_tables import with_interval
-from pickenv.agents.training.training_setup import HistoryPolicy
+from pickenv.agents.training.history import HistoryPolicy
 from pickenv.arm import load_plant, write_twin
 from pickenv.calibration import Result, calibrate, random_joints, simulated_tracker
 from pickenv.files import write_json

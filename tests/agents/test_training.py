@@ -13,8 +13,9 @@ import pytest
 
 from pickenv.agents.policies.learned import load_policy
 from pickenv.agents.training.checkpoints import check_checkpoint
+from pickenv.agents.training.hyperparams import tuned
 from pickenv.agents.training.training import resumed, train
-from pickenv.agents.training.training_setup import Training, make_model, tuned
+from pickenv.agents.training.training_setup import Training, make_model
 from pickenv.arm import load_plant
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.errors import InputError

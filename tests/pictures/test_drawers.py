@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from pickenv.pictures import drawers
+from pickenv.pictures.lettering import lettered
 from pickenv.pictures.plain_drawer import draw_plainly
-from pickenv.pictures.solids import chequered, lettered
+from pickenv.pictures.solids import chequered
 from pickenv.pictures.stage import Balls, Dial, Eye, Rods, Stage, Words, backdrop, rgba
 
 EYE = Eye(np.array([0.0, -3.0, 1.0]), np.array([0.0, 0.0, 0.0]))

@@ -188,7 +188,7 @@ class SlowToStart:
 
 
 def test_a_slow_start_is_tried_again_and_a_cluster_that_refuses_is_not():
-    from pickenv.study.running.runners import STARTS, start
+    from pickenv.study.running.ray_runner import STARTS, start
 
     slow, hopeless, refusing = SlowToStart(STARTS - 1), SlowToStart(STARTS), SlowToStart(1)
     start(slow, {}, Crew(1))

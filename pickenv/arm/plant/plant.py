@@ -3,7 +3,7 @@
 Motor (counts, lag) -> drive error -> friction -> backlash -> compliance -> swing -> warm chain -> slides and boom ->
 ground -> local structure -> what a calibration found beside them. Each effect is None when switched off; with all of
 them off the plant is exactly the true geometry. Some effects depend on the joints alone; the others have a state, a
-tuple of components that runs on floats, arrays and tensors (`pickenv.arm.plant.dynamics`). Numbers may be arrays: one
+tuple of components that runs on floats, arrays and tensors. Numbers may be arrays: one
 entry per arm, many arms at once.
 """
 

@@ -18,7 +18,7 @@ from pickenv.inspect.films.film_stage import FilmSet, halves
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 from pickenv.inspect.runs.run_folder import load_part, read_run
 from pickenv.pictures.drawers import painted
-from pickenv.pictures.solids import strip
+from pickenv.pictures.lettering import strip
 from pickenv.pictures.stage import Pixels
 
 HALF = (400, 360)

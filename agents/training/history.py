@@ -1,0 +1,63 @@
+"""PPO's policy over a window of past picks: what was seen near the next pick counts most, and training finds out how.
+
+For `pickenv.wrappers.SameArm` with a window. The encoder is that of `pickenv.agents.policies.remembering`, in torch.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch as th
+from gymnasium import spaces
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+
+from pickenv.agents.policies.remembering import HEADS, attended
+from pickenv.wrappers.same_arm import MOST_SEEN, PickMemory
+
+
+def memory_of(space: spaces.Space[Any]) -> PickMemory:
+    """How the observations of a `pickenv.wrappers.SameArm` are laid out; its largest shift is not among them."""
+    assert space.shape is not None and isinstance(space, spaces.Box)
+    window = int((space.high == MOST_SEEN).sum()) // 3
+    return PickMemory((space.shape[0] - 4 * window) // (1 + window), window)
+
+
+class HistoryFeatures(BaseFeaturesExtractor):
+    """What the window's picks say about the next one."""
+
+    def __init__(self, observation_space: spaces.Box, width: int = 32, made: int = 16) -> None:
+        """See a window.
+
+        Args:
+            observation_space: Of a `pickenv.wrappers.SameArm`.
+            width: Numbers by which picks are compared; a multiple of `HEADS`.
+            made: Numbers that are made of each pick beside its error.
+        """
+        memory = memory_of(observation_space)
+        super().__init__(observation_space, memory.joints + HEADS * (3 + made) + 1)
+        self.memory = memory
+        sizes = {
+            "near": (memory.joints, width),
+            "query": (width, width),
+            "key": (width, width),
+            "value": (width + 3, made),
+        }
+        given = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
+        for value in given.values():
+            th.nn.init.orthogonal_(value, 1.0 if value.shape[0] != value.shape[1] else np.sqrt(2.0))
+        given |= {f"{name}_bias": th.nn.Parameter(th.zeros(sizes[name][1])) for name in ("near", "value")}
+        self.given = th.nn.ParameterDict(given)
+
+    def forward(self, observations: th.Tensor) -> th.Tensor:
+        """Features ``(N, features)``."""
+        found: th.Tensor = attended(th, dict(self.given.items()), self.memory, observations)
+        return found
+
+
+class HistoryPolicy(ActorCriticPolicy):
+    """PPO's policy with these features."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **{"features_extractor_class": HistoryFeatures, **named})
