@@ -76,7 +76,7 @@ HOPELESS = """
 import os, signal
 from pickenv.errors import InputError
 from pickenv.study.running.runners import Crew
-from pickenv.study.running.runners import run_ray
+from pickenv.study.running.ray_runner import run_ray
 
 def dies(chunk):
     os.kill(os.getpid(), signal.SIGKILL)
