@@ -1,8 +1,9 @@
-"""The one solve: maximum a posteriori of all parameters, with noise and prior widths found from the rows.
+"""The one solve: the posterior of all parameters, with noise and the widths of priors told by the rows.
 
 Gauss-Newton on rows and priors together; between passes the rows say what they scatter by (`RowNoise`), and how wide
-the priors of joint zeros and of parts are: the scales that maximise the marginal likelihood of the linearised model
-(empirical Bayes; MacKay 1992). Priors of no information make it the rank-aware least squares of the papers. SI units.
+the priors of joint zeros and of parts are. These scales are not taken as certain: the posterior of the linearised model
+is averaged over them, by its marginal likelihood on a grid (MacKay 1992). Priors of no information make it the
+rank-aware least squares of the papers. SI units.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ PASSES = 4
 """Solves at most; each weighs rows and priors by what the one before left."""
 
 MANY, FEW = 4000, 1500
-"""Of more rows than that, noise and scales are sought on so few first, taken evenly."""
+"""Of more rows than that, noise and scales are estimated on so few first, taken evenly."""
 
 SETTLED = 0.1
 """Passes end where no scale changes by more than this share."""
@@ -53,7 +54,7 @@ def solve(
     """Fit a model to rows.
 
     Args:
-        model: The parameters with their priors; scales that it does not state are found from the rows.
+        model: The parameters with their priors; scales that it does not state are averaged over.
         data: The rows; where they know no length, the smallest arm fits best, so lengths stay as wide as expected.
         noise: What they scatter by; found from them when left out.
         near: A solution of the same rows with fewer parameters, to start from.
