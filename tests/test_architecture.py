@@ -44,7 +44,17 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("pickenv.calibration",), ("pickenv.harvester",), ("pickenv.pictures",)),
     (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",), ("pickenv.zoo",)),
     (("pickenv.agents",),),
-    (("pickenv.cli", "pickenv.demo", "pickenv.commands", "pickenv.study", "pickenv.bench", "pickenv.__main__"),),
+    (
+        (
+            "pickenv.cli",
+            "pickenv.demo",
+            "pickenv.commands",
+            "pickenv.study",
+            "pickenv.bench",
+            "pickenv.experiments",
+            "pickenv.__main__",
+        ),
+    ),
 )
 # Shelves of a room, from the bottom; those of one line stand side by side. A shelf imports from shelves below it only.
 SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {

@@ -17,12 +17,12 @@ import numpy as np
 from pickenv.agents.evaluation.calibrated import CalibrationPlan, check_compensation, compensators
 from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.rollout import Rollout, roll_out
-from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.named_plants import draw_arms
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
 from pickenv.errors import InputError
+from pickenv.intervals import Estimate, mean_estimate, quantile_estimate, share_estimate
 from pickenv.limits import check_limit
 from pickenv.orchard.gripper import Gripper, load_gripper
 from pickenv.seeds import seed_words, stream
@@ -146,7 +146,7 @@ class PolicyGrid:
             for one, other in [(a, b) for i, a in enumerate(steps) for b in steps[i + 1 :]]:
                 if one not in cells or other not in cells:
                     continue
-                result = mean_over_arms(cells[other].errors_mm - cells[one].errors_mm)
+                result = mean_estimate(cells[other].errors_mm - cells[one].errors_mm)
                 found.append(
                     dict(zip(("policy", "feedback", "plant"), key, strict=True))
                     | {"from": one, "to": other, "difference_mm": result.value, "ci95": _ends(result)}
@@ -243,8 +243,8 @@ def _nothing_fits(settings: GridSettings, kinds: Mapping[str, Kind]) -> str:
 
 def _row(settings: GridSettings, cell: Cell, name: str, gripper: Gripper) -> dict[str, Any]:
     errors = cell.errors_mm
-    mean, success = mean_over_arms(errors), share_over_arms(cell.chances(gripper))
-    median, worst = quantile_over_arms(errors, 0.5), quantile_over_arms(errors, 0.95)
+    mean, success = mean_estimate(errors), share_estimate(cell.chances(gripper))
+    median, worst = quantile_estimate(errors, 0.5), quantile_estimate(errors, 0.95)
     steps = np.concatenate([rollout.cycle_steps(settings.tolerance_mm) for rollout in cell.rollouts])
     inside = np.isfinite(steps)
     arms, trainings, _ = errors.shape

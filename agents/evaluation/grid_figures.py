@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pickenv.agents.evaluation.grid import PolicyGrid
-from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.inspect.colours import policy_label
@@ -17,11 +16,12 @@ from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.runs.matters import gripper_curves
+from pickenv.intervals import Estimate, mean_estimate, quantile_estimate, share_estimate
 
 STATISTICS: Mapping[str, Callable[[Array], Estimate]] = {
-    "mean": mean_over_arms,
-    "median arm": lambda values: quantile_over_arms(values, 0.5),
-    "95th percentile arm": lambda values: quantile_over_arms(values, 0.95),
+    "mean": mean_estimate,
+    "median arm": lambda values: quantile_estimate(values, 0.5),
+    "95th percentile arm": lambda values: quantile_estimate(values, 0.95),
 }
 
 
@@ -45,7 +45,7 @@ def success_curves(grid: PolicyGrid, plant: str) -> Figure:
     for cell in grid.cells:
         if cell.policy == "scripted" and cell.plant == plant:
             for name, gripper in grid.grippers.items():
-                success = share_over_arms(cell.chances(gripper))
+                success = share_estimate(cell.chances(gripper))
                 place = (float(cell.errors_mm.mean()), (success.value, success.ci95))
                 points.setdefault(policy_label(cell.compensation), {})[name] = place
     return plot_policies.success_against_misalignment(gripper_curves(tuple(grid.grippers)), points)

@@ -23,7 +23,6 @@ from pickenv.agents.evaluation.compared_policies import kind_of, maker_of
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, population, run_grid
 from pickenv.agents.evaluation.grid_tables import interval_words, read_grid, with_interval, write_grid
 from pickenv.agents.evaluation.pick_board import PICK_PLANT, PickTally, pick_rows, pick_tallies
-from pickenv.agents.evaluation.statistics import interquartile_mean
 from pickenv.agents.policies.learned import BASELINES, shipped_baselines
 from pickenv.arm.files.arm import content_sha256
 from pickenv.arm.plant.plant_batch import plant_at
@@ -33,6 +32,7 @@ from pickenv.errors import InputError
 from pickenv.files import write_json
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.run_folder import RECORD, read_run
+from pickenv.intervals import interquartile_estimate
 from pickenv.provenance import code_fingerprint, file_sha256
 from pickenv.seeds import stream
 
@@ -195,7 +195,7 @@ def leaderboard_rows(grids: Sequence[PolicyGrid]) -> list[dict[str, Any]]:
         turned = [cell.per_arm(lambda rollout: rollout.reaches.attitude_error_deg) for _, cell in some]
         taken = {name: [cell.chances(grid.grippers[name]) for grid, cell in some] for name in GRIPPERS}
         success = {name: float(np.concatenate(chances).mean()) for name, chances in taken.items()}
-        middle = interquartile_mean(errors.mean(axis=(1, 2)), stream(0, "leaderboard"))
+        middle = interquartile_estimate(errors.mean(axis=(1, 2)), stream(0, "leaderboard"))
         rows.append(
             {
                 "task": f"pickenv/Reach-v0, {plant}",

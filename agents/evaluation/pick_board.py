@@ -18,12 +18,11 @@ import numpy as np
 from pickenv.agents.evaluation.calibrated import COMPENSATIONS, compensators
 from pickenv.agents.evaluation.grid import GridSettings, population
 from pickenv.agents.evaluation.reaches import moments_of
-from pickenv.agents.evaluation.statistics import interquartile_mean
 from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
 from pickenv.agents.policies.policy import Policy
 from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.intervals import mean_interval
+from pickenv.intervals import interquartile_estimate, mean_interval
 from pickenv.seeds import seed_words, stream
 
 PICK_PLANT = "field"
@@ -122,7 +121,7 @@ def pick_rows(seeds: Sequence[int], tallies: Sequence[Mapping[str, Sequence[Pick
         each = list(zip(*by_gripper.values(), strict=True))  # arms, with a tally per gripper
         errors = np.array([np.mean([e for tally in arm for e in tally.errors_mm] or [np.nan]) for arm in each])
         errors = errors[np.isfinite(errors)]
-        middle = interquartile_mean(errors, stream(0, "leaderboard"))
+        middle = interquartile_estimate(errors, stream(0, "leaderboard"))
         rates = {g: np.array([3600.0 * t.collected / t.seconds for t in some]) for g, some in by_gripper.items()}
         success = {
             g: sum(t.collected for t in some) / max(1, sum(t.attempted for t in some)) for g, some in by_gripper.items()

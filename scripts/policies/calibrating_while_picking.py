@@ -25,7 +25,6 @@ from train_baselines import SEEDS, training_of
 
 import pickenv  # noqa: F401
 from pickenv.agents.evaluation.grid_tables import with_interval
-from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
 from pickenv.agents.policies.remembering import RememberingPolicy, load_remembering
 from pickenv.agents.training.training import train
@@ -34,6 +33,7 @@ from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.files import write_json
 from pickenv.inspect.figures.style import WIDTH, new_figure, save_figure
+from pickenv.intervals import Estimate, mean_estimate
 from pickenv.seeds import seed_words, stream
 from pickenv.wrappers import SameArmVector
 from pickenv.wrappers.same_arm import SEEN_MM
@@ -182,7 +182,7 @@ def judged(
 
 def over(errors: Array, picks: slice) -> Estimate:
     """Mean over some picks, with its interval over arms, and over trainings where there are several."""
-    return mean_over_arms(errors[..., picks].mean(axis=-1))
+    return mean_estimate(errors[..., picks].mean(axis=-1))
 
 
 def figure_of(found: dict[str, dict[str, Array]]) -> Any:

@@ -36,11 +36,11 @@ from pickenv.agents.evaluation import calibrated
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
 from pickenv.agents.evaluation.grid_figures import aggregate_figure, success_curves
 from pickenv.agents.evaluation.grid_tables import gain_words, interval_words, with_interval
-from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms, share_over_arms
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.files import write_text
 from pickenv.inspect.colours import policy_colours, policy_label
 from pickenv.inspect.figures.style import LINES, WIDTH, new_figure, plain_decades, rgb, save_figure
+from pickenv.intervals import Estimate, mean_estimate, quantile_estimate, share_estimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -130,8 +130,8 @@ def policies_findings(grid: PolicyGrid) -> list[Finding]:
     means, servo = {}, {}
     for plant in ("qiao2026", "field"):
         errors = {key: grid.cell("scripted", key, "encoders", plant).errors_mm for key in PLANTS[plant]}
-        means[plant] = ", ".join(f"{policy_label(key)} {_of(mean_over_arms(each))}" for key, each in errors.items())
-        servo[plant] = _of(mean_over_arms(grid.cell("servo", "raw", "camera", plant).errors_mm))
+        means[plant] = ", ".join(f"{policy_label(key)} {_of(mean_estimate(each))}" for key, each in errors.items())
+        servo[plant] = _of(mean_estimate(grid.cell("servo", "raw", "camera", plant).errors_mm))
     first = (
         f"The scripted policy, blind, ends this far from the fruit (mean over {grid.settings.arms} arms, mm): on "
         f"`qiao2026` {means['qiao2026']}; on `field` {means['field']}; a servo with a camera of 1 mm per axis leaves "
@@ -142,7 +142,7 @@ def policies_findings(grid: PolicyGrid) -> list[Finding]:
         for plant in PLANTS
         for key in ("raw", "ls")
     }
-    change = mean_over_arms(taken["orchard", "ls"] - taken["orchard", "raw"])
+    change = mean_estimate(taken["orchard", "ls"] - taken["orchard", "raw"])
     rates = {where: with_interval(found.value, found.ci95, 1, 100.0, " %") for where, found in _shares(taken).items()}
     second = (
         f"On `qiao2026` Li's cup takes {rates['qiao2026', 'raw']} of the fruit from the raw arm, blind, and "
@@ -160,7 +160,7 @@ def policies_findings(grid: PolicyGrid) -> list[Finding]:
 
 
 def _shares(taken: Mapping[tuple[str, str], Array]) -> dict[tuple[str, str], Estimate]:
-    return {where: share_over_arms(chances) for where, chances in taken.items()}
+    return {where: share_estimate(chances) for where, chances in taken.items()}
 
 
 def error_tables(grid: PolicyGrid) -> list[str]:
@@ -175,7 +175,7 @@ def error_tables(grid: PolicyGrid) -> list[str]:
         "|---|---|---|---|---|---|---|---|",
     ]
     for cell in grid.cells:
-        numbers = mean_over_arms(cell.errors_mm), *(quantile_over_arms(cell.errors_mm, p) for p in (0.5, 0.95))
+        numbers = mean_estimate(cell.errors_mm), *(quantile_estimate(cell.errors_mm, p) for p in (0.5, 0.95))
         lines.append(
             f"| {cell.plant} | {cell.policy} | {cell.feedback} | {policy_label(cell.compensation)} | "
             f"{' | '.join(map(_of, numbers))} | {cell.errors_mm.max():.1f} |"
@@ -208,7 +208,7 @@ def success_table(grid: PolicyGrid) -> list[str]:
                 if key not in known:
                     rates.append("")
                     continue
-                found = share_over_arms(grid.cell("scripted", key, "encoders", plant).chances(gripper))
+                found = share_estimate(grid.cell("scripted", key, "encoders", plant).chances(gripper))
                 rates.append(with_interval(found.value, found.ci95, 1, 100.0, " %"))
             lines.append(f"| {plant} | {name} | {' | '.join(rates)} |")
     return [*lines, ""]
@@ -225,9 +225,9 @@ def adapted(grid: PolicyGrid, plant: str) -> dict[str, Estimate]:
     later = errors[:, :, grid.settings.episodes // 2 :]
     change = later.mean(axis=2, keepdims=True) - errors[:, :, :1]
     return {
-        "first pick": mean_over_arms(errors[:, :, :1]),
-        "second half": mean_over_arms(later),
-        "change": mean_over_arms(change),
+        "first pick": mean_estimate(errors[:, :, :1]),
+        "second half": mean_estimate(later),
+        "change": mean_estimate(change),
     }
 
 
@@ -253,7 +253,7 @@ def adaptive_finding(grid: PolicyGrid) -> Finding:
         )
         for cell in grid.cells:
             errors = cell.errors_mm
-            means = [_of(mean_over_arms(errors[:, :, part])) for part in parts.values()]
+            means = [_of(mean_estimate(errors[:, :, part])) for part in parts.values()]
             lines.append(
                 f"| {cell.plant} | {policy_label(cell.compensation)} | {' | '.join(means)} | {errors.max():.1f} |"
             )

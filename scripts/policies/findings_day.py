@@ -10,7 +10,6 @@ import numpy as np
 from pickenv.agents.evaluation.calibrated import compensators
 from pickenv.agents.evaluation.grid import GridSettings, population
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
-from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms
 from pickenv.arm import forward
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
@@ -19,6 +18,7 @@ from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import LINES, WIDTH, new_figure, rgb
 from pickenv.inspect.recordings.field_day import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK
+from pickenv.intervals import Estimate, mean_estimate
 from pickenv.seeds import stream
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def day_figure(day: Day) -> Figure:
 def day_changes(day: Day) -> tuple[Estimate, Estimate]:
     """What the workshop changes, and what the filter changes after it, mm."""
     raw, fixed, adapted = (day.errors_mm[name][:, None] for name in METHODS)
-    return mean_over_arms(fixed - raw), mean_over_arms(adapted - fixed)
+    return mean_estimate(fixed - raw), mean_estimate(adapted - fixed)
 
 
 def day_sentence(day: Day) -> str:
@@ -127,7 +127,7 @@ def day_tables(day: Day) -> list[str]:
         "|---|" + "---|" * (len(parts) + 1),
     ]
     for name, values in day.errors_mm.items():
-        found = [mean_over_arms(values[:, None, part]) for part in parts.values()]
+        found = [mean_estimate(values[:, None, part]) for part in parts.values()]
         cells = " | ".join(with_interval(each.value, each.ci95, 2) for each in found)
         lines.append(f"| {name} | {cells} | {values.max():.0f} |")
     return [*lines, ""]

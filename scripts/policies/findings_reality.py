@@ -13,11 +13,10 @@ from findings_transfer import whisker
 from pickenv.agents.evaluation.calibrated import COMPENSATIONS
 from pickenv.agents.evaluation.grid import PolicyGrid
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
-from pickenv.agents.evaluation.statistics import Estimate, mean_over_arms, quantile_over_arms
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import policy_colours, policy_label
 from pickenv.inspect.figures.style import WIDTH, new_figure, rgb
-from pickenv.intervals import statistic_interval
+from pickenv.intervals import Estimate, mean_estimate, quantile_estimate, statistic_interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,7 +47,7 @@ def _share_removed(table: Array) -> float:
 
 def changed(grid: PolicyGrid, ideal: PolicyGrid, plant: str) -> Estimate:
     """Error behind least squares from the instrument in time less that from the ideal one; same arms, poses, fruit."""
-    return mean_over_arms(errors_of(grid, "ls", plant) - errors_of(ideal, "ls", plant))
+    return mean_estimate(errors_of(grid, "ls", plant) - errors_of(ideal, "ls", plant))
 
 
 def reality_figure(grid: PolicyGrid, ideal: PolicyGrid) -> Figure:
@@ -79,7 +78,7 @@ def _draw_models(axes: Any, grid: PolicyGrid, colours: dict[str, Any]) -> None:
 def _draw_instruments(axes: Any, grid: PolicyGrid, ideal: PolicyGrid, colours: dict[str, Any]) -> None:
     """Errors raw, and behind LS from each instrument."""
     rows = [
-        (f"{plant}, {name}", mean_over_arms(errors_of(of, key, plant)), colours[key])
+        (f"{plant}, {name}", mean_estimate(errors_of(of, key, plant)), colours[key])
         for plant in IDEAL_ON
         for name, of, key in (
             ("raw", grid, "raw"),
@@ -131,7 +130,7 @@ def reality_tables(grid: PolicyGrid, ideal: PolicyGrid) -> list[str]:
         said = f"{_change(change)} | {'yes' if change.significant else 'no'}"
         for name, of, last in (("ideal", ideal, " | "), ("in time", grid, said)):
             errors = errors_of(of, "ls", plant)
-            middle = quantile_over_arms(errors, 0.5)
+            middle = quantile_estimate(errors, 0.5)
             numbers = f"{_mm(errors)} | {with_interval(middle.value, middle.ci95, 2)} | {errors.max():.1f}"
             lines.append(f"| {plant} | {name} | {numbers} | {last} |")
     return [*lines, ""]
@@ -142,7 +141,7 @@ def _percent(found: Estimate) -> str:
 
 
 def _mm(errors: Array) -> str:
-    found = mean_over_arms(errors)
+    found = mean_estimate(errors)
     return with_interval(found.value, found.ci95, 2)
 
 

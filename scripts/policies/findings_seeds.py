@@ -27,10 +27,9 @@ from findings_reality import HARD, IDEAL_ON, MODELS, SMOOTH, changed, removed
 
 from pickenv.agents.evaluation.grid import PolicyGrid
 from pickenv.agents.evaluation.grid_tables import with_interval
-from pickenv.agents.evaluation.statistics import Estimate
 from pickenv.files import write_text
 from pickenv.inspect.colours import policy_label
-from pickenv.intervals import mean_interval
+from pickenv.intervals import Estimate, mean_interval
 
 SEEDS = range(6)
 """The first is that of docs/findings.md."""

@@ -12,12 +12,12 @@ from train_baselines import calibration_file
 
 from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
 from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
-from pickenv.agents.evaluation.statistics import MARGIN_MM, Estimate, mean_over_arms
 from pickenv.agents.policies.learned import load_policy
 from pickenv.agents.training.training import train
 from pickenv.agents.training.training_setup import Training
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures.style import WIDTH, new_figure
+from pickenv.intervals import MARGIN_MM, Estimate, mean_estimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,7 +59,7 @@ def differences(grid: PolicyGrid) -> dict[tuple[str, str], Estimate]:
     for name in others:
         for key in grid.settings.compensations:
             one, other = (grid.cell(each, key, "encoders", "qiao2026").errors_mm for each in (base, name))
-            found[name, key] = mean_over_arms(other - one)
+            found[name, key] = mean_estimate(other - one)
     return found
 
 
@@ -92,8 +92,8 @@ def transfer_sentence(grid: PolicyGrid) -> str:
         for (name, key), each in differences(grid).items()
         if key == COMPENSATIONS[-1]
     ]
-    raw = mean_over_arms(grid.cell("randomised", "raw", "encoders", "qiao2026").errors_mm)
-    best = mean_over_arms(grid.cell("calibrated", COMPENSATIONS[-1], "encoders", "qiao2026").errors_mm)
+    raw = mean_estimate(grid.cell("randomised", "raw", "encoders", "qiao2026").errors_mm)
+    best = mean_estimate(grid.cell("calibrated", COMPENSATIONS[-1], "encoders", "qiao2026").errors_mm)
     return (
         f"A policy trained on calibrated arms leaves {_of(best)} mm behind {policy_label(COMPENSATIONS[-1])}; "
         f"{', '.join(said)}; randomised arms without a calibration leave {_of(raw)} mm, all of policies "
@@ -118,7 +118,7 @@ def transfer_tables(grid: PolicyGrid, folder: str) -> list[str]:
     ]
     for name in cells:
         found = [
-            _of(mean_over_arms(grid.cell(name, key, "encoders", "qiao2026").errors_mm))
+            _of(mean_estimate(grid.cell(name, key, "encoders", "qiao2026").errors_mm))
             for key in grid.settings.compensations
         ]
         label = "(scripted, for comparison)" if name == "scripted" else f"{name} arms"

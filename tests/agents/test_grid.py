@@ -16,7 +16,6 @@ from pickenv.agents.evaluation.compared_policies import kind_of
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_figures import grid_drawings
 from pickenv.agents.evaluation.grid_tables import cells_of, command_of, flat_rows, read_grid, write_grid, write_rows
-from pickenv.agents.evaluation.statistics import Estimate
 from pickenv.agents.policies.learned import load_policy
 from pickenv.arm import load_plant
 from pickenv.commands import learning as commands
@@ -24,7 +23,7 @@ from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.errors import InputError
 from pickenv.inspect.figures.run_drawings import write_drawings
 from pickenv.inspect.runs.run_folder import read_run
-from pickenv.intervals import clustered_share_interval, crossed_interval, mean_interval, quantile_interval
+from pickenv.intervals import Estimate, clustered_share_interval, crossed_interval, mean_interval, quantile_interval
 from tests.agents.synthetic import grid_of
 
 KEYS = {"policy", "compensation", "feedback", "plant", "gripper", "mean_mm", "success_rate", "ci95", "success_ci95"}

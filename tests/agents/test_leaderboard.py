@@ -20,9 +20,9 @@ from pickenv.agents.evaluation.leaderboard import (
     run_leaderboard,
 )
 from pickenv.agents.evaluation.pick_board import PickTally, pick_rows, pick_tallies
-from pickenv.agents.evaluation.statistics import interquartile_mean
 from pickenv.cli import app
 from pickenv.errors import InputError
+from pickenv.intervals import interquartile_estimate
 from pickenv.seeds import stream
 
 KEYS = {
@@ -64,15 +64,15 @@ def small(monkeypatch) -> LeaderboardSettings:
     return LeaderboardSettings(("scripted",), ("qiao2026",), arms=2, episodes=3, canopies=0)
 
 
-def test_the_interquartile_mean_forgets_the_best_and_the_worst_quarter():
+def test_the_interquartile_estimate_forgets_the_best_and_the_worst_quarter():
     values = np.concatenate([[1e6, -1e6], np.random.default_rng(0).normal(3.0, 0.5, 38)])
-    found = interquartile_mean(values, stream(0, "leaderboard"))
+    found = interquartile_estimate(values, stream(0, "leaderboard"))
     assert found.value == pytest.approx(np.sort(values)[10:30].mean())
     low, high = found.ci95
     rng = np.random.default_rng(1)
     again = trim_mean(rng.choice(values, (2000, 40)), 0.25, axis=1)
     assert (low, high) == pytest.approx(np.quantile(again, (0.025, 0.975)), abs=0.03)
-    assert interquartile_mean(values[:9], stream(0, "leaderboard")).ci95 is None
+    assert interquartile_estimate(values[:9], stream(0, "leaderboard")).ci95 is None
 
 
 class Arms:
@@ -123,7 +123,7 @@ def test_rows_are_worked_out_over_the_arms_of_all_seeds():
     held = [13 / 30, 22 / 30]  # below 5 mm: three of each of 1 to 4 mm, one of 5 mm; below 8 mm likewise
     assert raw["success"] == pytest.approx(held[0])
     assert raw["success_by_gripper"] == pytest.approx(dict(zip(grippers, held, strict=True)))
-    expected = interquartile_mean(np.array([9.0, 10, 1, 2, 7, 8, 3, 4, 5, 6]), stream(0, "leaderboard"))
+    expected = interquartile_estimate(np.array([9.0, 10, 1, 2, 7, 8, 3, 4, 5, 6]), stream(0, "leaderboard"))
     assert raw["ci95_mm"] == list(expected.ci95)
     assert ls["mean_mm"] == pytest.approx(0.2) and still["mean_mm"] == pytest.approx(45.0)
     assert leaderboard_cells(raw) == [

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from pickenv.agents.evaluation.statistics import MANY
-from pickenv.intervals import LEAST, LEAST_RUNS
+from pickenv.intervals import LEAST, LEAST_RUNS, MANY
 from pickenv.orchard.gripper import capture_probability, load_gripper
 from tests.agents.synthetic import FRUIT, grid_of
 

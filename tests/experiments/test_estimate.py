@@ -1,0 +1,98 @@
+"""Numbers of rows with their intervals: what counts once, what is paired, and what is refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pickenv.experiments import Rows, estimate
+from pickenv.intervals import crossed_interval, mean_interval
+
+ARMS, FRUIT = 12, 5
+
+
+def errors(seed=0, trainings=1):
+    """Errors of arms, each with an own mean, and half as large behind a calibration."""
+    rng = np.random.default_rng(seed)
+    own = rng.lognormal(1.0, 0.5, (ARMS, trainings, 1))
+    raw = own * rng.lognormal(0.0, 0.1, (ARMS, trainings, FRUIT))
+    arm, training, fruit = np.indices(raw.shape)
+    columns = {"arm": arm, "training": training, "fruit": fruit}
+    parts = [
+        {"method": np.full(raw.size, name)}
+        | {key: values.ravel() for key, values in columns.items()}
+        | {"error_mm": (factor * raw).ravel(), "taken": (factor * raw < 2.0).ravel()}
+        for name, factor in (("raw", 1.0), ("ls", 0.5))
+    ]
+    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}, raw
+
+
+@given(seed=st.integers(0, 99))
+@settings(max_examples=15, deadline=None)
+def test_an_arm_counts_once_however_many_fruit_it_reached_for(seed):
+    columns, raw = errors(seed)
+    (first, _) = estimate(columns, "error_mm", by=("method",))
+    assert first["method"] == "raw"
+    assert first["estimate"].ci95 == pytest.approx(mean_interval(raw.mean(axis=(1, 2))))
+
+
+@given(order=st.integers(0, 99))
+@settings(max_examples=15, deadline=None)
+def test_the_order_of_rows_changes_nothing(order):
+    columns, _ = errors()
+    mixed = np.random.default_rng(order).permutation(len(columns["arm"]))
+    shuffled = {key: values[mixed] for key, values in columns.items()}
+    one, other = (
+        {row["method"]: row["estimate"] for row in estimate(some, "error_mm", by=("method",))}
+        for some in (columns, shuffled)
+    )
+    for name in one:
+        assert one[name].value == pytest.approx(other[name].value, rel=1e-12)
+
+
+def test_trainings_and_arms_are_two_crossed_factors():
+    columns, raw = errors(trainings=6)
+    (first, _) = estimate(columns, "error_mm", by=("method",), over=("arm", "training"))
+    assert first["estimate"].ci95 == pytest.approx(crossed_interval(raw.mean(axis=2)))
+
+
+def test_differences_are_paired_by_arm():
+    columns, raw = errors()
+    (change,) = estimate(columns, "error_mm", by=("method",), against={"method": "raw"})
+    assert change["method"] == "ls"
+    assert change["estimate"].value == pytest.approx(-0.5 * raw.mean())
+    assert change["estimate"].ci95 == pytest.approx(mean_interval(-0.5 * raw.mean(axis=(1, 2))))
+    assert change["estimate"].significant
+
+
+def test_a_function_of_several_columns_takes_one_row_per_arm():
+    columns, _ = errors()
+    columns["before"] = columns["error_mm"] * 2.0
+    (first, _) = estimate(
+        columns, ("error_mm", "before"), by=("method",), of=lambda table: 1.0 - table[:, 0].sum() / table[:, 1].sum()
+    )
+    assert first["estimate"].value == pytest.approx(0.5)
+
+
+def test_shares_and_quantiles_stay_within_what_can_be():
+    columns, _ = errors()
+    for row in estimate(columns, "taken", by=("method",), of="share"):
+        low, high = row["estimate"].ci95
+        assert 0.0 <= low <= row["estimate"].value <= high <= 1.0
+    for row in estimate(columns, "error_mm", by=("method",), of=0.5):
+        low, high = row["estimate"].ci95
+        assert low <= row["estimate"].value <= high
+
+
+def test_arms_that_were_not_measured_alike_are_refused():
+    columns, _ = errors()
+    lacking = {key: values[1:] for key, values in columns.items()}
+    with pytest.raises(ValueError, match="not every combination of arm"):
+        estimate(lacking, "error_mm", by=("method",))
+    with pytest.raises(ValueError, match="over one or two columns"):
+        estimate(columns, "error_mm", over=())
+
+
+def test_rows_of_an_experiment_are_columns():
+    columns, _ = errors()
+    assert estimate(Rows(columns).columns, "error_mm") == estimate(columns, "error_mm")
