@@ -320,13 +320,14 @@ def estimate(
         value: The column that the numbers are of; several for a function of them.
         by: Columns that name a number; one number for each combination of theirs, in the order of the rows.
         over: One or two columns of what was drawn, which the intervals are over; rows that agree in these are averaged.
-        of: "mean"; "share" of chances or successes; a probability, for that quantile over units; or a function of
-            the units' means ``(units, values)``, for a number such as a ratio.
+        of: "mean"; "share" of chances or successes, or of what two columns took and tried; "ratio" of two columns'
+            sums; a probability, for that quantile over units; or a function of the units' means ``(units, values)``.
         against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
         least: Fewest units for an interval of a mean.
 
     Returns:
-        For each combination the columns of ``by`` and "estimate", an `Estimate`.
+        For each combination the columns of ``by``; "estimate", an `Estimate`; and "units", the mean of each unit's
+        values ``(units,)``, which say how units differ, or None for a function of several columns.
 
     Raises:
         ValueError: If not every unit was measured equally often at a combination, or ``over`` names none or more than
@@ -348,7 +349,10 @@ def estimate(
             if cube.shape != cubes[base].shape and (*cube.shape[:2], 1, cube.shape[3]) != cubes[base].shape:
                 raise ValueError(f"{key} and {base} were not measured on the same {' and '.join(over)}")
             difference = cube if against is None else cube - cubes[base]
-            found.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(difference, of, least)})
+            units = difference[0].mean(axis=(1, 2)) if len(names) == 1 else None
+            found.append(
+                dict(zip(by, key, strict=True)) | {"estimate": _estimated(difference, of, least), "units": units}
+            )
     return found
 
 
@@ -369,13 +373,23 @@ def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequenc
 def _estimated(
     cube: NDArray[np.float64], of: str | float | Callable[[NDArray[np.float64]], Any], least: int
 ) -> Estimate:
-    if callable(of):
+    if callable(of) or len(cube) > 1:
         table = cube.mean(axis=(2, 3)).T
-        return Estimate(float(of(table)), statistic_interval(table, of), f"needs {LEAST} arms, or they are equal")
+        if of == "share":  # what was taken, of what was tried, with other numbers tried of each unit
+            taken, tried = table.T
+            return _with_reason(_ratio(table), clustered_share_interval(taken, tried), table)
+        function = of if callable(of) else _ratio
+        return _with_reason(float(function(table)), statistic_interval(table, function), table)
     (values,) = cube
     if of == "share":
         return share_estimate(values)
     return mean_estimate(values, least) if of == "mean" else quantile_estimate(values, float(of))
+
+
+def _ratio(table: NDArray[np.float64]) -> float:
+    """The ratio of the sums of two columns ``(units, 2)``."""
+    over, under = table.sum(axis=0)
+    return float(over / max(under, 1e-12))
 
 
 def mean_estimate(values: NDArray[np.float64], least: int = LEAST) -> Estimate:

@@ -54,6 +54,8 @@ def experiment(
     def show() -> None:
         print(found.title)
         for number, made in zip(found.numbers, tables, strict=True):
+            if not made["rows"]:
+                continue
             heads, cells = table_of(number, made["rows"])
             print_table(made["title"], heads, cells, words=number.by)
 
