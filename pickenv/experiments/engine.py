@@ -33,7 +33,7 @@ from pickenv.container import refusing_damage
 from pickenv.errors import InputError
 from pickenv.extras import require
 from pickenv.files import write_text, write_whole
-from pickenv.locks import locked
+from pickenv.locks import FILE, locked
 from pickenv.provenance import code_fingerprint, versions
 from pickenv.sealed import check_sealed_parquet, parquet_is_sealed, sealed_parquet
 from pickenv.threads import single_threaded
@@ -265,7 +265,7 @@ def keep(
         todo = []
         for number, (file, key) in enumerate(zip(files, keys, strict=True)):
             if file.is_file() and parquet_is_sealed(file.read_bytes()):
-                read_piece(file, key)
+                _piece_table(file, key)
                 continue
             if file.is_file() and warn is not None:
                 warn(f"{file} is damaged and is made anew")
@@ -294,9 +294,19 @@ def kept_rows(folder: str | Path) -> Rows:
     Raises:
         InputError: If there is no such run, it is not complete, or a file is damaged or was edited.
     """
+    return joined([Rows.of_arrow(table) for _, table in kept_tables(folder)])
+
+
+def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
+    """The pieces of an experiment's last run one by one, each verified; memory holds one.
+
+    Raises:
+        InputError: As `kept_rows`.
+    """
     folder = Path(folder)
     record = _read_record(folder / RECORD)
-    return joined([read_piece(folder / name, record.pieces[name]) for name in record.last])
+    for name in record.last:
+        yield folder / name, _piece_table(folder / name, record.pieces[name])
 
 
 @dataclass(frozen=True)
@@ -351,8 +361,8 @@ def _write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
     write_whole(path, lambda temporary: temporary.write_bytes(content))
 
 
-def read_piece(path: Path, key: str) -> Rows:
-    """The rows of one piece.
+def _piece_table(path: Path, key: str) -> pa.Table:
+    """The rows of one piece as a table.
 
     Raises:
         InputError: If the file is missing or damaged, or is another piece than its name says.
@@ -369,7 +379,7 @@ def read_piece(path: Path, key: str) -> Rows:
     said = (table.schema.metadata or {}).get(b"pickenv.key", b"").decode()
     if said != key:
         raise InputError(f"{path} holds another piece than its name says (key {said[:12]}); {AGAIN}")
-    return Rows.of_arrow(table)
+    return table
 
 
 def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
@@ -386,14 +396,16 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     except InputError as error:
         return [(record, str(error))]
     found: list[tuple[Path, str | None]] = [(record, None)]
-    there = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
-    for name in sorted({*pieces, *there} - {RECORD}):
+    there = {path.name for path in folder.iterdir()} - {RECORD, FILE}
+    for name in sorted({*pieces, *there}):
         path, reason = folder / name, None
         if name not in pieces:
             reason = f"{path} is no piece of this experiment; take it out of the folder"
+            if name.startswith("."):
+                reason = f"{path} was left behind by an interrupted write; delete it"
         else:
             try:
-                read_piece(path, pieces[name])
+                _piece_table(path, pieces[name])
             except InputError as error:
                 reason = str(error)
         found.append((path, reason))
