@@ -15,6 +15,7 @@ import json
 import logging
 import os
 import re
+import secrets
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -456,11 +457,10 @@ def spread(
         return
     require("joblib")
     from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
     from joblib.parallel import get_active_backend
 
     left = list(numbers)
-    with _working_on(backend, workers):
+    with _working_on(backend, workers) as deaths:
         for _ in range(ATTEMPTS):
             streams = get_active_backend()[0].supports_return_generator
             parallel = Parallel(
@@ -475,7 +475,7 @@ def spread(
                         left.remove(number)
                         yield number, result
                 return
-            except TerminatedWorkerError:
+            except deaths:
                 continue
     raise InputError(
         f"the processes that worked on piece {left[0]} died {ATTEMPTS} times ({len(left)} are left); give fewer "
@@ -484,22 +484,14 @@ def spread(
 
 
 @contextmanager
-def _working_on(backend: str, workers: int | None) -> Iterator[None]:
-    """The context in which joblib works on a backend; a cluster of Ray is found as Ray finds one (RAY_ADDRESS)."""
+def _working_on(backend: str, workers: int | None) -> Iterator[tuple[type[Exception], ...]]:
+    """The context in which joblib works on a backend; gives the errors that mean that a process died."""
     from joblib import parallel_config
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+    deaths: tuple[type[Exception], ...] = (TerminatedWorkerError,)
     if backend == "ray":
-        require("ray")
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        import ray
-        from ray.util.joblib import register_ray
-
-        register_ray()  # type: ignore[no-untyped-call]
-        if not ray.is_initialized() and "RAY_ADDRESS" not in os.environ:  # one of this machine, which nobody else hears
-            ray.init(
-                num_cpus=workers, include_dashboard=False, log_to_driver=False, _node_ip_address="127.0.0.1",
-                logging_level=logging.ERROR,
-            )  # fmt: skip
+        deaths += (_joined_ray(workers).exceptions.RayError,)
     try:
         context = parallel_config(backend=backend)
     except (ValueError, ImportError) as error:
@@ -508,10 +500,41 @@ def _working_on(backend: str, workers: int | None) -> Iterator[None]:
         ) from error
     try:
         with context:
-            yield
+            yield deaths
     finally:
         if backend == "ray":
+            import ray
+
             ray.shutdown()
+
+
+ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_AUTH_MODE": "token"}
+"""Environment of a cluster of one's own: on loopback (on Linux, too, Ray takes it then), and with a token for work."""
+
+
+def _joined_ray(workers: int | None) -> Any:
+    """Ray, connected to the cluster at RAY_ADDRESS, or to one of this machine that takes work from nobody else."""
+    require("ray")
+    address, options = os.environ.get("RAY_ADDRESS"), dict[str, Any]()
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    if address is None:
+        os.environ.update(ALONE | {"RAY_AUTH_TOKEN": secrets.token_hex(32)})  # read as Ray is imported
+        options = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+    import ray
+    from ray.util.joblib import register_ray
+
+    register_ray()  # type: ignore[no-untyped-call]
+    try:
+        if not ray.is_initialized():
+            ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+    except Exception as error:  # Ray raises many kinds here, the bare one among them
+        ray.shutdown()
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0].partition(". ")[0].rstrip(".")
+        raise InputError(
+            f"Ray cannot be used at {address or 'this machine'}: {reason}; RAY_ADDRESS must name a cluster that runs "
+            "Ray and Python of these versions, RAY_AUTH_MODE must be as on it, and the machine not too busy"
+        ) from error
+    return ray
 
 
 def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any]:
