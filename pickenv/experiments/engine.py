@@ -262,7 +262,7 @@ def keep(
             folder / f"{experiment.name}_{piece.label}_{key[:16]}.parquet"
             for piece, key in zip(pieces, keys, strict=True)
         ]
-        _write_record(folder, {file.name: key for file, key in zip(files, keys, strict=True)})
+        _write_record(folder, {file.name: key for file, key in zip(files, keys, strict=True)}, warn)
         todo = []
         for number, (file, key) in enumerate(zip(files, keys, strict=True)):
             if file.is_file() and parquet_is_sealed(file.read_bytes()):
@@ -330,10 +330,14 @@ class _Record:
         return json.dumps(content | {"sha256": own}, indent=2) + "\n"
 
 
-def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
+def _write_record(folder: Path, pieces: Mapping[str, str], warn: Callable[[str], None] | None) -> None:
     """Say what the folder holds: these pieces, and those of other runs that it held before."""
-    path = folder / RECORD
-    before = _read_record(path).pieces if path.is_file() else {}
+    path, before = folder / RECORD, dict[str, str]()
+    try:
+        before |= _read_record(path).pieces if path.is_file() else {}
+    except InputError:
+        if warn is not None:
+            warn(f"{path} is damaged and is made anew")
     there = {name: key for name, key in before.items() if (folder / name).is_file()}
     write_text(path, _Record({**there, **pieces}, list(pieces), versions("pyarrow")).text())
 
