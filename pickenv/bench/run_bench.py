@@ -23,9 +23,9 @@ from pickenv.bench.real_sets import SETS, learnable
 from pickenv.bench.spread_rows import SPREAD, spread_figures
 from pickenv.calibration.model.observations import same_poses
 from pickenv.errors import InputError
+from pickenv.experiments.engine import spread
 from pickenv.files import write_json
 from pickenv.provenance import code_fingerprint
-from pickenv.study.running.runners import Crew, run_joblib, run_serial
 
 PEER_SET = "ur5"
 """The set that peers are judged on."""
@@ -140,9 +140,8 @@ def run_bench(
     done = len(parts) - len(todo)
     if progress is not None:
         progress(done, len(parts))
-    run = run_serial if workers == 1 else run_joblib
     work = partial(_nth_part, todo, settings, data, peers)
-    for number, found in run(range(len(todo)), work, Crew(workers)):
+    for number, found in spread(work, range(len(todo)), "serial" if workers == 1 else "loky", workers):
         if "reason" in found:  # may be mended by the next run, so it is not kept
             skipped[todo[number].row] = found["reason"]
         else:
