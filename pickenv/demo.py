@@ -208,7 +208,10 @@ def _reaches(
     settings: DemoSettings, compensators: dict[str, Compensator | None], report: Progress
 ) -> dict[str, Reaches]:
     """The ends of the same reaches under every policy."""
-    tolerances = {"tolerance_mm": settings.tolerance_mm, "angle_tolerance_deg": settings.attitude_tolerance_deg}
+    tolerances: dict[str, Any] = {
+        "tolerance_mm": settings.tolerance_mm,
+        "angle_tolerance_deg": settings.attitude_tolerance_deg,
+    }
     envs: dict[str, Any] = {}
     for key, compensator in compensators.items():
         env = gym.make("pickenv/Reach-v0", plant=settings.plant, **tolerances)
