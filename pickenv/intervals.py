@@ -311,6 +311,7 @@ def estimate(
     over: Sequence[str] = ("arm",),
     of: str | float | Callable[[NDArray[np.float64]], Any] = "mean",
     against: Mapping[str, Any] | None = None,
+    least: int = LEAST,
 ) -> list[dict[str, Any]]:
     """Numbers with their intervals, of rows.
 
@@ -322,6 +323,7 @@ def estimate(
         of: "mean"; "share" of chances or successes; a probability, for that quantile over units; or a function of
             the units' means ``(units, values)``, for a number such as a ratio.
         against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
+        least: Fewest units for an interval of a mean.
 
     Returns:
         For each combination the columns of ``by`` and "estimate", an `Estimate`.
@@ -343,10 +345,10 @@ def estimate(
     for key, cube in cubes.items():
         base = key if against is None else tuple(against.get(n, own) for n, own in zip(by, key, strict=True))
         if against is None or (base != key and base in cubes):
-            if cube.shape != cubes[base].shape:
+            if cube.shape != cubes[base].shape and (*cube.shape[:2], 1, cube.shape[3]) != cubes[base].shape:
                 raise ValueError(f"{key} and {base} were not measured on the same {' and '.join(over)}")
             difference = cube if against is None else cube - cubes[base]
-            found.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(difference, of)})
+            found.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(difference, of, least)})
     return found
 
 
@@ -364,20 +366,23 @@ def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequenc
     return np.stack(values)
 
 
-def _estimated(cube: NDArray[np.float64], of: str | float | Callable[[NDArray[np.float64]], Any]) -> Estimate:
+def _estimated(
+    cube: NDArray[np.float64], of: str | float | Callable[[NDArray[np.float64]], Any], least: int
+) -> Estimate:
     if callable(of):
         table = cube.mean(axis=(2, 3)).T
         return Estimate(float(of(table)), statistic_interval(table, of), f"needs {LEAST} arms, or they are equal")
     (values,) = cube
     if of == "share":
         return share_estimate(values)
-    return mean_estimate(values) if of == "mean" else quantile_estimate(values, float(of))
+    return mean_estimate(values, least) if of == "mean" else quantile_estimate(values, float(of))
 
 
-def mean_estimate(values: NDArray[np.float64]) -> Estimate:
-    """Mean of values ``(arms, trainings, fruit)``."""
+def mean_estimate(values: NDArray[np.float64], least: int = LEAST) -> Estimate:
+    """Mean of values ``(arms, trainings, fruit)``; fewer arms than ``least`` have no interval."""
     each = values.mean(axis=2)
-    return _with_reason(float(each.mean()), _mean_ends(each), each)
+    ends = mean_interval(each[:, 0], least) if each.shape[1] == 1 else crossed_interval(each)
+    return _with_reason(float(each.mean()), ends, each, least)
 
 
 def quantile_estimate(values: NDArray[np.float64], probability: float) -> Estimate:
@@ -426,16 +431,12 @@ def interquartile_estimate(values: NDArray[np.float64], sequence: np.random.Seed
     return Estimate(found, (float(low), float(high)))
 
 
-def _mean_ends(each: NDArray[np.float64]) -> Ends | None:
-    return mean_interval(each[:, 0]) if each.shape[1] == 1 else crossed_interval(each)
-
-
-def _with_reason(value: float, ends: Ends | None, each: NDArray[np.float64]) -> Estimate:
+def _with_reason(value: float, ends: Ends | None, each: NDArray[np.float64], least: int = LEAST) -> Estimate:
     arms, trainings = each.shape
     if ends is not None:
         return Estimate(value, ends)
-    if arms < LEAST:
-        return Estimate(value, None, f"needs {LEAST} arms")
+    if arms < least:
+        return Estimate(value, None, f"needs {least} arms")
     if 1 < trainings < LEAST_RUNS:
         return Estimate(value, None, f"needs {LEAST_RUNS} trainings")
     return Estimate(value, None, "all arms are equal")

@@ -449,6 +449,20 @@ def _array_of(column: Any) -> NDArray[Any]:
     return values
 
 
+def write_rows(path: Path, rows: Rows) -> Path:
+    """Write rows as .csv or .parquet, whole or not at all.
+
+    Raises:
+        InputError: If the suffix is another.
+    """
+    if path.suffix not in (".csv", ".parquet"):
+        raise InputError(f"cannot write {path}: give a file name that ends in .csv or .parquet")
+    require("pandas", *(["pyarrow"] if path.suffix == ".parquet" else []))
+    table = rows.pandas()
+    write = partial(table.to_csv, index=False) if path.suffix == ".csv" else partial(table.to_parquet, index=False)
+    return write_whole(path, write)
+
+
 # Who computes.
 
 

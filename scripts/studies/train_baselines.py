@@ -1,4 +1,4 @@
-"""Train, judge and ship the learned baselines: `python scripts/policies/train_baselines.py` writes the baselines again.
+"""Train, judge and ship the learned baselines: `python scripts/studies/train_baselines.py` writes the baselines again.
 
 Five seeds each; the first is shipped. Judged on arms that no training saw, with calibrations of their own. Options:
 `--out FOLDER` for the runs, `--only NAME`, `--seeds N`, and `--cards` to judge the shipped policies as they are.
@@ -150,7 +150,7 @@ def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[
             "Trained for one arm's nominal geometry; it refuses other arms.",
             "No obstacles, no joint torques, one fruit at a time; a simulated arm, never a real one.",
             "",
-            f"Judged by `python scripts/policies/train_baselines.py --cards --compensations {names}`; trained by it "
+            f"Judged by `python scripts/studies/train_baselines.py --cards --compensations {names}`; trained by it "
             "without --cards.",
             "",
         ]
