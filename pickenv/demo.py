@@ -6,8 +6,8 @@ seeded fruit raw, with least squares (LS) and with least squares and network (LS
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +15,8 @@ import gymnasium as gym
 import numpy as np
 
 import pickenv
-from pickenv.agents import Reaches, ScriptedReach, episode_seeds, run_reaches
-from pickenv.agents.evaluation.blocked_gain import (
-    FIELD,
-    ROWS,
-    BlockedGain,
-    blocked_gain,
-    grid_joints,
-    measured_gains,
-)
+from pickenv.agents import Reaches, ScriptedReach, episode_seeds
+from pickenv.agents.evaluation.reaches import moments_of
 from pickenv.arm import forward, load_plant, noncompensable_error, pose_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
@@ -37,14 +30,23 @@ from pickenv.calibration import (
     error_statistics,
     fit,
     held_out_r2,
-    random_joints,
-    simulated_tracker,
+)
+from pickenv.experiments.engine import Experiment, Progress, run
+from pickenv.experiments.gains import (
+    FIELD,
+    ROWS,
+    BlockedGain,
+    blocked_gains,
+    grid_joints,
+    measured_gains,
+    random_sets,
 )
 from pickenv.extras import absent_extras
 from pickenv.files import write_json, write_text
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison_summary import Comparison, compared, policy_errors
+from pickenv.inspect.runs.episode_summary import reaches_of
 from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, recorded_run, save_part
@@ -54,9 +56,6 @@ from pickenv.wrappers import CompensationWrapper
 
 OTHER = "orchard"
 """The plant with every effect, on which the demonstration shows what the same calibration is worth for picks."""
-
-Progress = Callable[[str, int, int], None]
-"""Called with (stage, done, in all)."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class DemoResult:
     test_errors: dict[str, Array]
     reaches: dict[str, Reaches]
     comparison: Comparison
-    gains: tuple[BlockedGain, ...]
+    gains: list[BlockedGain]
     cases: dict[str, list[PickChange]]
 
 
@@ -151,14 +150,9 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     """
     report = progress or (lambda stage, done, total: None)
     plant = load_plant(settings.plant)
-    poses_rng, network_rng, *gain_rngs, case_rng = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(6)
-    )
-    nominal = plant.arm.nominal
+    of_poses, of_network, of_grid, *of_gains, of_case = np.random.SeedSequence(settings.seed).spawn(6)
     counts = (settings.identification_poses, settings.network_poses, settings.test_poses)
-    identification, network, test = (
-        simulated_tracker(plant, random_joints(nominal, count, poses_rng), poses_rng) for count in counts
-    )
+    identification, network, test = random_sets(plant, counts, np.random.default_rng(of_poses))
     report("measuring", 1, 1)
     result = calibrate(
         plant.arm,
@@ -172,7 +166,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
             learn_from=network if settings.network else None,
             settings=BpnnSettings(epochs=settings.epochs),
         ),
-        rng=network_rng,
+        rng=np.random.default_rng(of_network),
         progress=report,
     )
     calibration, r2 = result.calibration, None
@@ -183,29 +177,16 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     if calibration.learnt is not None:
         compensators["ls_bpnn"] = calibration.compensator()
         r2 = held_out_r2(test.difference(calibration.identified), calibration.learnt.predict(test.joints))
-    seeds = episode_seeds(settings.seed, settings.reaches)
-    reaches = {}
-    for key, compensator in compensators.items():
-        env: gym.Env[Any, Any] = gym.make(
-            "pickenv/Reach-v0",
-            plant=settings.plant,
-            tolerance_mm=settings.tolerance_mm,
-            angle_tolerance_deg=settings.attitude_tolerance_deg,
-        )
-        if compensator is not None:
-            env = CompensationWrapper(env, compensator)
-        stage = f"reaching, {policy_label(key)}"
-        reaches[key] = run_reaches(env, ScriptedReach(env), seeds, lambda done, s=stage: report(s, done, len(seeds)))  # type: ignore[misc]
-        env.close()
+    reaches = _reaches(settings, compensators, report)
     gains: list[BlockedGain] = []
     if settings.gain_poses and settings.network:
-        joints = grid_joints(nominal, settings.gain_poses, gain_rngs[0])
-        for each, rng in zip((plant, load_plant(FIELD)), gain_rngs[1:], strict=True):
-            gains.append(blocked_gain(each, joints, rng))
-            report("gains on blocks held out", len(gains), 2)
+        joints = grid_joints(plant.arm.nominal, settings.gain_poses, np.random.default_rng(of_grid))
+        designs = dict(zip((settings.plant, FIELD), of_gains, strict=True))
+        gains = blocked_gains(designs, joints, progress=report)
     comparison = _comparison(settings, plant, result, compensators, reaches)
     lateral = [held.lateral_mm for held in gripped(comparison).values()]
-    cases = {plant.name: pick_changes(lateral[0], lateral[-1]), OTHER: _other_case(settings, case_rng)}
+    cases = {plant.name: pick_changes(lateral[0], lateral[-1])}
+    cases[OTHER] = _other_case(settings, np.random.default_rng(of_case))
     test_errors = {key: _errors(plant, test.joints, compensator) for key, compensator in compensators.items()}
     return DemoResult(
         settings=settings,
@@ -218,9 +199,33 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         test_errors=test_errors,
         reaches=reaches,
         comparison=comparison,
-        gains=tuple(gains),
+        gains=gains,
         cases=cases,
     )
+
+
+def _reaches(
+    settings: DemoSettings, compensators: dict[str, Compensator | None], report: Progress
+) -> dict[str, Reaches]:
+    """The ends of the same reaches under every policy."""
+    tolerances: dict[str, Any] = {
+        "tolerance_mm": settings.tolerance_mm,
+        "angle_tolerance_deg": settings.attitude_tolerance_deg,
+    }
+    envs: dict[str, Any] = {}
+    for key, compensator in compensators.items():
+        env = gym.make("pickenv/Reach-v0", plant=settings.plant, **tolerances)
+        envs[key] = env if compensator is None else CompensationWrapper(env, compensator)
+    seeds, reach = episode_seeds(settings.seed, settings.reaches), partial(_reach, envs=envs)
+    rows = run(Experiment("reaching", {"episode": seeds}, {"policy": list(envs)}, reach), progress=report)
+    geometry = envs["raw"].unwrapped.plant.geometry
+    return {key: reaches_of(geometry, seeds, rows.where(policy=key).columns) for key in envs}
+
+
+def _reach(rng: np.random.Generator, policy: str, episode: int, envs: dict[str, Any]) -> dict[str, Array]:
+    """What is known at the end of one reach."""
+    *_, last = moments_of(envs[policy], ScriptedReach(envs[policy]), episode)
+    return {name: np.asarray(value)[None] for name, value in last.info.items()}
 
 
 def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Array:
@@ -233,7 +238,7 @@ def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[PickCh
     """What least squares do to picks on the plant `OTHER`, over a field of upright tool poses at rest."""
     plant = load_plant(OTHER)
     nominal = plant.arm.nominal
-    poses = simulated_tracker(plant, random_joints(nominal, settings.identification_poses, rng), rng)
+    (poses,) = random_sets(plant, (settings.identification_poses,), rng)
     compensator = fit(plant.arm, poses, known_frames=True).calibration.compensator(with_residual=False)
     joints = field_grid(nominal, settings.grid_step, settings.seed).joints
     wanted = forward(nominal, joints)
@@ -256,8 +261,8 @@ def _comparison(
     grid = field_grid(plant.arm.nominal, settings.grid_step, settings.seed)
     policies = []
     for key, compensator in compensators.items():
-        run, field = reaches[key], _errors(plant, grid.joints, compensator)
-        ends = (run.joint_command, run.tool_position, run.pose_error, run.success)
+        reach, field = reaches[key], _errors(plant, grid.joints, compensator)
+        ends = (reach.joint_command, reach.tool_position, reach.pose_error, reach.success)
         policies.append(policy_errors(policy_label(key), field, *ends, key=key))
     return compared(
         plant,
@@ -275,10 +280,10 @@ def summarise(result: DemoResult) -> dict[str, Any]:
     """The machine-readable summary: `summary.json`."""
     found = result.calibrated.fit.identification.identifiability
     policies = {}
-    for key, run in result.reaches.items():
-        policies[key] = _figures(run.pose_error, run.noncompensable)
-        policies[key]["success_rate"] = float(run.success.mean())
-        policies[key]["success_ci95"] = share_interval(int(run.success.sum()), len(run.success))
+    for key, ends in result.reaches.items():
+        policies[key] = _figures(ends.pose_error, ends.noncompensable)
+        policies[key]["success_rate"] = float(ends.success.mean())
+        policies[key]["success_ci95"] = share_interval(int(ends.success.sum()), len(ends.success))
     joints, geometry = result.test.joints, result.plant.geometry
     test = {key: _figures(e, noncompensable_error(geometry, joints, e)) for key, e in result.test_errors.items()}
     axes = ("x", "y", "z", "rx", "ry", "rz")

@@ -36,10 +36,10 @@ def conditions(
     out: Annotated[Path | None, typer.Option(help="Run folder with figure and page.")] = None,
 ) -> None:
     """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves."""
-    from pickenv.agents.evaluation.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
     from pickenv.arm import load_plant
     from pickenv.calibration import Calibration
     from pickenv.commands.showing import print_table, progress_bars
+    from pickenv.experiments.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
     numbers = {"--payload": (payload, "payload_kg"), "--hours": (hours, "hours"), "--arms": (arms, "arms")}

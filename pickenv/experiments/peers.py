@@ -183,29 +183,19 @@ def last_words(text: str) -> str:
     return (errors or lines or ["without a word"])[-1]
 
 
-def judged_pickenv(data: Path) -> dict[str, Any]:
-    """Errors of our own least squares on the same rows, mm."""
-    task = read_peer_task(data, 0)
-    return {**accuracy_on(solved_here(task)[1], task), "nominal": left_by_nominal(task), "note": "least squares"}
+def judged_peer(peer: Peer | None, data: Path, folder: Path) -> dict[str, Any]:
+    """Errors of a peer, or of our own least squares where it is None, on the same rows, mm.
 
-
-def judged_peer(peer: Peer, data: Path, folder: Path) -> dict[str, Any]:
-    """Errors of a peer, mm.
+    "nominal" are those with base and tool fitted alone.
 
     Raises:
-        InputError: If it is not installed, fails, or takes too long.
+        InputError: If the data are missing, or the peer is not installed, fails, or takes too long.
     """
-    task = read_peer_task(data, 0).first(peer.poses)
-    found = run_peer(peer, task, solved_here(task)[0], folder)
-    return {**found, "nominal": left_by_nominal(task)}
-
-
-def solved_here(task: PeerTask) -> tuple[Geometry, Geometry]:
-    """The arm with base and tool fitted, and with all of its geometry."""
-    aligned = align(task.nominal, task.train, frames_model(task.nominal))
-    return aligned.geometry, identify(complete_model(task.nominal), aligned.geometry, task.train).geometry
-
-
-def left_by_nominal(task: PeerTask) -> dict[str, float]:
-    """Errors with base and tool fitted alone, mm."""
-    return accuracy_on(solved_here(task)[0], task)
+    task = read_peer_task(data, 0).first(None if peer is None else peer.poses)
+    start = align(task.nominal, task.train, frames_model(task.nominal)).geometry
+    if peer is None:
+        fitted = identify(complete_model(task.nominal), start, task.train).geometry
+        errors: dict[str, Any] = {**accuracy_on(fitted, task), "note": "least squares"}
+    else:
+        errors = run_peer(peer, task, start, folder)
+    return {**errors, "nominal": accuracy_on(start, task)}

@@ -9,8 +9,9 @@ The arm is moved to every pose from another one and held for a minute, so fricti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,8 +29,9 @@ from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, M
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, require_residual
 from pickenv.errors import InputError
+from pickenv.experiments.engine import Experiment, Progress, Rows, joined, run
 from pickenv.inspect.reports.conditions_report import HELD_OUT
-from pickenv.intervals import LEAST, mean_interval
+from pickenv.intervals import LEAST, estimate
 
 HELD = 60.0
 """s for which the arm is held before it is measured."""
@@ -232,34 +234,54 @@ def state_at(condition: str, level: float, count: int) -> State:
 
 def judged_on(
     plant: Plant, believed: Mapping[str, Believed] | Calibration, settings: ConditionsSettings, rng: np.random.Generator
-) -> dict[str, dict[str, list[Array]]]:
-    """What is left at new poses under held-out conditions, mm: by sweep, method and level ``(poses,)``."""
-    found: dict[str, dict[str, list[Array]]] = {}
-
-    def judge(sweep: str, state: State) -> None:
+) -> Rows:
+    """What is left at new poses under held-out conditions: a row for each sweep, level, method and pose."""
+    levels, each = levels_of(settings.ranges), 2 * settings.poses
+    states = [(name, k, state_at(name, level, each)) for name in levels for k, level in enumerate(levels[name])]
+    parts = []
+    for sweep, level, state in [*states, (HELD_OUT, 0, None)]:
+        state = state or State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
         data = measured_under(plant, state, rng)
         if isinstance(believed, Calibration):
             errors = {
                 "raw": Believed(ArmModel.of(plant.arm.nominal)).errors_mm(data, state),
-                "this calibration": 1e3 * np.linalg.norm(believed.errors(data)[:, :3], axis=1),
+                "this calibration": np.asarray(1e3 * np.linalg.norm(believed.errors(data)[:, :3], axis=1)),
             }
         else:
-            errors = {name: each.errors_mm(data, state) for name, each in believed.items()}
-        for name, values in errors.items():
-            found.setdefault(sweep, {}).setdefault(name, []).append(np.asarray(values))
+            errors = {name: model.errors_mm(data, state) for name, model in believed.items()}
+        for method, values in errors.items():
+            place = {"sweep": sweep, "level": level, "method": method}
+            columns = {name: np.full(len(values), value) for name, value in place.items()}
+            parts.append(Rows(columns | {"pose": np.arange(len(values)), "error_mm": values}))
+    return joined(parts)
 
-    for condition, levels in levels_of(settings.ranges).items():
-        for level in levels:
-            judge(condition, state_at(condition, float(level), 2 * settings.poses))
-    judge(HELD_OUT, State.drawn(settings.ranges, settings.sessions, settings.poses, rng))
-    return found
+
+def judged_arm(rng: np.random.Generator, arm: int, drawn: Plant, settings: ConditionsSettings) -> Rows:
+    """One arm of those drawn, calibrated in every way and judged.
+
+    Args:
+        rng: Not used: every arm has the stream of the study's seed and its number.
+        arm: Its number.
+        drawn: The arms.
+        settings: What is measured.
+    """
+    own = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(1 + arm,)))
+    plant = plant_at(drawn, arm)
+    return judged_on(plant, calibrated(plant, settings, own), settings, own)
+
+
+def judged_calibration(
+    rng: np.random.Generator, arm: int, plant: Plant, calibration: Calibration, settings: ConditionsSettings
+) -> Rows:
+    """A calibration, judged on its own arm."""
+    return judged_on(plant, calibration, settings, np.random.default_rng(np.random.SeedSequence(settings.seed)))
 
 
 def conditions_study(
     plant: Plant,
     settings: ConditionsSettings,
     calibration: Calibration | None = None,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> dict[str, Any]:
     """How accuracy changes with payload, temperature and hour, as numbers for table, figure and page.
 
@@ -283,32 +305,22 @@ def conditions_study(
             "a [load]"
         )
     require_residual(settings.residual)
-    heated, seed = warming(plant), np.random.SeedSequence(settings.seed)
+    heated, arms, over = warming(plant), 1, "pose"
     if calibration is None:
-        of_draws, *of_arms = seed.spawn(1 + settings.arms)
-        drawn = draw_plants(
-            heated, load_tolerances(settings.tolerances), settings.arms, np.random.default_rng(of_draws)
-        )
-        by_arm = []
-        for i, own in enumerate(of_arms):
-            rng, arm = np.random.default_rng(own), plant_at(drawn, i)
-            by_arm.append(judged_on(arm, calibrated(arm, settings, rng), settings, rng))
-            if progress is not None:
-                progress("arms", i + 1, settings.arms)
-        values = _over_arms(by_arm)
+        arms, over = settings.arms, "arm"
+        of_draws = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(0,)))
+        drawn = draw_plants(heated, load_tolerances(settings.tolerances), arms, of_draws)
+        measure = partial(judged_arm, drawn=drawn, settings=settings)
     else:
         calibration.refuse_another(plant.arm)
-        values = judged_on(heated, calibration, settings, np.random.default_rng(seed))
-        if progress is not None:
-            progress("arms", 1, 1)
-    levels = {name: each.tolist() for name, each in levels_of(settings.ranges).items()} | {HELD_OUT: [0.0]}
-    sweeps = {
-        sweep: {
-            "levels": levels[sweep],
-            "methods": {name: [_figure(each) for each in by_level] for name, by_level in methods.items()},
-        }
-        for sweep, methods in values.items()
-    }
+        measure = partial(judged_calibration, plant=heated, calibration=calibration, settings=settings)
+    rows = run(Experiment("arms", {"arm": range(arms)}, {}, measure, settings.seed), progress=progress)
+    levels = {name: values.tolist() for name, values in levels_of(settings.ranges).items()} | {HELD_OUT: [0.0]}
+    sweeps: dict[str, Any] = {name: {"levels": levels[name], "methods": {}} for name in levels}
+    for number in estimate(rows.columns, "error_mm", by=("sweep", "method", "level"), over=(over,)):
+        mean = number["estimate"]
+        by_level = sweeps[number["sweep"]]["methods"].setdefault(number["method"], [])
+        by_level.append({"mean_mm": mean.value, "ci95_mm": mean.ci95})
     return {
         "plant": plant.name,
         "simulated": True,
@@ -320,19 +332,3 @@ def conditions_study(
         else f"none: {settings.arms} of at least {LEAST} arms",
         "sweeps": sweeps,
     }
-
-
-def _over_arms(by_arm: list[dict[str, dict[str, list[Array]]]]) -> dict[str, dict[str, list[Array]]]:
-    """The same with one mean per arm ``(arms,)`` in place of poses."""
-    first = by_arm[0]
-    return {
-        sweep: {
-            name: [np.array([arm[sweep][name][k].mean() for arm in by_arm]) for k in range(len(by_level))]
-            for name, by_level in methods.items()
-        }
-        for sweep, methods in first.items()
-    }
-
-
-def _figure(values: Array) -> dict[str, Any]:
-    return {"mean_mm": float(values.mean()), "ci95_mm": mean_interval(values)}
