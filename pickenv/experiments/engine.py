@@ -295,7 +295,7 @@ def keep(
             if progress is not None:
                 progress(experiment.name, done, len(pieces))
         if len(kept) < len(pieces):
-            _write_record(folder, {files[number].name: keys[number] for number in kept})
+            _write_record(folder, {files[number].name: keys[number] for number in kept}, warn)
     return [files[number] for number in kept]
 
 

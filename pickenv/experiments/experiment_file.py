@@ -36,7 +36,7 @@ from pickenv.experiments.engine import Experiment, Rows
 from pickenv.intervals import LEAST, Estimate, estimate
 from pickenv.provenance import file_sha256
 from pickenv.texts import listed
-from pickenv.toml_tables import WHOLE, Check, made, toml_of, toml_table
+from pickenv.toml_tables import WHOLE, Check, Unit, made, toml_of, toml_table
 
 WORD = Check(lambda value: isinstance(value, str) and value != "", "a text")
 NAMES = Check(
@@ -47,11 +47,14 @@ LEVELS = Check(
     lambda value: isinstance(value, dict) and all(isinstance(each, int | list) for each in value.values()),
     "a table of names, each with a list of levels, or with a number for 0, 1, … below it",
 )
+STATISTICS = ("mean", "share", "ratio", "removed")
 STATISTIC = Check(
     lambda value: (
-        value in ("mean", "share", "ratio") or _is_named(value) or (isinstance(value, float) and 0.0 < value < 1.0)
+        value in ("mean", "share", "ratio", "removed")
+        or _is_named(value)
+        or (isinstance(value, float) and 0.0 < value < 1.0)
     ),
-    '"mean", "share", "ratio", a probability for that quantile over units, or "file.py:function" of units\' means',
+    f'one of {", ".join(STATISTICS)}, a probability for that quantile over units, or "file.py:function" of their means',
 )
 
 
@@ -75,10 +78,16 @@ class Number:
         against: Levels that the others are compared with, pair by pair.
         where: Levels of the rows that count.
         across: The column of ``by`` whose levels stand side by side; all in lines when left out.
+        margin: Differences whose whole interval lies within it "carry over"; a verdict stands beside each where given.
         least: Fewest units for an interval of a mean, where they are runs whose means are nearly normal.
         spread: Whether the standard deviation and the range of the units' means are shown beside each number.
         digits: After the point.
         scale: Factor on what is shown, such as 100 for percent.
+        exp: Whether what is shown is the exponential, of a function that gives a logarithm.
+        figure: Name of its figure; none when left out.
+        x: The column of ``by`` that lines are drawn along in the figure; whiskers when left out.
+        panels: The column of ``by`` whose levels have a panel each.
+        log: Whether the figure's axis of numbers is logarithmic.
     """
 
     _: KW_ONLY
@@ -92,8 +101,14 @@ class Number:
     across: Annotated[str, WORD] | None = None
     least: Annotated[int, WHOLE.at_least(2)] = LEAST
     spread: bool = False
+    margin: Annotated[float, Unit().positive] | None = None
     digits: Annotated[int, WHOLE.within(0, 9)] = 2
     scale: float = 1.0
+    exp: bool = False
+    figure: Annotated[str, WORD] | None = None
+    x: Annotated[str, WORD] | None = None
+    panels: Annotated[str, WORD] | None = None
+    log: bool = False
 
 
 @toml_table
@@ -150,6 +165,8 @@ class ExperimentFile:
                 raise InputError(f"{self.path}: no column {error} for '{number.title}'; there are {columns}") from error
             except ValueError as error:
                 raise InputError(f"{self.path}: '{number.title}': {error}") from error
+            if number.exp:
+                made_of = [row | {"estimate": row["estimate"].exponential} for row in made_of]
             found.append({"title": number.title, "rows": made_of})
         return found
 
@@ -185,6 +202,9 @@ def load_experiment(
     functions = {word: _function(path, word) for word in named if word is not None}
     measure = functions[asked.measure]
     taken = inspect.signature(measure).parameters
+    seed = asked.seed if seed is None else seed
+    if "seed" in taken and not any("seed" in part for part in parts.values()):
+        parts["settings"]["seed"] = seed
     for name in ("rng", *parts["units"], *parts["factors"], *parts["settings"]):
         if name not in taken and not any(each.kind is each.VAR_KEYWORD for each in taken.values()):
             raise InputError(f"{path}: {asked.measure} takes no argument '{name}'; it takes {listed(taken)}")
@@ -193,7 +213,7 @@ def load_experiment(
         {name: _levels(value) for name, value in parts["units"].items()},
         {name: _levels(value) for name, value in parts["factors"].items()},
         partial(measure, **parts["settings"]) if parts["settings"] else measure,
-        asked.seed if seed is None else seed,
+        seed,
         (asked.measure, parts["settings"], [_origin(functions[word]) for word in sorted(functions)]),
         None if asked.fits is None else functions[asked.fits],
     )
@@ -268,14 +288,15 @@ def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
 
 def table_of(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Heads and cells of one table of numbers; levels of ``across`` stand side by side."""
-    form = f"{'+' if number.against else ''}.{number.digits}f"
+    form = f"{'+' if number.against and number.of != 'removed' else ''}.{number.digits}f"
 
     def said(found: Estimate) -> str:
         text = f"{number.scale * found.value:{form}}"
         if found.ci95 is None:
             return text
         ends = ("open" if end is None else f"{number.scale * end:{form}}" for end in found.ci95)
-        return f"{text} ({' to '.join(ends)})"
+        verdict = "" if number.margin is None else f": {found.verdict(number.margin)}"
+        return f"{text} ({' to '.join(ends)}){verdict}"
 
     names = [name for name in number.by if name != number.across]
     if number.across is None:

@@ -143,7 +143,7 @@ SLIPS = {
     ('"toy_gains.py:left"', '"toy_gains.py:lefft"'): "names 'toy_gains.py:lefft', which cannot be loaded",
     ('"toy_gains.py:left"', '"left"'): 'give "file.py:function"',
     ("noise = 0.1", "noise = 0.1\nnois = 0.1"): "takes no argument 'nois'",
-    ('of = "share"', 'of = "shares"'): 'give "mean", "share"',
+    ('of = "share"', 'of = "shares"'): "give one of mean, share",
     ("seed = 3", "sed = 3"): "perhaps seed is meant",
     ('over = ["arm"]', 'over = "arm"'): "a list of names of columns",
     ("quick = { arm = 10", "quick = { arms = 10"): "no unit, factor or setting 'arms'",
