@@ -2,7 +2,7 @@
 
     python scripts/studies/harvest_sight.py --trees 60 --rendered 16 --json runs/harvest_sight.json
 
-The paper's way and the best way of `reproduce_li2016.py`, with each detector and vision: share of the fruit present at
+The paper's way and the best way of `papers.li2016`, with each detector and vision: share of the fruit present at
 each stage, picks per hour, and trips to where no fruit is; 95 % intervals over trees (of one machine; simulated).
 """
 
@@ -17,10 +17,9 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from reproduce_li2016 import SEED, calibrated_controller, strategies
-
+from papers.li2016.comparison import SEED, calibrated_controller, strategies
 from pickenv.files import write_text
 from pickenv.harvester.harvest_summary import funnel_shares, summary
 from pickenv.harvester.machine import load_machine

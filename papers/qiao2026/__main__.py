@@ -11,7 +11,7 @@ Table 4 is run on the arm of Table 1, once for each of `--runs` seeds, and on `-
 class, each with `--seeds` seeds of its own; differences of methods have intervals over those arms. It is run on every
 plant of `PLANTS`. Seeds come from one SeedSequence. In full it takes about a quarter of an hour a plant.
 
-Run: python scripts/reproduce_qiao2026.py [--out runs/qiao2026] [--json FILE] [--quick] [--runs 5] [--arms 10]
+Run: python -m papers.qiao2026 [--out runs/qiao2026] [--json FILE] [--quick] [--runs 5] [--arms 10]
 """
 
 from __future__ import annotations
@@ -22,8 +22,13 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from papers import qiao2026_verdicts as verdicts
-from papers.qiao2026_equations import (
+from rich.console import Console
+from rich.progress import Progress
+from scipy.stats import spearmanr
+
+from papers.pages import headline, print_tables, write_page
+from papers.qiao2026 import verdicts
+from papers.qiao2026.equations import (
     PAPER,
     RANK_AWARE_17,
     REMOVED_BY_PAPER,
@@ -31,7 +36,7 @@ from papers.qiao2026_equations import (
     paper_phi,
     solutions,
 )
-from papers.qiao2026_methods import (
+from papers.qiao2026.methods import (
     METHODS,
     TOLERANCES,
     Left,
@@ -43,12 +48,12 @@ from papers.qiao2026_methods import (
     table_4_run,
     twin,
 )
-from papers.qiao2026_page import Shown, print_tables, write_page
-from scipy.stats import spearmanr
-
+from papers.qiao2026.page import NOTES, drawings, sections
 from pickenv.arm import load_plant, noncompensable_error, shipped_plants
 from pickenv.calibration import BpnnSettings, identify, link_model
 from pickenv.files import write_text
+from pickenv.inspect.figures.run_drawings import write_drawings
+from pickenv.inspect.reports.report_page import Section
 from pickenv.intervals import LEAST, mean_interval
 
 PLANTS = tuple(name for name in ("qiao2026", "field") if name in shipped_plants())
@@ -74,60 +79,57 @@ def main(
     ] = False,
 ) -> None:
     """Run the reproduction and print it."""
-    from rich.progress import Progress
-
     settings, counts = BpnnSettings(), (runs, arms, seeds)
+    options = f" --runs {runs} --arms {arms} --seeds {seeds}"
     if quick:
-        settings, counts = BpnnSettings(epochs=60), (1, 2, 1)
+        settings, counts, options = BpnnSettings(epochs=60), (1, 2, 1), " --quick"
     of_plants, twin_arm, twin_run, of_tables, of_phi = np.random.SeedSequence(SEED).spawn(5)
-    done = {}
+    campaigns = {}
     with Progress() as bars:
         for name, seed in zip(PLANTS, of_plants.spawn(len(PLANTS)), strict=True):
             task = bars.add_task(f"Table 4, plant {name}", total=counts[0] + counts[1] * counts[2])
-            done[name] = campaign(load_plant(name), seed, settings, counts, lambda task=task: bars.advance(task))
-    found, solved_errors, fields = {}, {}, of_tables.spawn(2)
-    for name, seed in zip(("geometry_only", "qiao2026"), fields, strict=True):
+            campaigns[name] = campaign(load_plant(name), seed, settings, counts, lambda task=task: bars.advance(task))
+    solved = {}
+    for name, seed in zip(("geometry_only", "qiao2026"), of_tables.spawn(2), strict=True):
         run = protocol(load_plant(name), seed)
-        found[name], solved_errors = solutions(run.plant.arm.nominal, run.plant.geometry, run.identification, run.test)
-    nominal = run.plant.arm.nominal
-    on_twin = protocol(twin(twin_arm), twin_run)
-    twin_left = table_4_run(on_twin, settings, IN_TABLE_6)
-    paper, first = PAPER["table6"], done["qiao2026"]
-    floor = noncompensable_error(run.plant.geometry, run.test.joints, solved_errors["raw"])
-    differences = {
-        claim: {name: difference(each, *pair) for name, each in done.items()} for claim, pair in verdicts.CLAIMS.items()
-    }
-    by_arm = {name: each.by_arm(correlation) for name, each in done.items()}
-    phi = paper_phi(nominal, PAPER["protocol"]["qr_poses"], np.random.default_rng(of_phi))
+        nominal = run.plant.arm.nominal
+        solved[name], errors = solutions(nominal, run.plant.geometry, run.identification, run.test)
+    twin_left = table_4_run(protocol(twin(twin_arm), twin_run), settings, IN_TABLE_6)
+    floor = noncompensable_error(run.plant.geometry, run.test.joints, errors["raw"])
+    by_arm = {name: each.by_arm(correlation) for name, each in campaigns.items()}
+    eta = {name: [left.eta[name] for left in campaigns["qiao2026"].runs] for name in ("LS", "EKF")}
+    paper, raw_errors = PAPER["table6"], twin_left.errors["raw"]
     tables = {
-        "2": verdicts.table_2(PAPER, found["geometry_only"]),
-        "3": verdicts.table_3(PAPER, found["qiao2026"]),
+        "2": verdicts.table_2(PAPER, solved["geometry_only"]),
+        "3": verdicts.table_3(PAPER, solved["qiao2026"]),
         "4": verdicts.table_4(
-            {name: table_4_rows(name, each) for name, each in done.items()},
+            {name: table_4_rows(name, each) for name, each in campaigns.items()},
             rank_correlation_of_arms={
                 name: {"mean": float(values.mean()), "ci95": mean_interval(values)} for name, values in by_arm.items()
             },
             attitude_floor_deg=float(np.degrees(np.linalg.norm(floor[:, 3:], axis=1)).mean()),
             eta_percent={
-                name: {
-                    "paper": PAPER["table4"]["eta_mean_percent"][name],
-                    "ours": float(np.mean([left.eta[name] for left in first.runs])),
-                }
-                for name in ("LS", "EKF")
+                name: {"paper": PAPER["table4"]["eta_mean_percent"][name], "ours": float(np.mean(values))}
+                for name, values in eta.items()
             },
         ),
-        "5": verdicts.table_5(PAPER, found["qiao2026"]["rows"][RANK_AWARE_17]["parameters"]),
+        "5": verdicts.table_5(PAPER, solved["qiao2026"]["rows"][RANK_AWARE_17]["parameters"]),
         "6": verdicts.table_6(
             [
-                {"method": name}
-                | beside_paper(paper[name], paper["raw"], twin_left.errors[name], twin_left.errors["raw"])
+                {"method": name} | beside_paper(paper[name], paper["raw"], twin_left.errors[name], raw_errors)
                 for name in IN_TABLE_6
             ],
             twin_left.r2["LS+BPNN"].tolist(),
         ),
     }
+    phi = paper_phi(nominal, PAPER["protocol"]["qr_poses"], np.random.default_rng(of_phi))
     base = identify(link_model(nominal), nominal, run.identification).geometry
-    claims = verdicts.claims(differences)
+    claims = verdicts.claims(
+        {
+            claim: {name: difference(each, *pair) for name, each in campaigns.items()}
+            for claim, pair in verdicts.CLAIMS.items()
+        }
+    )
     result = {
         "simulated": True,
         "seed": SEED,
@@ -137,21 +139,31 @@ def main(
         "no_interval": "" if counts[1] >= LEAST else f"none: {counts[1]} of at least {LEAST} arms",
         "tables": tables,
         "equations": {
-            "10": verdicts.equation_10(REMOVED_BY_PAPER, phi, found["geometry_only"]["dropped"]),
+            "10": verdicts.equation_10(REMOVED_BY_PAPER, phi, solved["geometry_only"]["dropped"]),
             "15": verdicts.equation_15(literal_correction(nominal, base, run.test.joints)),
         },
         "claims": claims,
         "figures": verdicts.figures(tables),
         "conclusion": verdicts.conclusion(claims, tables["4"]),
-        "solvers": found,
+        "solvers": solved,
     }
-    print_tables(result)
+    console, shown = Console(width=200), sections(result)
+    print_tables(console, [part for section in shown for part in section.parts])
+    console.print(headline(result), result["conclusion"], sep="\n")
     for path in {out / "reproduction.json", *([json_file] if json_file else [])}:
         write_text(path, json.dumps(result, indent=2) + "\n")
-    shown = Shown(
-        run, solved_errors, {name: {m: each.errors(m) for m in METHODS} for name, each in done.items()}, twin_left
+    by_method = {name: {m: each.errors(m) for m in METHODS} for name, each in campaigns.items()}
+    drawn = drawings(result, run, errors, by_method, twin_left)
+    write_drawings(drawn, out, ("png",))
+    page = write_page(
+        out / "reproduction.html",
+        "Qiao 2026, section 2, reproduced in simulation",
+        "The paper's tables beside ours, why they differ, and a verdict each",
+        result,
+        (verdicts.conclusion(claims, tables["4"]), *NOTES),
+        [*shown, Section("Figures", drawn)],
+        {"Reproduce": f"python -m papers.qiao2026{options}", "Seed": str(SEED)},
     )
-    page = write_page(result, shown, out, quick)
     print(f"wrote {out / 'reproduction.json'} and {page}")
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from papers.verdicts import NOT, REPRODUCED, judged
 
+from papers.pages import judged
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.harvester.trees import Tree
 from pickenv.orchard import (
@@ -119,7 +119,7 @@ def figure_5(found: Segmentation) -> dict[str, Any]:
         f"{error_mm[0]:.1f}, {error_mm[1]:.1f} and {error_mm[2]:.1f} mm (right, down, ahead)"
     )
     return judged(
-        REPRODUCED if same else NOT,
+        same,
         reason,
         rows,
         fruit=fruit,

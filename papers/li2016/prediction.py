@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from papers.verdicts import NOT, REPRODUCED, judged
 from scipy.stats import spearmanr
 
+from papers.pages import judged
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.harvester.harvest import Strategy
 from pickenv.harvester.harvest_summary import funnel
@@ -151,6 +151,4 @@ def prediction(paper: Mapping[str, Any], found: Sessions) -> dict[str, Any]:
         | {"why": each.why}
         for name, each in OPEN.items()
     ]
-    return judged(
-        REPRODUCED if within and says else NOT, reason, [row], constants=constants, counts=[int(n) for n in counts]
-    )
+    return judged(within and says, reason, [row], constants=constants, counts=[int(n) for n in counts])

@@ -1,33 +1,28 @@
 """Verdicts on Li et al. 2016 follow the numbers that stand beside them."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation, binary_erosion, label
 
+from papers.li2016 import verdicts
+from papers.li2016.comparison import displacements
+from papers.li2016.equations import EXACT, PAPER, chained, equations
+from papers.li2016.prediction import OPEN, Sessions, machine_with, picking_with, prediction
+from papers.li2016.segmentation import figure_5, segmentation
 from pickenv.harvester.harvest_summary import Measure
 from pickenv.harvester.machine import load_machine
 from pickenv.harvester.trees import sample_image
 from pickenv.harvester.true_machine import load_true_machine
 
-SCRIPTS = Path(__file__).parents[2] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-from papers import li2016_verdicts as verdicts  # noqa: E402
-from papers.li2016_equations import PAPER, chained, equations  # noqa: E402
-from papers.li2016_prediction import OPEN, Sessions, machine_with, picking_with, prediction  # noqa: E402
-from papers.li2016_segmentation import figure_5, segmentation  # noqa: E402
-from reproduce_li2016 import EXACT, TABLE2, table2  # noqa: E402
-
 
 def test_table_2_is_exact_for_one_spacing_which_is_not_the_papers() -> None:
-    table = verdicts.table_2(TABLE2, {spacing: table2(spacing * 1e-3) for spacing in (300, 350, 450)})
+    table = verdicts.table_2(PAPER["table2"], {spacing: displacements(spacing * 1e-3) for spacing in (300, 350, 450)})
     assert table["verdict"] == "reproduced" and table["exact_for_spacing_mm"] == [450]
     assert "450 mm" in table["reason"]
-    middle = {name: list(values) for name, values in TABLE2.items()}
-    off = verdicts.table_2({**middle, "left": [81.0, *middle["left"][1:]]}, {s: table2(s * 1e-3) for s in (350, 450)})
+    middle = {name: list(values) for name, values in PAPER["table2"].items()}
+    off = verdicts.table_2(
+        {**middle, "left": [81.0, *middle["left"][1:]]}, {s: displacements(s * 1e-3) for s in (350, 450)}
+    )
     assert off["verdict"] == "not reproduced" and "exact for no spacing" in off["reason"]
 
 
@@ -77,10 +72,10 @@ def test_a_pick_point_is_the_papers_within_a_centimetre() -> None:
 
 
 def test_curves_have_to_end_at_table_2() -> None:
-    ends = {name: list(values) for name, values in TABLE2.items()}
-    assert verdicts.figure_9(TABLE2, ends, 450)["verdict"] == "reproduced"
+    ends = {name: list(values) for name, values in PAPER["table2"].items()}
+    assert verdicts.figure_9(PAPER["table2"], ends, 450)["verdict"] == "reproduced"
     ends["right"][1] = -0.237  # as with 350 mm
-    assert verdicts.figure_9(TABLE2, ends, 350)["verdict"] == "not reproduced"
+    assert verdicts.figure_9(PAPER["table2"], ends, 350)["verdict"] == "not reproduced"
 
 
 def sessions_of(recovered: list[float]) -> Sessions:

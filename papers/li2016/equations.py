@@ -12,17 +12,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from papers.verdicts import NOT, REPRODUCED, judged
 
+from papers.pages import judged
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.pick_point import METHODS, border_indices, pick_heading, pick_point
 
-PAPER: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "li2016_paper.toml").read_text(encoding="utf-8"))
+PAPER: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "paper.toml").read_text(encoding="utf-8"))
 HOLDS_M = 1e-9
 """An equation holds if it places the tool within this, m."""
 DRAWN = 500
+EXACT = 0.45
+"""m between slaves, for which Table 2 is exact."""
+ARMS = ("left", "middle", "right")
+PICK_POINT = np.array(PAPER["section4_2"]["pick_point"]) * 1e-3
+TARGETS = np.array([PAPER["section4_2"][f"{arm}_target"] for arm in ARMS]) * 1e-3
+"""Of section 4.2, m."""
+
+
+def section_4_2(machine: Machine) -> tuple[Array, Array]:
+    """The master's joints at the printed pick point ``(3,)``, and each slave's at its own target ``(arms, 3)``."""
+    master = machine.master_inverse(PICK_POINT)
+    return master, np.einsum("iij->ij", machine.slave_inverse(master, TARGETS))
 
 
 def link(theta: float, d: float, a: float, alpha: float) -> Array:
@@ -96,7 +108,7 @@ def equation(name: str, printed_mm: float, corrected_mm: float | None, misprint:
     holds = printed_mm <= 1e3 * HOLDS_M
     row = {"equation": name, "as_printed_misses_mm": printed_mm, "corrected_misses_mm": corrected_mm}
     reason = f"holds as printed{'; ' + misprint if misprint else ''}" if holds else misprint
-    return judged(REPRODUCED if holds else NOT, reason, [row | {"misprint": misprint or "none"}])
+    return judged(holds, reason, [row | {"misprint": misprint or "none"}])
 
 
 def equations(machine: Machine, exact: Machine, rng: np.random.Generator) -> dict[str, Any]:
@@ -146,10 +158,8 @@ def inverse_equations(machine: Machine, exact: Machine, rng: np.random.Generator
         1e3 * farthest(machine.frame3(master_by_equation_5(machine, points)), points) for points in (front, behind)
     )
     mended = 1e3 * farthest(machine.frame3(machine.master_inverse(behind)), behind)
-    targets = np.array([PAPER["section4_2"][f"{arm}_target"] for arm in ("left", "middle", "right")]) * 1e-3
-    master = exact.master_inverse(np.array(PAPER["section4_2"]["pick_point"]) * 1e-3)
-    reached = np.einsum("iij->ij", exact.slave_inverse(master, targets))
-    off = np.linalg.norm(exact.tips(master, slaves_by_equation_6(exact, master, targets)) - targets, axis=-1)
+    master, slaves = section_4_2(exact)
+    off = np.linalg.norm(exact.tips(master, slaves_by_equation_6(exact, master, TARGETS)) - TARGETS, axis=-1)
     return {
         "5": equation(
             "(5)",
@@ -160,7 +170,7 @@ def inverse_equations(machine: Machine, exact: Machine, rng: np.random.Generator
         "6": equation(
             "(6)",
             1e3 * float(off.max()),
-            1e3 * farthest(exact.tips(master, reached), targets),
+            1e3 * farthest(exact.tips(master, slaves), TARGETS),
             f"a principal arctangent takes the wrong branch for {int((off > HOLDS_M).sum())} of the paper's own three "
             f"targets, {off.min():.2f} to {off.max():.2f} m off; two arguments mend it",
         ),
@@ -230,13 +240,12 @@ def reach_shares(machine: Machine, zones: int, rng: np.random.Generator) -> dict
     return found
 
 
-def pick_points(machine: Machine, exact: Machine, targets: Array) -> list[dict[str, Any]]:
+def pick_points(machine: Machine, exact: Machine) -> list[dict[str, Any]]:
     """Pick points of the three targets of section 4.2 by every reading of eqs (7)-(12), and the paper's own.
 
     Args:
         machine: The machine as the text has it.
         exact: With the spacing that Table 2 holds for.
-        targets: The targets ``(3, 3)``, m.
     """
     printed = np.array(PAPER["section4_2"]["pick_point"], dtype=float)
 
@@ -250,13 +259,13 @@ def pick_points(machine: Machine, exact: Machine, targets: Array) -> list[dict[s
             "apart_mm": apart,
         } | reached
 
-    own = [int(each.reach(each.master_inverse(printed * 1e-3), targets).any(0).sum()) for each in (machine, exact)]
+    own = [int(each.reach(each.master_inverse(PICK_POINT), TARGETS).any(0).sum()) for each in (machine, exact)]
     rows = [row("the paper's", printed.tolist(), own)]
     for method in METHODS:
         points = []
         for each in (machine, exact):
             try:
-                points.append(pick_point(each, targets, method))
+                points.append(pick_point(each, TARGETS, method))
             except InputError:  # the point is nearer to the axis than frame 3 can come
                 points.append(None)
         position = None if points[0] is None else (points[0].position * 1e3).tolist()

@@ -13,6 +13,7 @@ from pickenv.arm import Geometry, forward, joint_jacobian, pose_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import (
     Compensator,
+    ErrorStatistics,
     Measurements,
     error_statistics,
     identify,
@@ -22,7 +23,7 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 
-PAPER: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "qiao2026_paper.toml").read_text(encoding="utf-8"))
+PAPER: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "paper.toml").read_text(encoding="utf-8"))
 REMOVED_BY_PAPER = ("a2", "a3", "a5", "d3", "d4", "theta2", "d6")
 RANK_AWARE_24, RANK_AWARE_17 = "24, rank-aware", "17 of the paper, rank-aware (rank 15)"
 SMALL_STEP_M = 0.1
@@ -32,6 +33,16 @@ SMALL_STEP_M = 0.1
 def parameter_vector(geometry: Geometry) -> Array:
     """The 24 parameters in the model's order, degrees and millimetres as in Table 2."""
     return np.concatenate([np.degrees(geometry.alpha), geometry.a * 1e3, geometry.d * 1e3, np.degrees(geometry.theta)])
+
+
+def mean_mm(errors: Array) -> float:
+    """Mean position error of pose errors ``(N, 6)`` in m and rad, mm."""
+    return float(1e3 * np.linalg.norm(errors[:, :3], axis=1).mean())
+
+
+def statistics(errors: Array) -> tuple[ErrorStatistics, ErrorStatistics]:
+    """Statistics of pose errors ``(N, 6)`` in m and rad: of position in mm, of attitude in degrees."""
+    return error_statistics(errors[:, :3] * 1e3), error_statistics(np.degrees(errors[:, 3:]))
 
 
 def paper_model(geometry: Geometry) -> ErrorModel:
@@ -54,10 +65,9 @@ def naive_normal_equations(
     """Eq (11) as printed, (J^T J)^-1 J^T dP, iterated, without any truncation; None where J^T J is singular."""
     geometry = start
     for _ in range(iterations):
-        jacobian, left = linearised(model, geometry, data)
-        right = jacobian.T @ left
+        jacobian, residual = linearised(model, geometry, data)
         try:
-            step = np.linalg.solve(jacobian.T @ jacobian, right)
+            step = np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
         except np.linalg.LinAlgError:
             return None
         geometry = moved(model, geometry, step)
@@ -95,21 +105,20 @@ def solutions(
     rows: dict[str, Any] = {}
     errors = {"raw": test.difference(nominal)}
     for name, geometry in solved.items():
+        rows[name] = None
         if geometry is None:
-            rows[name] = None
             continue
-        values, left = parameter_vector(geometry), test.difference(geometry)
-        errors[name] = left
+        values, errors[name] = parameter_vector(geometry), test.difference(geometry)
+        position, attitude = statistics(errors[name])
         rows[name] = {
             "parameters": dict(zip(full.names, values.tolist(), strict=True)),
             "largest_change_mm": float(np.abs((geometry.d - nominal.d) * 1e3).max()),
-            "position_mm": error_statistics(left[:, :3] * 1e3).as_dict(),
-            "attitude_deg": error_statistics(np.degrees(left[:, 3:])).as_dict(),
+            "position_mm": position.as_dict(),
+            "attitude_deg": attitude.as_dict(),
             "eta_percent": paper_eta(values, parameter_vector(true)),
         }
-    found = base.identifiability
-    dropped = {item.name: list(item.absorbed_by) for item in found.dropped}
-    return {"rows": rows, "rank": found.rank, "dropped": dropped}, errors
+    dropped = {item.name: list(item.absorbed_by) for item in base.identifiability.dropped}
+    return {"rows": rows, "rank": base.identifiability.rank, "dropped": dropped}, errors
 
 
 def paper_phi(geometry: Geometry, poses: int, rng: np.random.Generator) -> dict[str, dict[str, float]]:
@@ -117,16 +126,14 @@ def paper_phi(geometry: Geometry, poses: int, rng: np.random.Generator) -> dict[
     model = link_model(geometry)
     joints = random_joints(geometry, poses, rng)
     jacobian = ArmModel.of(geometry).jacobian(joints)[..., model.columns]  # (N, 6, 24): m and rad per m and rad
-    angle = geometry.parameter_is_angle[model.columns]
-    rows = np.tile([1.0, 1.0, 1.0, 0.0, 0.0, 0.0], poses) > 0
     stacked = jacobian.reshape(6 * poses, -1)
-    in_mm = stacked * np.where(rows, 1e3, 1.0)[:, None] * np.where(angle, 1.0, 1e-3)
-    scaled = stacked * model.tolerance
-    found = {}
-    for unit, matrix in (("mm and rad", in_mm), ("m and rad", stacked), ("tolerances", scaled)):
+    rows, columns = np.tile(np.repeat([1e3, 1.0], 3), poses), np.where(geometry.parameter_is_angle, 1.0, 1e-3)
+    in_mm = stacked * rows[:, None] * columns[model.columns]
+    phi = {}
+    for unit, matrix in (("mm and rad", in_mm), ("m and rad", stacked), ("tolerances", stacked * model.tolerance)):
         diagonal = np.abs(np.diag(np.linalg.qr(matrix, mode="r")))
-        found[unit] = dict(zip(model.names, (diagonal / diagonal.mean()).tolist(), strict=True))
-    return found
+        phi[unit] = dict(zip(model.names, (diagonal / diagonal.mean()).tolist(), strict=True))
+    return phi
 
 
 def literal_correction(nominal: Geometry, geometry: Geometry, joints: Array) -> dict[str, float]:
@@ -142,15 +149,11 @@ def literal_correction(nominal: Geometry, geometry: Geometry, joints: Array) -> 
     return {
         "poses": len(joints),
         "condition": float(np.linalg.cond(jacobian).max()),
-        "corrected_mm": _mean_mm(pose_error(there, wanted)),
+        "corrected_mm": mean_mm(pose_error(there, wanted)),
         "largest_step_m": float(np.abs(step[:, slides]).max()),
         "largest_step_rad": float(np.abs(step[:, ~slides]).max()),
         "share_of_useless_steps": float(np.mean(np.abs(step).max(axis=1) > SMALL_STEP_M)),
-        "mean_mm": _mean_mm(pose_error(wanted, forward(geometry, joints + step))),
+        "mean_mm": mean_mm(pose_error(wanted, forward(geometry, joints + step))),
         "truncated_largest_step_m": float(np.abs(command - joints)[:, slides].max()),
-        "truncated_mean_mm": _mean_mm(pose_error(wanted, forward(geometry, command))),
+        "truncated_mean_mm": mean_mm(pose_error(wanted, forward(geometry, command))),
     }
-
-
-def _mean_mm(errors: Array) -> float:
-    return float(1e3 * np.linalg.norm(errors[:, :3], axis=1).mean())

@@ -1,6 +1,6 @@
 """What of Qiao 2026 comes out again: a verdict for each table, equation and figure, decided by the numbers beside it.
 
-What the verdicts are called stands in `papers.verdicts`.
+`papers.pages` says what the verdicts are called.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from papers.qiao2026_equations import RANK_AWARE_17, RANK_AWARE_24
-from papers.verdicts import FITTED, NOT, REPRODUCED, judged
 from scipy.stats import spearmanr
 
+from papers.pages import FITTED, NOT, REPRODUCED, judged, word
+from papers.qiao2026.equations import RANK_AWARE_17, RANK_AWARE_24
 from pickenv.arm.kinematics.geometry import Array
 
 SAME = 0.02
@@ -40,33 +40,28 @@ def none_if_nan(value: float) -> float | None:
 
 def table_2(paper: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any]:
     """Identified parameters without noise: the paper's 24 and 17 beside the minimum-norm 24 and the rank-aware 17."""
-    true = column(paper["table1"]["true"])
-    theirs = {24: column(paper["table2"]["identified_24"]), 17: column(paper["table2"]["identified_17"])}
-    names = list(found["rows"][RANK_AWARE_24]["parameters"])
-    solved = {24: RANK_AWARE_24, 17: RANK_AWARE_17}
-    ours = {n: np.array([found["rows"][solved[n]]["parameters"][name] for name in names]) for n in solved}
-    tied = ties(found["dropped"])
+    true, solved = column(paper["table1"]["true"]), found["rows"][RANK_AWARE_24]["parameters"]
+    theirs = {n: column(paper["table2"][f"identified_{n}"]) for n in (24, 17)}
+    ours = {24: solved, 17: found["rows"][RANK_AWARE_17]["parameters"]}
+    off = {n: np.abs([ours[n][name] for name in solved] - theirs[n]) for n in theirs}
     rows = []
-    for i, name in enumerate(names):
-        same = {n: bool(np.abs(ours[n][i] - theirs[n][i]) <= SAME) for n in theirs if not np.isnan(theirs[n][i])}
+    for i, name in enumerate(solved):
+        same = {n: bool(apart[i] <= SAME) for n, apart in off.items() if not np.isnan(apart[i])}
         row: dict[str, Any] = {"parameter": name, "true": true[i]}
         for n in theirs:
-            row |= {f"paper_{n}": none_if_nan(theirs[n][i]), f"ours_{n}": float(ours[n][i]) if n in same else None}
+            row |= {f"paper_{n}": none_if_nan(theirs[n][i]), f"ours_{n}": ours[n][name] if n in same else None}
         rows.append(
-            row | {"why": why_parameter(name, same, tied), "verdict": REPRODUCED if all(same.values()) else NOT}
+            row | {"why": why_parameter(name, same, ties(found["dropped"])), "verdict": word(all(same.values()))}
         )
-    shares = {}
-    for n, values in theirs.items():
-        printed = ~np.isnan(values)
-        shares[n] = float(np.mean(np.abs(ours[n] - values)[printed] <= SAME))
-    nearer = np.median(np.abs(theirs[24] - ours[24])) < np.median(np.abs(theirs[24] - true))
-    verdict = REPRODUCED if min(shares.values()) >= MOST and nearer else NOT
+    shares = {n: float(np.mean(apart[~np.isnan(apart)] <= SAME)) for n, apart in off.items()}
+    nearer = np.median(off[24]) < np.median(np.abs(theirs[24] - true))
     reason = (
         f"{shares[24]:.0%} of the 24 lie within {SAME:g} deg or mm of the minimum-norm solution (a4 = a5, theta5 = "
         f"theta6), so that column is it, with misprints; of the 17 only {shares[17]:.0%} do: they have rank 15 and no "
         "single solution"
     )
-    return judged(verdict, reason, rows, shares={str(count): share for count, share in shares.items()})
+    holds = min(shares.values()) >= MOST and bool(nearer)
+    return judged(holds, reason, rows, shares={str(n): share for n, share in shares.items()})
 
 
 def ties(dropped: Mapping[str, Sequence[str]]) -> dict[str, str]:
@@ -110,7 +105,7 @@ def table_3(paper: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any
                 "paper_deg": theirs[3],
                 "ours_deg": row["attitude_deg"]["mean"],
                 "why": f"{why}; the plant was sized so that about 0.55 mm remain; eta divides by numbers near zero",
-                "verdict": REPRODUCED if near else NOT,
+                "verdict": word(near),
             }
         )
     all_of_them, fewer = rows
@@ -120,7 +115,7 @@ def table_3(paper: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any
         f"mm); solved with regard to rank they leave {'less' if better else 'more'} ({fewer['ours_mm']:.3f} against "
         f"{all_of_them['ours_mm']:.3f} mm), for one of d3 and theta2 is needed: the gain was the solver's"
     )
-    return judged(REPRODUCED if better else NOT, reason, rows)
+    return judged(better, reason, rows)
 
 
 BLIND = ("RBF", "BPNN")
@@ -141,7 +136,7 @@ def ranking(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "paper_order": sorted(mean, key=lambda name: mean[name][0]),
         "best": order[0],
         "blind_before_ls": before,
-        "verdict": REPRODUCED if same else NOT,
+        "verdict": word(same),
     }
 
 
@@ -160,7 +155,7 @@ def table_4(by_plant: Mapping[str, Sequence[Mapping[str, Any]]], **more: Any) ->
         listed += [row | judged_reduction(row) for row in rows]
     same = all(found["verdict"] == REPRODUCED for found in plants.values())
     reason = "; ".join(said) + "; what LS leaves on qiao2026 is fitted: that plant was sized for it"
-    return judged(REPRODUCED if same else NOT, reason, listed, plants=plants, **more)
+    return judged(same, reason, listed, plants=plants, **more)
 
 
 def judged_reduction(row: Mapping[str, Any]) -> dict[str, str]:
@@ -171,7 +166,7 @@ def judged_reduction(row: Mapping[str, Any]) -> dict[str, str]:
         near = all(abs(row["ours"][k] / row["paper"][k] - 1) <= CLOSE for k in (0, 2))
         return {
             "why": "Table 1's angles add up to 0.309 deg: no joint range gives the paper's raw attitude error",
-            "verdict": REPRODUCED if near else NOT,
+            "verdict": word(near),
         }
     if row["method"] == "LS" and row.get("plant") == "qiao2026":
         return {"why": "the plant was sized so that about 0.55 mm remain, as in the paper", "verdict": FITTED}
@@ -183,7 +178,7 @@ def judged_reduction(row: Mapping[str, Any]) -> dict[str, str]:
         why = "what LS leaves of this plant changes within less than the poses are apart: a network removes little"
     else:
         why = "what our arm's dynamic error holds that joints predict, a network removes; the paper's arm held less"
-    return {"why": why, "verdict": REPRODUCED if near else NOT}
+    return {"why": why, "verdict": word(near)}
 
 
 CLAIMS = {
@@ -214,10 +209,9 @@ def claims(differences: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[s
             else:
                 holds = ends[1] < 0
                 words = "holds" if holds else "does not hold" if ends[0] > 0 else "cannot be told from no difference"
-            rows.append({"plant": plant, **row, "verdict": REPRODUCED if holds else NOT})
+            rows.append({"plant": plant, **row, "verdict": word(holds)})
             said.append(f"on {plant} {words} ({row['ours_mm']:+.3f} mm; paper {row['paper_mm']:+.3f})")
-        verdict = REPRODUCED if all(row["verdict"] == REPRODUCED for row in rows) else NOT
-        found[claim] = judged(verdict, "; ".join(said), rows)
+        found[claim] = judged(all(row["verdict"] == REPRODUCED for row in rows), "; ".join(said), rows)
     return found
 
 
@@ -275,7 +269,7 @@ def table_6(rows: Sequence[Mapping[str, Any]], r2: Sequence[float]) -> dict[str,
         f"differ by up to {apart:.1f} points; held-out R² of its network is {min(r2):.2f} to {max(r2):.2f} by axis "
         "(paper: 0.945)"
     )
-    return judged(REPRODUCED if apart <= POINTS and min(r2) > 0.9 else NOT, reason, listed, r2=list(r2))
+    return judged(apart <= POINTS and min(r2) > 0.9, reason, listed, r2=list(r2))
 
 
 def equation_10(
@@ -296,7 +290,7 @@ def equation_10(
         f"phi < 0.05 marks {counted}; the paper removes {len(paper_removed)}, and {len(dropped)} are redundant: "
         "what the rule marks depends on units and on the order of columns"
     )
-    return judged(REPRODUCED if same else NOT, reason, rows, marked=marked, removed_by_paper=list(paper_removed))
+    return judged(bool(same), reason, rows, marked=marked, removed_by_paper=list(paper_removed))
 
 
 def equation_15(literal: Mapping[str, float]) -> dict[str, Any]:
@@ -309,7 +303,7 @@ def equation_15(literal: Mapping[str, float]) -> dict[str, Any]:
         f"5 it moves them by {1e3 * literal['truncated_largest_step_m']:.2g} mm at most and leaves "
         f"{literal['truncated_mean_mm']:.2g} mm"
     )
-    return judged(REPRODUCED if usable else NOT, reason, [dict(literal)])
+    return judged(usable, reason, [dict(literal)])
 
 
 def figures(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:

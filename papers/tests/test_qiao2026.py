@@ -1,22 +1,15 @@
 """Verdicts on Qiao 2026 follow the numbers that stand beside them, and what the page says of the paper is true."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.stats import t as student_t
 
+from papers.qiao2026 import verdicts
+from papers.qiao2026.equations import PAPER, paper_model, paper_phi
+from papers.qiao2026.methods import METHODS, Campaign, Left, difference
+from papers.qiao2026.page import NOTES
 from pickenv.arm import forward, load_plant, pose_error
 from pickenv.calibration import random_joints
-
-SCRIPTS = Path(__file__).parents[2] / "scripts"
-sys.path.insert(0, str(SCRIPTS))
-
-from papers import qiao2026_verdicts as verdicts  # noqa: E402
-from papers.qiao2026_equations import PAPER, paper_model, paper_phi  # noqa: E402
-from papers.qiao2026_methods import METHODS, Campaign, Left, difference  # noqa: E402
-from papers.qiao2026_page import NOTES  # noqa: E402
 
 PAPER_MM = {name: PAPER["table4"][name][0] for name in METHODS}
 """What each method leaves in the paper."""

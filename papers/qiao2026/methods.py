@@ -12,15 +12,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from papers.qiao2026_equations import PAPER, parameter_vector
 
-from pickenv.arm import Geometry, Plant, Pose, draw_plants, forward, load_tolerances, plant_at, pose_error
+from papers.qiao2026.equations import PAPER, mean_mm, parameter_vector, statistics
+from pickenv.arm import Geometry, Plant, Pose, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import (
     BpnnSettings,
     Compensator,
     Measurements,
-    error_statistics,
     held_out_r2,
     identify,
     link_model,
@@ -71,17 +70,10 @@ def protocol(plant: Plant, seed: np.random.SeedSequence) -> Protocol:
     return Protocol(plant, alone.select(rows[:first]), alone.select(rows[first:]), alone, test, rng)
 
 
-def left_by(run: Protocol, geometry: Geometry, learnt: ResidualModel | None) -> Array:
-    """Measured against wanted pose ``(100, 6)`` at the test poses after compensation, m and rad."""
-    nominal, joints = run.plant.arm.nominal, run.test.joints
-    command = Compensator(nominal, geometry, learnt)(joints)
-    return pose_error(forward(nominal, joints), measured_pose(simulated_tracker(run.plant, command, run.rng)))
-
-
-def measured_pose(data: Measurements) -> Pose:
-    """The poses that were measured."""
+def missed(run: Protocol, data: Measurements) -> Array:
+    """Measured against wanted pose ``(100, 6)`` at the test poses, m and rad."""
     assert data.rotation is not None
-    return Pose(data.position, data.rotation)
+    return pose_error(forward(run.plant.arm.nominal, run.test.joints), Pose(data.position, data.rotation))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +92,7 @@ class Left:
 
     def mean_mm(self, method: str) -> float:
         """Mean position error, mm."""
-        return float(1e3 * np.linalg.norm(self.errors[method][:, :3], axis=1).mean())
+        return mean_mm(self.errors[method])
 
 
 def table_4_run(run: Protocol, settings: BpnnSettings, methods: Sequence[str] = METHODS) -> Left:
@@ -114,19 +106,11 @@ def table_4_run(run: Protocol, settings: BpnnSettings, methods: Sequence[str] = 
     geometries = {name: find(run.identification) for name, find in finders.items() if name in methods}
 
     def network(kind: str, geometry: Geometry, data: Measurements) -> ResidualModel:
-        fitters = {"BPNN": lambda x, y, rng: train_bpnn(x, y, rng, settings), "RBF": None}
-        return fit_residual(
-            kind.lower(),
-            data.joints,
-            data.difference(geometry),
-            nominal.prismatic,
-            run.rng,
-            fitter=fitters[kind],
-            periodic_span=np.inf,
-        )
+        fitter = (lambda x, y, rng: train_bpnn(x, y, rng, settings)) if kind == "BPNN" else None
+        rows = data.joints, data.difference(geometry), nominal.prismatic
+        return fit_residual(kind.lower(), *rows, run.rng, fitter=fitter, periodic_span=np.inf)
 
-    errors = {"raw": pose_error(forward(nominal, run.test.joints), measured_pose(run.test))}
-    r2 = {}
+    errors, r2 = {"raw": missed(run, run.test)}, {}
     for name in methods[1:]:
         start, _, kind = name.rpartition("+")
         if kind in finders:
@@ -135,7 +119,8 @@ def table_4_run(run: Protocol, settings: BpnnSettings, methods: Sequence[str] = 
             geometry = geometries[start] if start else nominal
             learnt = network(kind, geometry, run.network if start else run.alone)
             r2[name] = held_out_r2(run.test.difference(geometry), learnt.predict(run.test.joints))
-        errors[name] = left_by(run, geometry, learnt)
+        command = Compensator(nominal, geometry, learnt)(run.test.joints)
+        errors[name] = missed(run, simulated_tracker(run.plant, command, run.rng))
     true = parameter_vector(run.plant.geometry)
     return Left(errors, r2, {name: paper_eta(parameter_vector(found), true) for name, found in geometries.items()})
 
@@ -193,30 +178,24 @@ def campaign(
     return Campaign(runs, arms)
 
 
-def run_means(runs: Sequence[Left], method: str) -> Array:
-    """Mean position error of a method in each run ``(R,)``, mm."""
-    return np.array([left.mean_mm(method) for left in runs])
-
-
 def difference(done: Campaign, one: str, other: str) -> dict[str, Any]:
     """Mean difference of two methods' position errors over the drawn arms, and its 95 % interval.
 
     Poses of a run share calibration and networks, and runs of an arm share the arm: each arm counts once, with the
     mean over its seeds. There is no interval with fewer than ten arms.
     """
-    found = done.by_arm(lambda left: left.mean_mm(one) - left.mean_mm(other))
-    paper = PAPER["table4"]
+    by_arm, paper = done.by_arm(lambda left: left.mean_mm(one) - left.mean_mm(other)), PAPER["table4"]
     return {
         "methods": [one, other],
         "paper_mm": paper[one][0] - paper[other][0],
-        "ours_mm": float(found.mean()),
-        "ci95_mm": mean_interval(found),
+        "ours_mm": float(by_arm.mean()),
+        "ci95_mm": mean_interval(by_arm),
     }
 
 
 def row_of(errors: Array) -> list[float]:
     """[mean mm, RMS mm, mean deg, RMS deg] of the norms; the paper's RMSE cannot be the RMS of the norm (fact 6)."""
-    position, attitude = error_statistics(errors[:, :3] * 1e3), error_statistics(np.degrees(errors[:, 3:]))
+    position, attitude = statistics(errors)
     return [position.mean, position.rms, attitude.mean, attitude.rms]
 
 
@@ -240,7 +219,7 @@ def table_4_rows(plant: str, done: Campaign) -> list[dict[str, Any]]:
             {"plant": plant, "method": name}
             | beside_paper(paper[name], paper["raw"], done.errors(name), done.errors("raw"))
             | {
-                "ci95_mm": mean_interval(run_means(done.runs, name), LEAST_RUNS),
+                "ci95_mm": mean_interval([left.mean_mm(name) for left in done.runs], LEAST_RUNS),
                 "arms_mm": float(by_arm.mean()),
                 "arms_ci95_mm": mean_interval(by_arm),
                 "r2": np.mean(r2, axis=0).tolist() if r2 else None,
@@ -251,15 +230,12 @@ def table_4_rows(plant: str, done: Campaign) -> list[dict[str, Any]]:
 
 def twin(seed: np.random.SeedSequence) -> Plant:
     """A simulated twin of a real arm: plant qiao2026 with deviations drawn afresh, as large as Table 1's."""
-    from pickenv.arm import load_plant
-
     plant = load_plant("qiao2026")
     rng = np.random.default_rng(seed)
     table_1 = plant.arm.nominal.difference(plant.geometry)
     scale = np.zeros(len(table_1))
     angle = plant.arm.nominal.parameter_is_angle
-    links = 4 * plant.arm.nominal.joints
-    for chosen in (angle, ~angle):
-        rows = np.flatnonzero(chosen[:links])
+    for kind in (angle, ~angle):
+        rows = np.flatnonzero(kind[: 4 * plant.arm.nominal.joints])
         scale[rows] = np.sqrt(np.mean(table_1[rows] ** 2))
     return replace(plant, name="twin", geometry=plant.arm.nominal.displaced(rng.normal(size=len(scale)) * scale))

@@ -1,6 +1,6 @@
 """What of Li et al. 2016 comes out again: a verdict for each table, equation and figure, by the numbers beside it.
 
-What the verdicts are called stands in `papers.verdicts`.
+`papers.pages` says what the verdicts are called.
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from papers.verdicts import FITTED, NOT, REPRODUCED, judged
 
+from papers.pages import FITTED, NOT, judged
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.harvester.harvest_summary import Measure
 from pickenv.intervals import share_interval
@@ -38,7 +38,7 @@ def table_1(heights_mm: tuple[float, float], literal_mm: tuple[float, float]) ->
         f"{heights_mm[1]:.0f} mm, which the text says; as printed it would be {literal_mm[0]:.0f} to "
         f"{literal_mm[1]:.0f} mm"
     )
-    return judged(REPRODUCED if same else NOT, reason, rows)
+    return judged(same, reason, rows)
 
 
 def agrees(paper: Sequence[float], ours: Sequence[float]) -> bool:
@@ -58,7 +58,7 @@ def table_2(paper: Mapping[str, Sequence[float]], by_spacing: Mapping[int, Mappi
     reason = (
         f"exact for a slave spacing of {', '.join(map(str, exact))} mm" if exact else "exact for no spacing tried"
     ) + f"; text and Table 1 say 350 mm, with which d6 is up to {apart:.0f} mm off"
-    return judged(REPRODUCED if exact else NOT, reason, rows, exact_for_spacing_mm=exact)
+    return judged(bool(exact), reason, rows, exact_for_spacing_mm=exact)
 
 
 def table_3(
@@ -97,7 +97,7 @@ def pick_points(
         f"misprint of eq (7), {reach['equations']:.1%} without it, {reach['corrected']:.1%} with theta2 as heading, "
         f"{reach['search']:.1%} with a search around that"
     )
-    return judged(REPRODUCED if apart < NEAR_MM else NOT, reason, rows, apart_mm=apart)
+    return judged(apart < NEAR_MM, reason, rows, apart_mm=apart)
 
 
 def point(place_mm: Sequence[float] | None) -> str:
@@ -134,7 +134,7 @@ def figure_2(
         f"corner {reach:.0f} mm from the axis, and the slides give {length_mm:.0f} mm; with the arms' offsets, which "
         f"the figure leaves out, at least one cup reaches {some:.0%} of the area, and all of them {every:.0%}"
     )
-    return judged(REPRODUCED if same else NOT, reason, rows, share_reached=some, files=["work_area"])
+    return judged(same, reason, rows, share_reached=some, files=["work_area"])
 
 
 def figure_8(cloud_mm: Array, headings_deg: Array, theta_deg: float) -> dict[str, Any]:
@@ -163,7 +163,7 @@ def figure_8(cloud_mm: Array, headings_deg: Array, theta_deg: float) -> dict[str
         f"{ahead:.0%} do"
     )
     more = {"share_in_box": share, "share_in_box_within_fig_2": ahead, "files": ["workspace"]}
-    return judged(REPRODUCED if share > 0.9 else NOT, reason, rows, **more)
+    return judged(share > 0.9, reason, rows, **more)
 
 
 def figure_9(paper: Mapping[str, Sequence[float]], ends: Mapping[str, Sequence[float]], spacing: int) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def figure_9(paper: Mapping[str, Sequence[float]], ends: Mapping[str, Sequence[f
     rows = [{"arm": name, "paper": list(paper[name]), "ours": list(ends[name])} for name in paper]
     same = all(agrees(paper[name], ends[name]) for name in paper)
     reason = f"with {spacing} mm between slaves the curves end {'at' if same else 'beside'} what Table 2 prints"
-    return judged(REPRODUCED if same else NOT, reason, rows, files=["joint_curves"])
+    return judged(same, reason, rows, files=["joint_curves"])
 
 
 def own_eyes(
@@ -204,4 +204,4 @@ def own_eyes(
         + f"; {taken} of {located} by themselves are {first:.0%} to {last:.0%}. Recall and errors of the eyes are "
         "outputs; which leaves hung in the lab is not said, and how far a push moves a fruit is ours"
     )
-    return judged(REPRODUCED if within and says else NOT, reason, rows, canopy=canopy, vision=vision, images=images)
+    return judged(within and says, reason, rows, canopy=canopy, vision=vision, images=images)
