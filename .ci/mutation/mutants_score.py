@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -75,29 +75,10 @@ def as_lines(samples: Iterable[Score], mutants: dict[str, dict[str, Any]]) -> st
     return f'{{"samples": [\n{scores}\n],\n"mutants": {{\n{verdicts}\n}}}}\n'
 
 
-PAGE = """# Would the tests notice?
-
-One operator, number, condition or option at a time is changed in the lines that make numbers; a change is
-killed if a test of its room fails, or does not end in time (late). The score is the share killed of those
-tried, with Wilson's 95 % interval for all mutants of the room. That interval holds for a sample that no test
-was written for.
-
-**First try** is such a sample, scored before any of its survivors was seen: the honest score of the tests as
-they were then. Since then tests were written, and code that makes no difference was taken out. **Fresh since**
-are further such samples, each drawn with a new seed after that, in their order. **Now** counts the changes tried
-in any sample, in files that are the same since: among them are those that tests were written for, so that its
-interval says too much. What survived counts as surviving until it is tried again.
-
-Made by `make mutants ARGS=--known` of what `scripts/mutation/mutants_kept.json` holds, which tries nothing; samples
-are tried by `make mutants ARGS="--room ROOM --sample 10 --seed SEED"`, survivors anew by `make mutants ARGS=--again`.
-
-| room | mutants | first try: seed | score | fresh since: seed | score | now: tried | killed | of these late | score |
-|:--|--:|--:|--:|--:|--:|--:|--:|--:|--:|
-"""
-
-
-def page_of(now: Iterable[Score], samples: Iterable[Score], survivors: list[str], equivalents: Equivalents) -> str:
-    """The page with every room's kill rate, what survived, and the changes that make no difference with their reasons.
+def summary_of(
+    now: Iterable[Score], samples: Iterable[Score], survivors: list[str], equivalents: Equivalents
+) -> dict[str, Any]:
+    """Every room's scores, what survived, and the changes that make no difference with their reasons.
 
     Args:
         now: By room, of all that is known of today's files.
@@ -105,29 +86,61 @@ def page_of(now: Iterable[Score], samples: Iterable[Score], survivors: list[str]
         survivors: Keys of what the tests did not notice.
         equivalents: What is left out of the score.
     """
-    fresh: dict[str, list[Score]] = {}
+
+    def row(one: Score) -> dict[str, Any]:
+        return {key: value for key, value in asdict(one).items() if key != "room"} | {"score": one.share}
+
+    rooms: dict[str, Any] = {one.room: {"first": None, "fresh": [], "now": row(one)} for one in now}
     for one in samples:
-        fresh.setdefault(one.room, []).append(one)
-    latest = {one.room: one for one in now}
-    lines = [PAGE.rstrip()]
-    for room in latest | fresh:
-        drawn = fresh.get(room, [])
-        cells = [room, str((latest.get(room) or drawn[-1]).mutants)]
-        for some in (drawn[:1], drawn[1:]):
-            cells += ["; ".join(str(one.seed) for one in some) or "–"]
-            cells += ["; ".join(f"{one.killed} of {one.tried}: {one.share}" for one in some) or "–"]
-        one = latest.get(room)
-        cells += [str(one.tried), str(one.killed), str(one.late), one.share] if one else ["–"] * 3 + ["not tried since"]
-        lines.append("| " + " | ".join(cells) + " |")
-    lines += ["", f"## What survives now: {len(survivors)}", ""]
-    lines += [f"- `{key}`" for key in survivors]
-    lines += ["", "## Changes that make no difference", "", "They are left out of the score.", ""]
-    lines += ["| file | line | change | why it makes none |", "|:--|:--|:--|:--|"]
-    for (path, text, change), reason in sorted(equivalents.items()):
-        lines.append(f"| {path} | {code(text)} | {code(change)} | {reason} |")
-    return "\n".join(lines) + "\n"
+        room = rooms.setdefault(one.room, {"first": None, "fresh": [], "now": None})
+        if room["first"] is None:
+            room["first"] = row(one)
+        else:
+            room["fresh"].append(row(one))
+    makes_none = [
+        {"file": path, "line": text, "change": change, "reason": reason}
+        for (path, text, change), reason in sorted(equivalents.items())
+    ]
+    return {"rooms": rooms, "survivors": survivors, "make_no_difference": makes_none}
 
 
-def code(text: str) -> str:
-    """Code in a cell of a Markdown table."""
-    return "`" + text.replace("|", "\\|") + "`"
+def page_of(summary: Mapping[str, Any]) -> str:
+    """The page: what the rooms come to together, and where each stands."""
+    rooms = summary["rooms"].values()
+    parts = {
+        "first try: samples that no test was written for": [room["first"] for room in rooms],
+        "fresh since: further such samples": [one for room in rooms for one in room["fresh"]],
+        "now: every change ever tried, in files that are the same since": [room["now"] for room in rooms],
+    }
+    lines = []
+    for label, scores in parts.items():
+        tried, killed = (sum(one[key] for one in scores if one) for key in ("tried", "killed"))
+        lines.append(f"| {label} | {tried} | {killed} | {killed / max(tried, 1):.1%} |".replace("%", " %"))
+    count = len(summary["survivors"])
+    return PAGE.format(
+        rooms=len(rooms),
+        rows="\n".join(lines),
+        survive=f"{count} change survives" if count == 1 else f"{count} changes survive",
+        none=len(summary["make_no_difference"]),
+    )
+
+
+PAGE = """# Would the tests notice?
+
+One operator, number, condition or option at a time is changed in the lines that make numbers. A change is
+killed if a test of its room fails or does not end in time. Of {rooms} rooms together, each sampled alike
+whatever its size:
+
+| changes | tried | killed | share |
+|:--|--:|--:|--:|
+{rows}
+
+The first line is the honest one: the tests as they were before any survivor was seen. Tests were then written
+for what survived, so that the last line says too much. {survive} now.
+
+[mutants.json](_static/mutants.json) has every room's score with Wilson's 95 % interval, what survives, and
+{none} changes that make no difference, with their reasons.
+
+Made by `make mutants ARGS=--known`, which tries nothing; samples are tried by
+`make mutants ARGS="--room ROOM --sample 10 --seed SEED"`, survivors anew by `make mutants ARGS=--again`.
+"""

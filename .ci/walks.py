@@ -4,7 +4,7 @@ Each walk clones the checkout, makes an environment without caches, and types wh
 nothing else. The table says how many commands that were, how long they took on the clock and of processor time (which
 other programs on the computer lengthen less), what the environment takes on the disk, and the newcomer's last line.
 
-Run: python scripts/walks.py [--only NAME] [--out runs/walks.json]
+Run: python .ci/walks.py [--only NAME] [--out runs/walks.json]
 
 With all four walked, the table of docs/installation.md is written anew.
 """

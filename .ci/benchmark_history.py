@@ -3,7 +3,7 @@
 Machines differ from run to run, so times are divided by that of one computation that never changes: products of 10 000
 pairs of 4 x 4 matrices in NumPy. History is a CSV file with one row per benchmark and run.
 
-Run: make benchmark ARGS=--benchmark-json=new.json; python scripts/benchmark_history.py new.json history.csv
+Run: make benchmark ARGS=--benchmark-json=new.json; python .ci/benchmark_history.py new.json history.csv
 """
 
 from __future__ import annotations

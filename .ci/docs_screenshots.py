@@ -1,6 +1,6 @@
 """Screenshots of `make test-browser` as pictures of the documentation: few colours, small files.
 
-    python scripts/docs_screenshots.py runs/browser/screenshots
+    python .ci/docs_screenshots.py runs/browser/screenshots
 
 Writes docs/images/inspection-*.webp for every tab of the recording and for both reports, light and dark, and
 docs/images/comparing-policies-*.png.

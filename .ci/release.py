@@ -1,6 +1,6 @@
 """What a release is checked and described by: version, repository, section of the changelog.
 
-Run: python scripts/release.py TAG [--repository OWNER/NAME] > notes.md
+Run: python .ci/release.py TAG [--repository OWNER/NAME] > notes.md
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Other people's clients on the environments: each in its own virtual environment, with the recipe of docs/clients.md.
 
-    python scripts/clients/run_clients.py --folder .venv-clients --json scripts/clients/clients.json
-    python scripts/clients/run_clients.py --client skrl --quick
+    python .ci/clients/run_clients.py --folder .venv-clients --json .ci/clients/clients.json
+    python .ci/clients/run_clients.py --client skrl --quick
 
 A client's environment sees the packages of the Python that runs this script (pickenv, torch, Stable-Baselines3), and
 gets what clients.toml names of its own. What was run is kept in the folder, by recipe and versions, and not run again.

@@ -7,7 +7,7 @@ decorator covers and how a drawing looks are left as they are, and so are change
 (mutants_equivalent.toml). A sample's score is kept when its room is done, and stands whatever becomes of the tests; the
 page is made of what is kept.
 
-Run: python scripts/mutation/mutants.py [--room NAME]... [--sample N] [--seed S] [--again] [--known]
+Run: python .ci/mutation/mutants.py [--room NAME]... [--sample N] [--seed S] [--again] [--known]
      [--json FILE] [--also FILE]... [--page FILE]
 """
 
@@ -21,6 +21,7 @@ import shutil
 import signal
 import tempfile
 import time
+import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Set
 from dataclasses import dataclass
@@ -31,8 +32,7 @@ from typing import Annotated, Any
 import libcst as cst
 import typer
 from libcst.metadata import MetadataWrapper, PositionProvider
-from mutants_rooms import ROOMS
-from mutants_score import Equivalents, Score, as_lines, page_of, read_equivalents, score_of, table
+from mutants_score import Equivalents, Score, as_lines, page_of, read_equivalents, score_of, summary_of, table
 from mutants_trials import LIBRARIES, ROOT, WARM, copied_project, run_tests
 from mutmut.mutation import mutators
 from mutmut.mutation.file_mutation import MutationVisitor
@@ -42,6 +42,27 @@ LEAST_SECONDS, PATIENCE = 120.0, 5.0
 """A room's tests may take this long, or this many times as long as they do without a mutant."""
 KEPT = Path(__file__).with_name("mutants_kept.json")
 """Verdicts of today's files, and the scores of samples."""
+
+
+@dataclass(frozen=True)
+class Room:
+    """Lines that make numbers, and the tests that should notice a change in them.
+
+    Attributes:
+        sources: Modules.
+        tests: Test modules, quickest first.
+        most: How many of its mutants are tried, at random, unless a run says otherwise.
+    """
+
+    sources: list[str]
+    tests: list[str]
+    most: int
+
+
+ROOMS = {
+    name: Room(**table)
+    for name, table in tomllib.loads(Path(__file__).with_name("mutants_rooms.toml").read_text(encoding="utf-8")).items()
+}
 
 
 @dataclass(frozen=True)
@@ -181,7 +202,7 @@ def fingerprint(paths: Iterable[Path]) -> str:
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in sorted(paths))).hexdigest()[:16]
 
 
-def nearest_first(path: str, tests: tuple[str, ...]) -> list[str]:
+def nearest_first(path: str, tests: Iterable[str]) -> list[str]:
     """Test modules, those first that carry the name of the file."""
     return sorted(tests, key=lambda test: Path(path).stem not in test)
 
@@ -254,7 +275,9 @@ def main(
     known_only: Annotated[bool, typer.Option("--known", help="Try nothing: the page of what is kept.")] = False,
     json_file: Annotated[Path, typer.Option("--json", help="Where verdicts and scores are kept.")] = KEPT,
     also: Annotated[list[Path] | None, typer.Option(help="What other runs kept, taken over.")] = None,
-    page: Annotated[Path, typer.Option(help="The page; written when no room is named.")] = ROOT / "docs/mutants.md",
+    page: Annotated[
+        Path, typer.Option(help="The page, its numbers in _static beside it; written when no room is named.")
+    ] = ROOT / "docs/mutants.md",
 ) -> None:
     """Change the lines that make numbers, one at a time, and count what the tests notice."""
     from pickenv.files import write_text  # late: see WARM
@@ -298,7 +321,9 @@ def main(
     print(f"{len(survivors)} survive; each is a test to write, or a change that makes no difference")
     write_text(json_file, as_lines(samples, kept))
     if not room:
-        write_text(page, page_of(now, samples, survivors, equivalents))
+        summary = summary_of(now, samples, survivors, equivalents)
+        write_text(page.parent / f"_static/{page.stem}.json", json.dumps(summary, indent=1, ensure_ascii=False) + "\n")
+        write_text(page, page_of(summary))
 
 
 if __name__ == "__main__":

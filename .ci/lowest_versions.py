@@ -2,7 +2,7 @@
 
 "numpy>=2" becomes "numpy==2.0.*": the latest repair of the lowest minor version.
 
-Run: python scripts/lowest_versions.py > lowest.txt
+Run: python .ci/lowest_versions.py > lowest.txt
 """
 
 from __future__ import annotations
