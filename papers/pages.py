@@ -10,9 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
-
+from pickenv.commands.showing import print_table
 from pickenv.files import write_text
 from pickenv.inspect.reports.report_page import Page, PageTable, PageVerdict, Part, Section, html_of
 from pickenv.inspect.reports.report_words import named_values
@@ -74,16 +72,12 @@ def table(caption: str, rows: Sequence[Any], columns: Columns | None = None, for
     return PageTable(caption, list(columns), cells, "dense" if len(columns) > 8 else "")
 
 
-def print_tables(console: Console, parts: Sequence[Part]) -> None:
+def print_tables(parts: Sequence[Part]) -> None:
     """Print every table."""
     for part in parts:
         assert isinstance(part, PageTable)
-        shown = Table(title=part.caption, title_justify="left")
-        for i, head in enumerate(part.heads):
-            shown.add_column(head, justify="left" if part.in_words(i) else "right")
-        for row in part.rows:
-            shown.add_row(*map(str, row))
-        console.print(shown)
+        words = [head for i, head in enumerate(part.heads) if part.in_words(i)]
+        print_table(part.caption, part.heads, [map(str, row) for row in part.rows], words=words)
 
 
 def write_page(

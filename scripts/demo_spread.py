@@ -7,11 +7,11 @@ Run: python scripts/demo_spread.py [--calibrations 10] [--json FILE]
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import typer
+from measuring import JsonFile
 from rich.progress import track
 
 from pickenv.arm.kinematics.geometry import Array
@@ -48,7 +48,7 @@ def sentence(label: str, found: dict[str, Any]) -> str:
 
 def main(
     calibrations: Annotated[int, typer.Option(help="How many; each has 100 fruit.", min=2)] = 10,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Also write the figures to this file.")] = None,
+    json_file: JsonFile = None,
     epochs: Annotated[int, typer.Option(help="Passes of each network's training; the paper's by default.")] = 500,
 ) -> None:
     """Run them and print a line for each policy."""

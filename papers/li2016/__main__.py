@@ -22,7 +22,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.progress import Progress
 
 from papers.li2016 import verdicts
@@ -69,7 +68,7 @@ def main(
     vision: Annotated[str, typer.Option(help="How fruit is seen: measured_errors, rendered or ideal.")] = VISIONS[1],
 ) -> None:
     """Print the tables, draw the figures, write the recording and the JSON."""
-    console, begin = Console(width=160), time.perf_counter()
+    begin = time.perf_counter()
     command = "python -m papers.li2016" + (" --quick" if quick else f" --trees {trees} --sessions {count}")
     command += "" if vision == VISIONS[1] else f" --vision {vision}"
     trees, images, count = (min(trees, 12), 40, min(count, 100)) if quick else (trees, 400, count)
@@ -87,7 +86,7 @@ def main(
     study = compare(true, strategies(raw, calibrated), trees, images, workers, vision)
     reach = reach_shares(machine, 20 if quick else 200, rng)
     plans = {n: assignments(machine, 2 if quick else 10, n, rng) for n in (7, 20)}
-    print_tables(console, comparison_tables(study, plans))
+    print_tables(comparison_tables(study, plans))
     throughput = by_arms(2 if quick else 12)
     trace = trace_of(machine, exact, study, throughput)
     picture = segmentation(sample_image(machine, picture_rng), picture_rng)
@@ -101,17 +100,17 @@ def main(
         "own eyes": verdicts.own_eyes(PAPER["picking"], recovery, lab.canopy, vision, images),
     }
     *tables, figures = sections(result)
-    print_tables(console, [part for section in (*tables, figures) for part in section.parts])
-    console.print(headline(result))
+    print_tables([part for section in (*tables, figures) for part in section.parts])
+    print(headline(result))
     dense = max(study.trees["optimised"], key=lambda h: max(len(r.fruit) for r in h.rounds))
     with recorded_run(out, "harvest", command, SEED) as run:
         save_part(out, trace, SEED)
         shared = {d.name: d for d in harvest_report.drawings(run)}
         shown = drawings(machine, picture, result, shared["workspace"], shared["joint_curves"])
         for path in write_drawings([*shared.values(), *shown[:2], shown[-1]], out / "figures"):
-            console.print(f"figure {path}")
-        console.print(f"recording {inspect_harvest(machine, dense, out / 'zone.rrd')}")
-        console.print(f"report {write_text(out / 'report.html', harvest_report.page(run))}")
+            print(f"figure {path}")
+        print(f"recording {inspect_harvest(machine, dense, out / 'zone.rrd')}")
+        print(f"report {write_text(out / 'report.html', harvest_report.page(run))}")
         page = write_page(
             out / "reproduction.html",
             "Li et al. 2016, reproduced in simulation",
@@ -121,11 +120,11 @@ def main(
             [*tables, Section("Figures", [*figures.parts, *shown])],
             {"Reproduce": command},
         )
-        console.print(f"page {page}")
+        print(f"page {page}")
     if json_file is not None:
         whole = {**result, "simulated": True, **report(study, plans, throughput)}
         write_text(json_file, json.dumps(whole, indent=2) + "\n")
-    console.print(f"{time.perf_counter() - begin:.0f} s")
+    print(f"{time.perf_counter() - begin:.0f} s")
 
 
 def verdicts_of(

@@ -22,7 +22,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
 from rich.progress import Progress
 from scipy.stats import spearmanr
 
@@ -147,9 +146,9 @@ def main(
         "conclusion": verdicts.conclusion(claims, tables["4"]),
         "solvers": solved,
     }
-    console, shown = Console(width=200), sections(result)
-    print_tables(console, [part for section in shown for part in section.parts])
-    console.print(headline(result), result["conclusion"], sep="\n")
+    shown = sections(result)
+    print_tables([part for section in shown for part in section.parts])
+    print(headline(result), result["conclusion"], sep="\n")
     for path in {out / "reproduction.json", *([json_file] if json_file else [])}:
         write_text(path, json.dumps(result, indent=2) + "\n")
     by_method = {name: {m: each.errors(m) for m in METHODS} for name, each in campaigns.items()}
