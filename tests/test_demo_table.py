@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from pickenv.agents.evaluation.blocked_gain import ROWS, blocked_gain, blocks_apart, grid_joints
+
 from pickenv.arm import load_plant
 from pickenv.calibration import error_statistics, random_joints, simulated_tracker
 from pickenv.cli import _print_demo

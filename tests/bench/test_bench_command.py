@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from pickenv.agents.evaluation.blocked_gain import MEASURED
-from pickenv.arm import Pose, rotation_matrix
 from pickenv.bench import peers
 from pickenv.bench import run_bench as module
 from pickenv.bench.bench_tables import bench_json, blocked_json
 from pickenv.bench.gains import BEFORE, NOMINAL
 from pickenv.bench.peers import PEERS, Peer, homogeneous, judged_peer, last_words, peer_python
 from pickenv.bench.run_bench import GAINS, QUICK, ROWS, BenchSettings, run_bench
+
+from pickenv.arm import Pose, rotation_matrix
 from pickenv.errors import InputError
 
 KEYS = {

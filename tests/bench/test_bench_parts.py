@@ -4,13 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from pickenv.bench import gains, run_bench
 from pickenv.bench.gains import Fold, agreement, left_by_models, seen_of
 from pickenv.bench.peers import PeerTask, accuracy_on
 from pickenv.bench.real_sets import RealSet
 from pickenv.bench.run_bench import BenchSettings, Part
 from pickenv.bench.spread_rows import cell
+
 from pickenv.calibration import Measurements
 
 

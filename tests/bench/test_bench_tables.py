@@ -5,13 +5,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from pickenv.bench import spread_rows
 from pickenv.bench.bench_tables import agreement_words, bench_json, bench_page
 from pickenv.bench.gains import BEFORE, Gain
 from pickenv.bench.real_sets import RealSet
 from pickenv.bench.run_bench import Bench, BenchSettings
 from pickenv.bench.spread_rows import NOTE, SpreadRow, spread_figures
+
 from pickenv.calibration import error_statistics
 
 

@@ -4,9 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import stats
-
-from pickenv.arm import forward, load_arm
 from pickenv.bench import gains
 from pickenv.bench.gains import (
     BEFORE,
@@ -21,6 +18,9 @@ from pickenv.bench.gains import (
     predicted_gain,
 )
 from pickenv.bench.real_sets import SETS, learnable
+from scipy import stats
+
+from pickenv.arm import forward, load_arm
 from pickenv.calibration import Measurements
 from pickenv.errors import InputError
 from pickenv.intervals import statistic_interval

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from pickenv.agents.evaluation.blocked_gain import MEASURED, measured_gains
 from pickenv.bench.bench_tables import GAIN_HEADS, HELD
 from pickenv.bench.gains import BEFORE, LEARNT, LS

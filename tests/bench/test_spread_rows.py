@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from pickenv.bench.real_sets import SETS
 from pickenv.bench.run_bench import BenchSettings, run_bench
 from pickenv.bench.spread_rows import HEADS, NOTE, SPREAD, judged_split, spread_figures, spread_table
+
 from pickenv.errors import InputError
 
 RESULTS = (Path(__file__).parents[2] / "docs/results.md").read_text(encoding="utf-8")

@@ -11,8 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
-
 from pickenv.agents.evaluation.conditions_study import (
     BLIND,
     BOTH,
@@ -34,6 +32,8 @@ from pickenv.agents.evaluation.conditions_study import (
     under,
     warming,
 )
+from typer.testing import CliRunner
+
 from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_error
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.cli import app
