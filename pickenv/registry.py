@@ -25,7 +25,12 @@ KINDS = (
 )
 """Every kind of extension; `docs/extending.md` says what a thing of each must have."""
 
-SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(dict.fromkeys(KINDS, ()))
+SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        **dict.fromkeys(KINDS, ()),
+        "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
+    }
+)
 """The modules that register what ships, by kind; the order of names is theirs."""
 
 Thing = TypeVar("Thing", bound=Callable[..., Any])
@@ -41,8 +46,8 @@ class Origin:
         module: The module, where there is no package; else "".
     """
 
-    package: str
-    version: str
+    package: str = ""
+    version: str = ""
     module: str = ""
 
     def __str__(self) -> str:
