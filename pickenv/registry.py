@@ -28,6 +28,7 @@ KINDS = (
 SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         **dict.fromkeys(KINDS, ()),
+        "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
         "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
     }
 )
@@ -141,6 +142,12 @@ def origin(kind: str, name: str) -> Origin:
         return _origin_of_entry_point(offers[0])
     get(kind, name)
     return _entries[kind][name].origin
+
+
+def packages() -> dict[str, str]:
+    """Name the packages of others of which something was taken, and their versions: results may depend on them."""
+    sources = [entry.origin for entries in _entries.values() for entry in entries.values()]
+    return {source.package: source.version for source in sources if source.package not in ("", "pickenv")}
 
 
 def _check_kind(kind: str) -> None:

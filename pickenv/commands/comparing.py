@@ -39,7 +39,7 @@ def compare(
         list[str],
         typer.Argument(
             metavar="POLICY...",
-            help="scripted, random, oracle, servo, adaptive, a shipped baseline, a policy file (.npz), a model of "
+            help="{policy}, a shipped baseline, a policy file (.npz), a model of "
             "Stable-Baselines3 (.zip), a Python file with make_policy(env, seed), a calibration (the scripted policy "
             "behind it), or the folder of a training or of a comparison.",
             show_default=False,
