@@ -18,7 +18,7 @@ from pickenv import registry
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Versions of what computed the numbers: pickenv, NumPy, Python, packages that extend it, and named ones if there."""
+    """Versions of what computed numbers: pickenv, NumPy, Python, packages that extend it, and named ones if there."""
     found = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
     found |= registry.packages()
     for name in packages:

@@ -28,6 +28,7 @@ KINDS = (
 SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         **dict.fromkeys(KINDS, ()),
+        "gripper": ("pickenv.orchard.gripper",),
         "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
         "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
     }
@@ -142,6 +143,17 @@ def origin(kind: str, name: str) -> Origin:
         return _origin_of_entry_point(offers[0])
     get(kind, name)
     return _entries[kind][name].origin
+
+
+def load_all(kind: str) -> dict[str, Any]:
+    """Everything of a kind by name; what another package cannot give is left aside with a warning."""
+    things = {}
+    for name in names(kind):
+        try:
+            things[name] = get(kind, name)
+        except InputError as error:
+            warnings.warn(str(error), stacklevel=2)
+    return things
 
 
 def packages() -> dict[str, str]:
