@@ -28,6 +28,8 @@ KINDS = (
 SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         **dict.fromkeys(KINDS, ()),
+        "arm_format": ("pickenv.arm.files.load", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
+        "exporter": ("pickenv.calibration.delivery.export",),
         "gripper": ("pickenv.orchard.gripper",),
         "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
         "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
