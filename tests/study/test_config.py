@@ -10,7 +10,7 @@ import pytest
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.errors import InputError
-from pickenv.study.design.config import Noise, load_study
+from pickenv.experiments.study import Noise, load_study
 
 ROOT = Path(__file__).parents[2]
 

@@ -4,9 +4,9 @@ import numpy as np
 import pyarrow.dataset as ds
 import pytest
 
+from pickenv.experiments.study_arms import FIGURES
+from pickenv.experiments.study_rows import PROBABILITIES, quantiles_of
 from pickenv.intervals import quantile_interval
-from pickenv.study.results.quantiles import PROBABILITIES, quantiles_of
-from pickenv.study.results.row_table import FIGURES
 
 
 def test_quantiles_are_exact_and_leave_failed_arms_out(written):

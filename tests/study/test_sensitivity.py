@@ -7,9 +7,13 @@ import pytest
 from scipy import stats
 
 from pickenv.errors import InputError
-from pickenv.study.analysis.sensitivity import _interval, sensitivities_of, tolerance_kind
-from pickenv.study.analysis.sobol import sobol_indices
-from pickenv.study.results.quantiles import variance_indices
+from pickenv.experiments.study_variance import (
+    _interval,
+    sensitivities_of,
+    sobol_indices,
+    tolerance_kind,
+    variance_indices,
+)
 
 
 def rows_of(columns, squared_error, arm=None):

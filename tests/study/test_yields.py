@@ -5,9 +5,8 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
+from pickenv.experiments.study_rows import SETTING, yields_of
 from pickenv.intervals import share_interval
-from pickenv.study.results.quantiles import yields_of
-from pickenv.study.results.row_table import SETTING
 
 REQUIRED = 0.95
 
