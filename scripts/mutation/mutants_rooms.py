@@ -138,10 +138,10 @@ ROOMS = {
     ),
     "rollouts": room("agents/evaluation", "rollout reaches", "tests/agents", "policies_by_hand evaluation"),
     "yields": room(
-        "pickenv/study",
-        "results/outcomes results/quantiles",
-        "tests/study",
-        "outcomes yields quantiles rows report",
+        "pickenv/experiments",
+        "study_arms study_rows",
+        "tests/experiments",
+        "study_outcomes study_yields study_quantiles study_rows study_report",
     ),
     "networks": room(
         "calibration/residuals",
@@ -231,10 +231,16 @@ ROOMS = {
         "files/urdf files/mjcf files/flange files/ur_yaml kinematics/mimic files/arm_file plant/plant_file",
     ),
     "study": room(
-        "pickenv/study/running", "batched batched_identification arm_by_arm", "tests/study", "batched executors"
+        "pickenv/experiments",
+        "study study_batched",
+        "tests/experiments",
+        "study_batched study_rows study_executors",
     ),
     "analysis": room(
-        "pickenv/study/analysis", "sensitivity sobol single_arms study_report", "tests/study", "sensitivity report"
+        "pickenv/experiments",
+        "study_variance study_findings study_report",
+        "tests/experiments",
+        "study_sensitivity study_report",
     ),
     "campaign": room(
         "pickenv/arm",
