@@ -19,6 +19,9 @@ from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_figures import grid_drawings
 from pickenv.calibration import Choices, calibrate
 from pickenv.commands.calibrate import write_run
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_report import write_outputs
+from pickenv.experiments.study_rows import run_study
 from pickenv.inspect.figures import plot_calibration, style
 from pickenv.inspect.figures.figure_lint import contrast_of, figure_faults, linting
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings

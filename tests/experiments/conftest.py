@@ -70,6 +70,12 @@ def written(tmp_path) -> Callable[..., ds.Dataset]:
     return write
 
 
+@pytest.fixture
+def chunk_file() -> Callable[[Path, int], Path]:
+    """The file of a chunk of a study's last run, by its number."""
+    return lambda folder, chunk: next((folder / "rows").glob(f"study-*_{chunk}_*.parquet"), folder / "rows" / "none")
+
+
 SMALL = """\
 plant = "qiao2026"
 seed = 3
