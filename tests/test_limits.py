@@ -5,8 +5,6 @@ from pathlib import Path
 
 import pytest
 from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
-from pickenv.study.running.runners import Crew
 from typer.testing import CliRunner
 
 from pickenv.cli import app

@@ -21,8 +21,8 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-
 from pickenv.agents.evaluation.blocked_gain import ROWS, blocks_apart, grid_joints, measured_gains
+
 from pickenv.arm import Array, Plant, draw_plants, load_plant, load_tolerances, plant_at
 from pickenv.calibration import BpnnSettings, Choices, Measurements, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.model.observations import BLOCKS

@@ -25,10 +25,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from pickenv.intervals import mean_interval
 from pickenv.experiments.study import StudyConfig, load_study
-from pickenv.experiments.study_rows import read_rows
-from pickenv.experiments.study_rows import run_study
+from pickenv.experiments.study_rows import read_rows, run_study
+from pickenv.intervals import mean_interval
 
 AXES = ("it_grade", "poses")
 """Numbers whose order is compared."""

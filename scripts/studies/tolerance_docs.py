@@ -16,16 +16,14 @@ from typing import Any
 from study_seeds import agreement, in_groups, sentence, sentence_of_groups
 
 from pickenv.errors import InputError
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_figures import yield_curves
+from pickenv.experiments.study_findings import Findings, gather, setting_label, specified
+from pickenv.experiments.study_rows import read_summary
+from pickenv.experiments.study_variance import SAMPLES, sobol_of
 from pickenv.files import write_text
 from pickenv.inspect.figures.style import save_figure
 from pickenv.inspect.reports.report_words import estimated, percent
-from pickenv.experiments.study_variance import SAMPLES, sobol_of
-from pickenv.experiments.study_findings import Findings, gather
-from pickenv.experiments.study_findings import setting_label
-from pickenv.experiments.study_figures import yield_curves
-from pickenv.experiments.study_findings import specified
-from pickenv.experiments.study import load_study
-from pickenv.experiments.study_rows import read_summary
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tolerance-studies.md"

@@ -12,7 +12,6 @@ import pytest
 import torch
 from pickenv.study.design.config import RAW, Noise, StudyConfig
 from pickenv.study.design.protocol import prepared_study
-from pickenv.study.results.outcomes import chunk_table
 from pickenv.study.running.arm_by_arm import evaluate_arm
 from pickenv.study.running.batched import judge_batch
 

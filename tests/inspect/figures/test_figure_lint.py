@@ -14,6 +14,7 @@ from pickenv.bench.real_sets import SETS, learnable
 from pickenv.study.analysis.study_report import write_outputs
 from pickenv.study.design.config import load_study
 from pickenv.study.running.run_study import run_study
+from tests.study.conftest import SMALL
 
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_figures import grid_drawings
@@ -30,7 +31,6 @@ from pickenv.inspect.reports.run_pages import drawings_of
 from pickenv.inspect.runs.run_folder import Run, read_run
 from tests.agents.synthetic import FRUIT, grid_of
 from tests.inspect.figures.test_figures import PLOTS
-from tests.study.conftest import SMALL
 
 CSS = Path(report_svg.__file__).parent / "templates/report.css"
 RAW, LS, GREY = "#e69f00", "#0072b2", "#96969e"
