@@ -230,42 +230,38 @@ def _left_on_design(
     return [left_of_blocks(plant.arm, rows, number, BLOCKS // 2, rng, **NETWORK) for number, rows in sets]
 
 
-# What every model removes, on designs measured in two ways: a study.
+# What every model removes, on designs measured in two ways: scripts/studies/residual_gains.toml.
 
 PROTOCOLS = ("grid", "random")
-SETS_EACH = 2
 TERMS_ALONE = {"LS + gravity": "gravity", "LS + harmonics": "periodic", TERMS: "auto"}
 
 
 def left_on_sets(
-    rng: np.random.Generator, plant: str, protocol: str, arm: int, number: int, arms: int = 8, epochs: int = 500
+    rng: np.random.Generator, plant: str, protocol: str, arm: int, set: int, epochs: int
 ) -> list[dict[str, Any]]:
-    """What models leave of one calibration set of an arm drawn from a design: a row for each model.
+    """What models leave of blocks held out of one calibration set of an arm: a row for each model.
 
     Args:
-        rng: Not used; every set of a protocol has its own stream, which no other plant or protocol changes.
+        rng: Its seed counts; streams are those of the protocol, the arm and the set, equal for every plant.
         plant: The design; arms are drawn from class medium.
         protocol: "grid", a grid of positions with another attitude at each (`grid_joints`); or "random" poses.
         arm: Number of the arm.
-        number: Which of the arm's `SETS_EACH` calibration sets.
-        arms: So many arms are drawn.
+        set: Which of the arm's two calibration sets.
         epochs: Passes of the network's training.
 
     Returns:
         For each model "left_mm", RMS, and "removed", the share of what least squares leaves.
     """
-    drawn = draw_plants(load_plant(plant), load_tolerances("medium"), arms, np.random.default_rng(_stream(0)))
-    own, place = plant_at(drawn, arm), arm * SETS_EACH + number
-    rng = np.random.default_rng(_stream(1 + PROTOCOLS.index(protocol), place))
-    if protocol == "random":
-        (rows,) = random_sets(own, (ROWS,), rng)
-    else:
-        rows = simulated_tracker(own, grid_joints(own.arm.nominal, ROWS, rng), rng)
-    left = left_of_blocks(
-        own.arm, rows, place, 4, rng, terms=TERMS_ALONE, epochs=epochs, attitudes=True, frames="fitted"
+    sequence = rng.bit_generator.seed_seq
+    assert isinstance(sequence, np.random.SeedSequence)
+    number = 2 * arm + set
+    of_arms, own = (
+        np.random.default_rng(np.random.SeedSequence(sequence.entropy, spawn_key=place))
+        for place in ((0,), (1 + PROTOCOLS.index(protocol), number))
     )
+    drawn = plant_at(draw_plants(load_plant(plant), load_tolerances("medium"), arm + 1, of_arms), arm)
+    nominal = drawn.arm.nominal
+    joints = grid_joints(nominal, ROWS, own) if protocol == "grid" else random_joints(nominal, ROWS, own)
+    models: dict[str, Any] = {"terms": TERMS_ALONE, "epochs": epochs, "attitudes": True, "frames": "fitted"}
+    left = left_of_blocks(drawn.arm, simulated_tracker(drawn, joints, own), number, 4, own, **models)
     return [{"model": name, "left_mm": mm, "removed": 1.0 - mm / left[LS]} for name, mm in left.items()]
-
-
-def _stream(*place: int) -> np.random.SeedSequence:
-    return np.random.SeedSequence(SEED, spawn_key=place)
