@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from pickenv.bench.real_sets import SETS, learnable
 
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_figures import grid_drawings
-from pickenv.bench.real_sets import SETS, learnable
 from pickenv.calibration import Choices, calibrate
 from pickenv.commands.calibrate import write_run
 from pickenv.inspect.figures import plot_calibration, style
