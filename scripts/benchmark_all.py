@@ -26,7 +26,7 @@ from typing import Annotated, Any
 import typer
 from benchmark_calibration import machine
 
-from pickenv.bench.peers import last_words
+from pickenv.experiments.peers import last_words
 from pickenv.files import write_text
 from pickenv.study.design.config import load_study
 from pickenv.study.running.run_study import run_study

@@ -50,7 +50,6 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
             "pickenv.demo",
             "pickenv.commands",
             "pickenv.study",
-            "pickenv.bench",
             "pickenv.experiments",
             "pickenv.__main__",
         ),

@@ -45,7 +45,7 @@ def remainder(rng: np.random.Generator, set: str) -> list[dict[str, Any]]:
 
 
 def repeats(path: Path) -> float:
-    """Standard deviation of repeated measurements, mm: median over poses, along three axes; NaN where none is stated."""
+    """Standard deviation of repeated measurements, mm: median over poses, along three axes; NaN if none is stated."""
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file, delimiter=";"))
     names = [f"measurement_std_{axis}" for axis in "xyz"]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from pickenv.bench.real_sets import SETS, learnable
+from pickenv.experiments.robots import SETS, learnable
 
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_figures import grid_drawings
