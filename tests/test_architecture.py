@@ -49,7 +49,6 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
             "pickenv.cli",
             "pickenv.demo",
             "pickenv.commands",
-            "pickenv.study",
             "pickenv.experiments",
             "pickenv.__main__",
         ),
@@ -67,7 +66,6 @@ SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
     "pickenv.arm": (("kinematics",), ("files",), ("effects",), ("plant",)),
     "pickenv.envs": (("shared",), ("reaching",), ("picking", "harvesting")),
     "pickenv.inspect": (("runs",), ("figures",), ("recordings", "reports", "films")),
-    "pickenv.study": (("design",), ("results",), ("running",), ("analysis",)),
     "pickenv.agents": (("policies",), ("evaluation",), ("training",)),
 }
 BELOW = ("pickenv.errors", "pickenv.extras", *GROUND)

@@ -96,7 +96,7 @@ class LeaderboardSettings:
 
 Work = Callable[[int], Any]
 Runner = Callable[[Sequence[int], Work], Iterator[tuple[int, Any]]]
-"""Does the work for each number, in any order and anywhere, as the executors of `pickenv.study.running.runners` do."""
+"""Does the work for each number, in any order and anywhere, as `pickenv.experiments.engine.spread` does."""
 
 
 def in_turn(numbers: Sequence[int], work: Work) -> Iterator[tuple[int, Any]]:

@@ -108,9 +108,6 @@ def policies(
         Literal["serial", "joblib", "ray"], typer.Option(help="What computes; it does not change the figures.")
     ] = "serial",
     workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
-    address: Annotated[
-        str | None, typer.Option(help="Ray cluster, host:port or ray://host:port; a local one if left out.")
-    ] = None,
 ) -> None:
     """Policies raw and calibrated, with interquartile means over arms that no two seeds share; picks per hour too."""
     from dataclasses import replace
@@ -124,14 +121,14 @@ def policies(
         leaderboard_tables,
         run_leaderboard,
     )
+    from pickenv.experiments.engine import spread
     from pickenv.extras import require
     from pickenv.inspect.runs.run_folder import listed_files
-    from pickenv.study.running.runners import Crew, load_executor
 
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
-    require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
-    crew, compute = Crew(workers, address).for_executor(executor), load_executor(executor)
+    require("torch", "pyarrow", *({"joblib": ["joblib"], "ray": ["ray"]}.get(executor, [])))
+    backend = "loky" if executor == "joblib" else executor
     usual = LeaderboardSettings.quick() if quick else LeaderboardSettings()
     settings = replace(
         usual,
@@ -150,7 +147,7 @@ def policies(
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
-            rows = run_leaderboard(settings, out, report, lambda numbers, work: compute(numbers, work, crew))
+            rows = run_leaderboard(settings, out, report, lambda numbers, work: spread(work, numbers, backend, workers))
         saves = [
             (page, lambda path: write_text(path, leaderboard_tables(rows))),
             (json_file, lambda path: write_json(path, {"rows": rows})),

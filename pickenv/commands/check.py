@@ -104,7 +104,7 @@ def folder_findings(folder: Path) -> list[Finding]:
     if pages:
         return [Finding(str(folder / LIST), "list of files", reason=f"is missing beside {pages[0]}; {REMAKE}")]
     if (folder / STUDY).exists():
-        from pickenv.study.results.study_folder import check_folder
+        from pickenv.experiments.study_rows import check_folder
 
         return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
     runs = {record.parent for record in folder.rglob(RECORD)}

@@ -54,13 +54,23 @@ def experiment(
     def show() -> None:
         print(found.title)
         for number, made in zip(found.numbers, tables, strict=True):
+            if not made["rows"]:
+                continue
             heads, cells = table_of(number, made["rows"])
             print_table(made["title"], heads, cells, words=number.by)
 
     def draw(place: Path) -> list[Path]:
+        from pickenv.inspect.figures.plot_estimates import estimates_figure
         from pickenv.inspect.figures.style import save_figure
 
-        return [save_figure(function(rows), place / f"{name}.png") for name, function in found.figures.items()]
+        drawn = {name: function(rows) for name, function in found.figures.items()}
+        for number, made in zip(found.numbers, tables, strict=True):
+            if number.figure is not None:
+                axes: Any = {"x": number.x, "colour": None if number.x else number.across, "panels": number.panels}
+                drawn[number.figure] = estimates_figure(
+                    made["rows"], number.title, number.by, **axes, log=number.log, scale=number.scale
+                )
+        return [save_figure(figure, place / f"{name}.png") for name, figure in drawn.items()]
 
     saves: list[Any] = [
         (json_file, lambda path: write_json(path, content)),

@@ -80,7 +80,7 @@ def _record(run: Run, policy: str | None) -> Path:
     if run.kind == "demo":
         return record_comparison(load_part(run, Comparison), run.folder / "errors.rrd")
     if run.kind == "study":
-        from pickenv.study.analysis.study_recording import record_study
+        from pickenv.experiments.study_report import record_study
 
         return record_study(run.folder, 0, run.folder / "arms.rrd")
     raise InputError(f"a run of kind '{run.kind}' has no recording; see its figures with `pickenv report {run.folder}`")

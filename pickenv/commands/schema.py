@@ -30,6 +30,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.calibration.camera.boards import Board
     from pickenv.calibration.reading.description import DescriptionFile
     from pickenv.envs.harvesting.harvest_task import Rules
+    from pickenv.experiments.study import StudyConfig
     from pickenv.harvester.machine import MachineFile
     from pickenv.harvester.optimiser import Effort
     from pickenv.harvester.pick_point import Search
@@ -39,7 +40,6 @@ def kinds() -> dict[str, Any]:
     from pickenv.orchard.camera import CameraFile
     from pickenv.orchard.gripper import GripperFile
     from pickenv.orchard.occlusion import Station
-    from pickenv.study.design.config import StudyConfig
     from pickenv.toml_tables import toml_table
 
     return {

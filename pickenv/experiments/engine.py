@@ -15,6 +15,7 @@ import json
 import logging
 import os
 import re
+import secrets
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,7 +34,7 @@ from pickenv.container import refusing_damage
 from pickenv.errors import InputError
 from pickenv.extras import require
 from pickenv.files import write_text, write_whole
-from pickenv.locks import locked
+from pickenv.locks import FILE, locked
 from pickenv.provenance import code_fingerprint, versions
 from pickenv.sealed import check_sealed_parquet, parquet_is_sealed, sealed_parquet
 from pickenv.threads import single_threaded
@@ -271,11 +272,11 @@ def keep(
             folder / f"{experiment.name}_{piece.label}_{key[:16]}.parquet"
             for piece, key in zip(pieces, keys, strict=True)
         ]
-        _write_record(folder, {file.name: key for file, key in zip(files, keys, strict=True)})
+        _write_record(folder, {file.name: key for file, key in zip(files, keys, strict=True)}, warn)
         todo = []
         for number, (file, key) in enumerate(zip(files, keys, strict=True)):
             if file.is_file() and parquet_is_sealed(file.read_bytes()):
-                read_piece(file, key)
+                _piece_table(file, key)
                 continue
             if file.is_file() and warn is not None:
                 warn(f"{file} is damaged and is made anew")
@@ -294,7 +295,7 @@ def keep(
             if progress is not None:
                 progress(experiment.name, done, len(pieces))
         if len(kept) < len(pieces):
-            _write_record(folder, {files[number].name: keys[number] for number in kept})
+            _write_record(folder, {files[number].name: keys[number] for number in kept}, warn)
     return [files[number] for number in kept]
 
 
@@ -322,9 +323,19 @@ def kept_rows(folder: str | Path) -> Rows:
     Raises:
         InputError: If there is no such run, it is not complete, or a file is damaged or was edited.
     """
+    return joined([Rows.of_arrow(table) for _, table in kept_tables(folder)])
+
+
+def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
+    """The pieces of an experiment's last run one by one, each verified; memory holds one.
+
+    Raises:
+        InputError: As `kept_rows`.
+    """
     folder = Path(folder)
     record = _read_record(folder / RECORD)
-    return joined([read_piece(folder / name, record.pieces[name]) for name in record.last])
+    for name in record.last:
+        yield folder / name, _piece_table(folder / name, record.pieces[name])
 
 
 @dataclass(frozen=True)
@@ -347,10 +358,14 @@ class _Record:
         return json.dumps(content | {"sha256": own}, indent=2) + "\n"
 
 
-def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
+def _write_record(folder: Path, pieces: Mapping[str, str], warn: Callable[[str], None] | None) -> None:
     """Say what the folder holds: these pieces, and those of other runs that it held before."""
-    path = folder / RECORD
-    before = _read_record(path).pieces if path.is_file() else {}
+    path, before = folder / RECORD, dict[str, str]()
+    try:
+        before |= _read_record(path).pieces if path.is_file() else {}
+    except InputError:
+        if warn is not None:
+            warn(f"{path} is damaged and is made anew")
     there = {name: key for name, key in before.items() if (folder / name).is_file()}
     write_text(path, _Record({**there, **pieces}, list(pieces), versions("pyarrow")).text())
 
@@ -379,8 +394,8 @@ def _write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
     write_whole(path, lambda temporary: temporary.write_bytes(content))
 
 
-def read_piece(path: Path, key: str) -> Rows:
-    """The rows of one piece.
+def _piece_table(path: Path, key: str) -> pa.Table:
+    """The rows of one piece as a table.
 
     Raises:
         InputError: If the file is missing or damaged, or is another piece than its name says.
@@ -397,7 +412,7 @@ def read_piece(path: Path, key: str) -> Rows:
     said = (table.schema.metadata or {}).get(b"pickenv.key", b"").decode()
     if said != key:
         raise InputError(f"{path} holds another piece than its name says (key {said[:12]}); {AGAIN}")
-    return Rows.of_arrow(table)
+    return table
 
 
 def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
@@ -414,14 +429,16 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     except InputError as error:
         return [(record, str(error))]
     found: list[tuple[Path, str | None]] = [(record, None)]
-    there = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
-    for name in sorted({*pieces, *there} - {RECORD}):
+    there = {path.name for path in folder.iterdir()} - {RECORD, FILE}
+    for name in sorted({*pieces, *there}):
         path, reason = folder / name, None
         if name not in pieces:
             reason = f"{path} is no piece of this experiment; take it out of the folder"
+            if name.startswith("."):
+                reason = f"{path} was left behind by an interrupted write; delete it"
         else:
             try:
-                read_piece(path, pieces[name])
+                _piece_table(path, pieces[name])
             except InputError as error:
                 reason = str(error)
         found.append((path, reason))
@@ -486,11 +503,10 @@ def spread(
         return
     require("joblib")
     from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
     from joblib.parallel import get_active_backend
 
     left = list(numbers)
-    with _working_on(backend, workers):
+    with _working_on(backend, workers) as deaths:
         for _ in range(ATTEMPTS):
             streams = get_active_backend()[0].supports_return_generator
             parallel = Parallel(
@@ -505,7 +521,7 @@ def spread(
                         left.remove(number)
                         yield number, result
                 return
-            except TerminatedWorkerError:
+            except deaths:
                 continue
     raise InputError(
         f"the processes that worked on piece {left[0]} died {ATTEMPTS} times ({len(left)} are left); give fewer "
@@ -514,22 +530,14 @@ def spread(
 
 
 @contextmanager
-def _working_on(backend: str, workers: int | None) -> Iterator[None]:
-    """The context in which joblib works on a backend; a cluster of Ray is found as Ray finds one (RAY_ADDRESS)."""
+def _working_on(backend: str, workers: int | None) -> Iterator[tuple[type[Exception], ...]]:
+    """The context in which joblib works on a backend; gives the errors that mean that a process died."""
     from joblib import parallel_config
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
 
+    deaths: tuple[type[Exception], ...] = (TerminatedWorkerError,)
     if backend == "ray":
-        require("ray")
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-        import ray
-        from ray.util.joblib import register_ray
-
-        register_ray()  # type: ignore[no-untyped-call]
-        if not ray.is_initialized() and "RAY_ADDRESS" not in os.environ:  # one of this machine, which nobody else hears
-            ray.init(
-                num_cpus=workers, include_dashboard=False, log_to_driver=False, _node_ip_address="127.0.0.1",
-                logging_level=logging.ERROR,
-            )  # fmt: skip
+        deaths += (_joined_ray(workers).exceptions.RayError,)
     try:
         context = parallel_config(backend=backend)
     except (ValueError, ImportError) as error:
@@ -538,10 +546,41 @@ def _working_on(backend: str, workers: int | None) -> Iterator[None]:
         ) from error
     try:
         with context:
-            yield
+            yield deaths
     finally:
         if backend == "ray":
+            import ray
+
             ray.shutdown()
+
+
+ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_AUTH_MODE": "token"}
+"""Environment of a cluster of one's own: on loopback (on Linux, too, Ray takes it then), and with a token for work."""
+
+
+def _joined_ray(workers: int | None) -> Any:
+    """Ray, connected to the cluster at RAY_ADDRESS, or to one of this machine that takes work from nobody else."""
+    require("ray")
+    address, options = os.environ.get("RAY_ADDRESS"), dict[str, Any]()
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    if address is None:
+        os.environ.update(ALONE | {"RAY_AUTH_TOKEN": secrets.token_hex(32)})  # read as Ray is imported
+        options = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+    import ray
+    from ray.util.joblib import register_ray
+
+    register_ray()  # type: ignore[no-untyped-call]
+    try:
+        if not ray.is_initialized():
+            ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+    except Exception as error:  # Ray raises many kinds here, the bare one among them
+        ray.shutdown()
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0].partition(". ")[0].rstrip(".")
+        raise InputError(
+            f"Ray cannot be used at {address or 'this machine'}: {reason}; RAY_ADDRESS must name a cluster that runs "
+            "Ray and Python of these versions, RAY_AUTH_MODE must be as on it, and the machine not too busy"
+        ) from error
+    return ray
 
 
 def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any]:

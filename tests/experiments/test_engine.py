@@ -160,6 +160,23 @@ def test_every_damage_of_a_folder_is_noticed(which, how, tmp_path):
     assert any(reason is not None for _, reason in check_experiment(tmp_path))
 
 
+def test_a_damaged_record_is_made_anew(tmp_path):
+    keep(experiment(), tmp_path)
+    damaged(tmp_path / RECORD, "changed")
+    said = []
+    assert_same(run(experiment(), tmp_path, warn=said.append), run(experiment()))
+    assert said == [f"{tmp_path / RECORD} is damaged and is made anew"]
+    assert all(reason is None for _, reason in check_experiment(tmp_path))
+
+
+def test_what_an_interrupted_write_left_behind_is_noticed_and_disturbs_nobody(tmp_path):
+    keep(experiment(), tmp_path)
+    rest = tmp_path / ".toy_raw_0-abc.parquet"
+    rest.write_bytes(b"PAR1")
+    assert "interrupted write; delete it" in dict(check_experiment(tmp_path))[rest]
+    assert_same(run(experiment(), tmp_path), run(experiment()))
+
+
 KILLED = """
     import sys, time
     import numpy as np

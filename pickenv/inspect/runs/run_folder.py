@@ -71,7 +71,7 @@ KINDS: Mapping[str, RunKind] = {
     "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
     "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
     "harvest": RunKind("python scripts/reproduce_li2016.py --out RUN", "pickenv.inspect.reports.harvest_report"),
-    "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.study.analysis.study_report"),
+    "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.experiments.study_report"),
 }
 TakePicture: TypeAlias = Callable[[Path], bytes | None]
 """Gives a recording as its viewer draws it, WebP, such as `viewer_picture`; None where it cannot be drawn."""

@@ -1,21 +1,27 @@
 """Figures of a study: yields and errors against what was varied, distributions, sensitivities, one arm among many.
 
-Each takes the tables of `yields`, `quantiles` and `sensitivity` and returns a matplotlib figure; mm, degrees, percent.
+Each takes rows of yields, quantiles or sensitivities and returns a matplotlib figure; mm, degrees, percent.
+`study_drawings` says which of them a study allows, with their captions, and why others are left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from textwrap import wrap
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from matplotlib.figure import Figure
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
+from pickenv.experiments.study import RAW
+from pickenv.experiments.study_arms import ERROR
+from pickenv.experiments.study_findings import FEW, Findings, Placement, method_label, setting_label, specified
+from pickenv.experiments.study_rows import Row, held
 from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn
 from pickenv.inspect.figures.style import (
     INK,
     LINES,
@@ -29,19 +35,15 @@ from pickenv.inspect.figures.style import (
     rgb,
     short,
 )
-from pickenv.study.analysis.study_verdict import FEW, method_label
-from pickenv.study.design.config import RAW
-from pickenv.study.results.row_table import Row, held
 
-AXES = {
-    "it_grade": "IT grade of the lengths (ISO 286-1)",
-    "poses": "calibration poses (number)",
-    "noise_mm": "tracker noise, standard deviation per axis (mm)",
-    "payload_kg": "payload (kg)",
+AXES: Mapping[str, tuple[str, str, str]] = {
+    "it_grade": ("the grade of the machined lengths", "IT grade of the lengths (ISO 286-1)", "IT{}"),
+    "poses": ("the number of calibration poses", "calibration poses (number)", "{} poses"),
+    "noise_mm": ("the tracker's noise", "tracker noise, standard deviation per axis (mm)", "noise {:g} mm"),
+    "payload_kg": ("the payload", "payload (kg)", "payload {:g} kg"),
 }
-"""What a study may vary along an axis, and the axis's label."""
-WORDS = {"it_grade": "IT{}", "poses": "{} poses", "noise_mm": "noise {:g} mm", "payload_kg": "payload {:g} kg"}
-ERROR, ERROR_LABEL = "error_mean_mm", "arm's mean position error (mm)"
+"""What a study may vary along an axis: in words, as the axis's label, and a value of it."""
+ERROR_LABEL = "arm's mean position error (mm)"
 NOTE = 7.5
 """Size of the line below a figure that says how to read it, points."""
 NOTE_LETTER, LEGEND = 0.062, 1.8
@@ -53,15 +55,47 @@ LONGEST = 16
 """Parameters in a tornado; the rest are as good as zero."""
 
 
-def setting_label(row: Row) -> str:
-    """A setting in a few words, with units."""
-    calibration = (
-        "raw"
-        if row["method"] == RAW
-        else f"{method_label(row['method'])}, {row['poses']} poses, noise {row['noise_mm']:g} mm"
-    )
-    load = f", payload {row['payload_kg']:g} kg" if row["payload_kg"] else ""
-    return f"{row['tolerances']}, IT{row['it_grade']}, {calibration}{load}"
+def study_drawings(findings: Findings) -> Drawings:
+    """The figures of a study."""
+    rows, wanted = findings.yields, specified(findings.protocol.config)
+    judged = any(row["failed"] < row["arms"] for row in rows)
+    drawings: list[Drawing | NotDrawn] = []
+
+    def add(name: str, caption: str, figure: Callable[..., Figure], *arguments: Any) -> None:
+        drawings.append(Drawing(name, caption, partial(figure, *arguments)))
+
+    for along, (words, *_) in AXES.items():
+        if along not in varied(rows):
+            drawings.append(NotDrawn(f"yield_by_{along}", f"the study does not vary {words}"))
+            continue
+        caption = f"Share of arms that pick {wanted}, against {words}, with Wilson 95 % bands."
+        add(f"yield_by_{along}", caption, yield_curves, rows, along, wanted)
+        if judged:
+            caption = f"Mean position error of the median arm against {words}; bands hold the middle 90 % of arms."
+            add(f"error_by_{along}", caption, error_curves, findings.quantiles, along)
+    if judged:
+        caption, radius_mm = "How the arms' mean position errors are distributed.", findings.protocol.config.radius_mm
+        add("error_distribution", caption, distributions, findings.dense, radius_mm)
+    for setting, shares in findings.sensitivities.items():
+        name, label = f"sensitivity_{_word(rows[setting])}", findings.label(setting)
+        if isinstance(shares, str):
+            drawings.append(NotDrawn(name, shares))
+        else:
+            caption = f"What each tolerance explains of the variance between arms, each at its own fruit: {label}."
+            add(name, caption, tornado, shares, label)
+    for setting, placement in findings.placements.items():
+        name = f"placement_{_word(rows[setting])}"
+        if isinstance(placement, str):
+            drawings.append(NotDrawn(name, placement))
+        else:
+            caption = f"Where {placement.arm} stands in its population: {findings.label(setting)}."
+            add(name, caption, arm_among_population, findings.dense, setting, placement)
+    return drawings
+
+
+def _word(row: Row) -> str:
+    """A setting's method as part of a file name."""
+    return str(row["method"]).replace("+", "_")
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
@@ -72,11 +106,11 @@ def varied(rows: Sequence[Row]) -> list[str]:
     ]
 
 
-def yield_curves(yields: pa.Table, along: str, specification: str) -> Figure:
+def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figure:
     """Share of arms within specification against one of `AXES`, with Wilson's 95 % bands.
 
     Args:
-        yields: From `yields.yields_of`.
+        yields: Rows of `yields_of`.
         along: The axis; what else varies is shown by colour and line, or held at its middle value, which is named.
         specification: When an arm is good enough, in words.
 
@@ -84,27 +118,25 @@ def yield_curves(yields: pa.Table, along: str, specification: str) -> Figure:
         InputError: If the study did not vary ``along``.
     """
     keys = ("yield", "yield_low", "yield_high")
-    rows = yields.to_pylist()
-    figure = _curves(rows, along, keys, "arms within specification (%)", 100.0, max)
-    note = f"yield of {_arms(rows)} with 95 % bands; within specification: {specification}"
-    _note(figure, note)
+    figure = _curves(yields, along, keys, "arms within specification (%)", 100.0, max)
+    _note(figure, f"yield of {_arms(yields)} with 95 % bands; within specification: {specification}")
     for axes in figure.axes:
         axes.set_ylim(-3.0, 103.0)
     return figure
 
 
-def error_curves(quantiles: pa.Table, along: str) -> Figure:
+def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
     """Median of the arms' errors against one of `AXES`; the band holds 90 % of the arms.
 
     Args:
-        quantiles: From `quantiles.quantiles_of`, with probabilities 0.05, 0.5 and 0.95.
+        quantiles: Rows of `quantiles_of`, with probabilities 0.05, 0.5 and 0.95.
         along: The axis.
 
     Raises:
         InputError: If the study did not vary ``along``.
     """
     merged: dict[int, dict[str, Any]] = {}
-    for row in _quantiles(quantiles):
+    for row in _judged(quantiles):
         merged.setdefault(row["setting"], dict(row))[f"q{row['probability']:g}"] = row["value"]
     rows = list(merged.values())
     figure = _curves(rows, along, ("q0.5", "q0.05", "q0.95"), ERROR_LABEL, 1.0, min)
@@ -114,50 +146,47 @@ def error_curves(quantiles: pa.Table, along: str) -> Figure:
     return figure
 
 
-def distributions(quantiles: pa.Table, radius_mm: float | None = None) -> Figure:
+def distributions(quantiles: Sequence[Row], radius_mm: float | None = None) -> Figure:
     """Cumulative distribution of the arms' errors, one curve per grade and method.
 
     Args:
         quantiles: With many probabilities, such as 0.01 to 0.99.
         radius_mm: The specified radius, drawn as a line when given.
     """
-    rows = _quantiles(quantiles)
+    rows = held(_judged(quantiles), ("it_grade", "method"))
     if not rows:
         raise InputError("no arm has a result; there is no distribution to draw")
-    chosen = held(rows, ("it_grade", "method"))
-    settings = {row["setting"]: row for row in chosen}
+    settings = {row["setting"]: row for row in rows}
     with new_figure(WIDTH, 3.7) as figure:
         axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
-        look, curves, named = _looks(chosen, "it_grade"), dict[str, Array](), dict[str, Row]()
+        look, curves, named = _looks(rows, "it_grade"), dict[str, Array](), dict[str, Row]()
         for setting, row in sorted(settings.items(), key=lambda item: item[1]["method"] != RAW):
-            label = f"{method_label(row['method'])}, {WORDS['it_grade'].format(row['it_grade'])}"
-            points = [(r["value"], 100.0 * r["probability"]) for r in chosen if r["setting"] == setting]
+            label = f"{method_label(row['method'])}, {_valued('it_grade', row)}"
+            points = [(r["value"], 100.0 * r["probability"]) for r in rows if r["setting"] == setting]
             curves[label], named[label] = np.array(sorted(points, key=lambda point: point[1])).T, row
         for group in alike({name: np.log(curve[0]) for name, curve in curves.items()}, ALIKE):
             axes.plot(*curves[group[0]], label=_together(group), **look(named[group[0]]) | {"marker": ""})
-        least = min(curves, key=lambda name: float(np.median(curves[name][0])))
-        said = f"Least: {least}, half of the arms below {short(float(np.median(curves[least][0])))} mm"
-        headline(axes, said, beside=LEGEND)
+        medians = {name: float(np.median(curve[0])) for name, curve in curves.items()}
+        least = min(medians, key=lambda name: medians[name])
+        headline(axes, f"Least: {least}, half of the arms below {short(medians[least])} mm", beside=LEGEND)
         if radius_mm is not None:
             label = f"radius {radius_mm:g} mm, which\nsingle fruit must meet"
             axes.axvline(radius_mm, color=rgb([RED])[0], linewidth=1.0, label=label)
-        low = min(row["value"] for row in chosen)
-        axes.set(xscale="log", ylim=(0.0, 100.0), xlim=(0.8 * low, None))
+        axes.set(xscale="log", ylim=(0.0, 100.0), xlim=(0.8 * min(row["value"] for row in rows), None))
         plain_decades(axes.xaxis)
-        figure.legend(loc="outside right upper", title=_held_words(chosen, ("it_grade", "method")))
+        figure.legend(loc="outside right upper", title=_held_words(rows, ("it_grade", "method")))
     return figure
 
 
-def tornado(sensitivities: pa.Table, setting: str) -> Figure:
+def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:
     """Which tolerance matters: share of the variance between arms, per parameter and per kind, with intervals.
 
     Args:
-        sensitivities: From `sensitivity.sensitivities_of`.
+        sensitivities: Rows of `sensitivities_of`.
         setting: The setting in words.
     """
-    rows = sensitivities.to_pylist()
-    single = [row for row in rows if row["level"] == "parameter"][:LONGEST]
-    kinds = [row for row in rows if row["level"] == "kind"]
+    single = [row for row in sensitivities if row["level"] == "parameter"][:LONGEST]
+    kinds = [row for row in sensitivities if row["level"] == "kind"]
     order = [row["kind"] for row in kinds]
     palette = rgb([*policy_colours(["ls", "raw"]), GREEN, *OTHERS])
     with new_figure(WIDTH, 1.3 + 0.2 * max(len(single), 6)) as figure:
@@ -174,50 +203,44 @@ def tornado(sensitivities: pa.Table, setting: str) -> Figure:
             axes.grid(axis="y", visible=False)
         most = f"{_parameter_label(single[0]['parameter'])} makes {100.0 * single[0]['share']:.0f} % of the variance"
         figure.suptitle(f"{setting}: {most}", x=0.01, ha="left", fontsize=9, fontweight="bold")
-        note = f"squared error regressed on {rows[0]['arms']} arms, R² = {rows[0]['r2']:.2f}; lines: 95 % intervals"
-        _note(figure, note)
+        first = sensitivities[0]
+        _note(figure, f"squared error regressed on {first['arms']} arms, R² = {first['r2']:.2f}; lines: 95 % intervals")
     return figure
 
 
-def arm_among_population(
-    quantiles: pa.Table, setting: int, error_mm: float, name: str, percentile: tuple[float, float, float]
-) -> Figure:
+def arm_among_population(quantiles: Sequence[Row], setting: int, placement: Placement) -> Figure:
     """Where one arm stands in the population of a setting.
 
     Args:
         quantiles: With many probabilities.
         setting: Number of the setting.
-        error_mm: The arm's mean position error, mm.
-        name: The arm, for the label.
-        percentile: Share of the population below it in equal circumstances, with its 95 % interval, 0..1.
+        placement: The arm's error, and its share of the population below it in equal circumstances.
     """
-    rows = [row for row in _quantiles(quantiles) if row["setting"] == setting]
+    rows = sorted((r for r in _judged(quantiles) if r["setting"] == setting), key=lambda row: row["probability"])
     if not rows:
         raise InputError(f"the quantiles have no arm of setting {setting}; give another setting")
-    rows.sort(key=lambda row: row["probability"])
     value, low, high = (np.array([row[key] for row in rows], dtype=float) for key in ("value", "low", "high"))
     level = 100.0 * np.array([row["probability"] for row in rows])
     blue, red = rgb([*policy_colours(["ls"]), RED])
-    share, least, most = (100.0 * p for p in percentile)
+    share, least, most = (100.0 * p for p in (placement.percentile, *placement.interval))
+    errs = f"{placement.error_mm:.2f} mm, better than {100.0 - share:.0f} %"
     with new_figure(WIDTH * 0.7, 3.4) as figure:
         axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
         axes.fill_betweenx(
             level, low, high, color=blue, alpha=0.25, linewidth=0.0, label="95 % band, as far as so many arms bound it"
         )
         axes.plot(value, level, color=blue, label=f"population of {rows[0]['arms']} arms")
-        label = f"{name}: {error_mm:.2f} mm, better than {100.0 - share:.0f} % ({100 - most:.0f} to {100 - least:.0f})"
-        axes.plot([error_mm], [share], "D", color=red, markersize=6, label=label, clip_on=False)
-        headline(
-            axes, f"{setting_label(rows[0])}: {name} errs {error_mm:.2f} mm, better than {100.0 - share:.0f} % of arms"
-        )
+        label = f"{placement.arm}: {errs} ({100 - most:.0f} to {100 - least:.0f})"
+        axes.plot([placement.error_mm], [share], "D", color=red, markersize=6, label=label, clip_on=False)
+        headline(axes, f"{setting_label(rows[0])}: {placement.arm} errs {errs} of arms")
         axes.set(ylim=(0.0, 100.0), xlim=(0.0, None))
         figure.legend(loc="outside lower center", fontsize=8)
     return figure
 
 
-def _quantiles(table: pa.Table) -> list[dict[str, Any]]:
+def _judged(quantiles: Sequence[Row]) -> list[Row]:
     """The rows of the mean position error, of settings that have any arm with a result."""
-    return [row for row in table.to_pylist() if row["quantity"] == ERROR and row["arms"]]
+    return [row for row in quantiles if row["quantity"] == ERROR and row["arms"]]
 
 
 def _arms(rows: Sequence[Row]) -> str:
@@ -244,13 +267,13 @@ def _curves(
     beside = ("method", "poses") if along == "it_grade" else ("method", "it_grade")
     shown = ("tolerances", along, *beside)
     classes = list(dict.fromkeys(row["tolerances"] for row in rows))
-    chosen = [r for r in held(rows, shown) if along not in ("poses", "noise_mm") or r["method"] != RAW]
-    look = _looks(chosen, beside[1])
-    told: dict[tuple[str, str], Array] = {}
+    drawn = [r for r in held(rows, shown) if along not in ("poses", "noise_mm") or r["method"] != RAW]
+    look = _looks(drawn, beside[1])
+    middles: dict[tuple[str, str], Array] = {}
     with new_figure(WIDTH, 3.7) as figure:
         panels: Any = figure.subplots(1, len(classes), squeeze=False, sharey=True)[0]
         for axes, name in zip(panels, classes, strict=True):
-            curves = dict(_series([r for r in chosen if r["tolerances"] == name], along, beside))
+            curves = dict(_series([r for r in drawn if r["tolerances"] == name], along, beside))
             values = {
                 label: factor * np.array([[row[key] for row in curve] for key in keys], dtype=float)
                 for label, curve in curves.items()
@@ -261,30 +284,30 @@ def _curves(
                 x = [row[along] for row in curve]
                 middle, low, high = values[group[0]]
                 low, high = (end([values[k][i] for k in group], axis=0) for i, end in ((1, np.min), (2, np.max)))
-                told[name, label] = middle
-                drawn = look(curve[0])
-                axes.fill_between(x, low, high, color=drawn["color"], alpha=0.18, linewidth=0.0)
-                axes.plot(x, middle, label=label, markersize=4.0, **drawn)
+                middles[name, label] = middle
+                style = look(curve[0])
+                axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0.0)
+                axes.plot(x, middle, label=label, markersize=4.0, **style)
             if along in ("it_grade", "poses"):
-                axes.set_xticks(sorted({row[along] for row in chosen}))
+                axes.set_xticks(sorted({row[along] for row in drawn}))
             else:
                 axes.set_xlim(left=0.0)
-            axes.set_xlabel(AXES[along])
+            axes.set_xlabel(AXES[along][1])
             axes.set_title(f"Tolerance class {name}" if len(classes) > 1 else "")
         panels[0].set_ylabel(ylabel)
-        (name, label), best = better(told.items(), key=lambda item: float(np.nanmean(item[1])))
-        unit, ends = "%" if factor > 1.0 else "mm", [WORDS[along].format(end) for end in (min(x), max(x))]
-        said = f"{label}: {short(best[0])} {unit} with {ends[0]}, {short(best[-1])} {unit} with {ends[1]}"
+        (name, label), best = better(middles.items(), key=lambda item: float(np.nanmean(item[1])))
+        unit, ends = "%" if factor > 1.0 else "mm", [_valued(along, {along: end}) for end in (min(x), max(x))]
+        title = f"{label}: {short(best[0])} {unit} with {ends[0]}, {short(best[-1])} {unit} with {ends[1]}"
         if len(classes) > 1:
-            figure.suptitle(f"{name}: {said}", x=0.01, ha="left", fontsize=9, fontweight="bold")
+            figure.suptitle(f"{name}: {title}", x=0.01, ha="left", fontsize=9, fontweight="bold")
         else:
-            headline(panels[0], said, beside=LEGEND)
+            headline(panels[0], title, beside=LEGEND)
         handles: dict[str, Any] = {}
         for axes in panels:
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                 handles.setdefault(label, handle)
-        held_at = _held_words(chosen, shown)
-        figure.legend(handles.values(), handles, loc="outside right upper", fontsize=8, title=held_at)
+        title = _held_words(drawn, shown)
+        figure.legend(handles.values(), handles, loc="outside right upper", fontsize=8, title=title)
     return figure
 
 
@@ -301,7 +324,7 @@ def _together(labels: Sequence[str]) -> str:
 def _held_words(rows: Sequence[Row], shown: Sequence[str]) -> str | None:
     """What was held, for the legend's title."""
     calibrated = [row for row in rows if row["method"] != RAW]
-    words = [WORDS[name].format(calibrated[0][name]) for name in AXES if name not in shown] if calibrated else []
+    words = [_valued(name, calibrated[0]) for name in AXES if name not in shown] if calibrated else []
     return "\n".join(words) or None
 
 
@@ -310,8 +333,13 @@ def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterato
     keys = sorted({(row[beside[0]], row[beside[1]]) for row in rows}, key=lambda key: (key[0] != RAW, *key))
     for key in keys:
         curve = sorted((r for r in rows if (r[beside[0]], r[beside[1]]) == key), key=lambda row: row[along])
-        detail = "" if beside[1] == "poses" and key[0] == RAW else ", " + WORDS[beside[1]].format(key[1])
+        detail = "" if beside[1] == "poses" and key[0] == RAW else f", {_valued(beside[1], curve[0])}"
         yield method_label(key[0]) + detail, curve
+
+
+def _valued(name: str, row: Row) -> str:
+    """What a row has on one of `AXES`, in words."""
+    return AXES[name][2].format(row[name])
 
 
 def _looks(rows: Sequence[Row], beside: str) -> Callable[[Row], dict[str, Any]]:
