@@ -45,7 +45,8 @@ def settings_of(arms: int, episodes: int, epochs: int, seed: int, **changes: Any
 
 def fits(plant: str, compensation: str, policy: str, **levels: Any) -> bool:
     """Residual models are for plants whose arms come to rest; with a camera a policy needs none of them."""
-    return plant != WHERE_LS_IS_ENOUGH or compensation in ("raw", "ls")
+    enough = ("raw",) if policy == "oracle" else ("raw", "ls") if plant == WHERE_LS_IS_ENOUGH else (compensation,)
+    return compensation in enough
 
 
 def fits_adaptive(plant: str, compensation: str, **levels: Any) -> bool:
@@ -137,6 +138,7 @@ def day(rng: np.random.Generator, arms: int, picks: int, epochs: int, seed: int)
                 filters = taught(filters, target, tool + looks[k], LOOK, WALK, dt)
             error = np.linalg.norm(tool - wanted, axis=-1) * 1e3
             parts.append((np.full(arms, method), np.arange(arms), np.full(arms, (k + 1.0) * dt / 3600.0), error))
-    found = {name: np.concatenate(each) for name, each in zip(("method", "arm", "hours", "error_mm"), zip(*parts))}
+    names = ("method", "arm", "hours", "error_mm")
+    found = {name: np.concatenate(each) for name, each in zip(names, zip(*parts, strict=True), strict=True)}
     part = np.where(found["hours"] <= DAY_HOURS / 8, "first hour", "between")
     return found | {"part": np.where(found["hours"] > DAY_HOURS * 3 / 4, "last two hours", part)}
