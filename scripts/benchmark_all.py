@@ -25,12 +25,12 @@ from typing import Annotated, Any
 
 import typer
 from benchmark_calibration import machine
-
-from pickenv.experiments.peers import last_words
-from pickenv.files import write_text
 from pickenv.study.design.config import load_study
 from pickenv.study.running.run_study import run_study
 from pickenv.study.running.runners import Crew
+
+from pickenv.experiments.peers import last_words
+from pickenv.files import write_text
 
 SCRIPTS = Path(__file__).parent
 POSES, FRUIT = 30, 100

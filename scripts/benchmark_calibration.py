@@ -30,10 +30,10 @@ from scipy.optimize import least_squares
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.experiments.peers import FEW, HELD_OUT, LIMIT, PEERS, PeerTask, accuracy_on, read_peer_task, run_peer
 from pickenv.calibration import align, complete_model, frames_model, identify
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.errors import InputError
+from pickenv.experiments.peers import FEW, HELD_OUT, LIMIT, PEERS, PeerTask, accuracy_on, read_peer_task, run_peer
 from pickenv.files import write_text
 from pickenv.threads import single_threaded
 

@@ -80,11 +80,6 @@ def parts_of(
     return [{"joint": number + 1, "energy_mm2": float(energy[number])} | numbers for number in range(JOINTS)]
 
 
-def ratio(sets: Array) -> float:
-    """The first column's sum over sets, as a share of the second's."""
-    return float(sets[:, 0].sum() / sets[:, 1].sum())
-
-
 def decay_std(sets: Array) -> float:
     """Standard deviation of the decay: slope, orders and sizes as in `parts_of`, each set with its own constant."""
     falling, orders, sizes, waves = sets.sum(axis=0)

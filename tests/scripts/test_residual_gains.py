@@ -11,7 +11,6 @@ from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.calibration.pipeline.fitting import fit
 from pickenv.experiments import Rows
 from pickenv.experiments.experiment_file import load_experiment
-from pickenv.experiments.gains import left_on_sets
 
 STUDIES = Path(__file__).parents[2] / "scripts/studies"
 MODELS = ("LS + gravity", "LS + harmonics", "LS + terms", "LS + BPNN", "LS + GP")
@@ -21,7 +20,8 @@ def numbers(file, rows):
     """Each table's estimates by its levels."""
     tables = file.estimates(Rows.of(rows))
     return {
-        table["title"]: {tuple(row.values())[:-1]: row["estimate"] for row in table["rows"]} for table in tables
+        number.title: {tuple(row[name] for name in number.by): row["estimate"] for row in table["rows"]}
+        for number, table in zip(file.numbers, tables, strict=True)
     }
 
 
@@ -85,6 +85,7 @@ def test_two_tenths_of_a_set_are_judged_and_every_set_has_its_own_pair(protocol,
         return {"LS": np.full(len(test), 4.0), "LS + GP": np.full(len(test), 1.0)}, None
 
     monkeypatch.setattr("pickenv.experiments.gains.left_by_models", left)
+    left_on_sets = load_experiment(STUDIES / "residual_gains.toml").functions["residual_gains.py:left_on_sets"]
     for seed, number in ((1, 0), (1, 1), (1, 0), (2, 0)):
         rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5, 5)))
         ls, gp = left_on_sets(rng, "field", protocol, 3, number, 500)
