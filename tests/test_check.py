@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pickenv.study.design.config import load_study
+from pickenv.study.running.run_study import run_study
 from typer.testing import CliRunner
 
 from pickenv.agents.evaluation.calibrated import CalibrationPlan, compensators
@@ -23,8 +25,6 @@ from pickenv.container import write_container
 from pickenv.files import write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.run_folder import listed_files, recorded_run, save_part
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
 
 NAMES = ("calibration.npz", "calibration_trace.npz", "figures.json")
 

@@ -4,14 +4,14 @@ import re
 from pathlib import Path
 
 import pytest
+from pickenv.study.design.config import load_study
+from pickenv.study.running.run_study import run_study
+from pickenv.study.running.runners import Crew
 from typer.testing import CliRunner
 
 from pickenv.cli import app
 from pickenv.errors import InputError
 from pickenv.limits import LIMITS, check_limit
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
-from pickenv.study.running.runners import Crew
 
 ROOT = Path(__file__).parents[1]
 STUDY = ROOT / "scripts" / "tolerance_study.toml"

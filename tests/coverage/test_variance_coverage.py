@@ -12,10 +12,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
-
 from pickenv.study.analysis.sensitivity import ARMS_PER_TERM, sensitivities_of
 from pickenv.study.analysis.sobol import LEAST, SAMPLES, sobol_indices
 from pickenv.study.results.quantiles import variance_indices
+
 from pickenv.study.running import components
 
 DEVIATIONS = 24

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from pickenv.intervals import share_interval
 from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepared_study
 from pickenv.study.running.batched import evaluate_batch
+
+from pickenv.intervals import share_interval
 
 STUDY = Path(__file__).parents[2] / "scripts/tolerance_grades.toml"
 

@@ -10,6 +10,11 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from pickenv.study.design.config import RAW, Noise, StudyConfig
+from pickenv.study.design.protocol import prepared_study
+from pickenv.study.results.outcomes import chunk_table
+from pickenv.study.running.arm_by_arm import evaluate_arm
+from pickenv.study.running.batched import judge_batch
 
 from pickenv.arm import plant_at, pose_error
 from pickenv.arm.kinematics.forward import chain_of, forward
@@ -23,11 +28,6 @@ from pickenv.envs.reaching.reach_goal import ReachGoalEnv
 from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachVectorEnv
 from pickenv.harvester.picking import attempt, draw_luck
 from pickenv.orchard import capture_probability
-from pickenv.study.design.config import RAW, Noise, StudyConfig
-from pickenv.study.design.protocol import prepared_study
-from pickenv.study.results.outcomes import chunk_table
-from pickenv.study.running.arm_by_arm import evaluate_arm
-from pickenv.study.running.batched import judge_batch
 
 ARMS, FRUIT = 3, 5
 TOLERANCE_MM, TOLERANCE_DEG = 1.0, 10.0

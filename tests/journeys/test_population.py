@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import pyarrow.dataset as ds
 import pytest
-
 from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.quantiles import yields_of

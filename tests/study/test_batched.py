@@ -6,18 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.arm.plant.tolerances import TOLERANCES
-from pickenv.errors import InputError
 from pickenv.study.design.config import Noise, load_study
 from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.row_table import OK
-from pickenv.study.running import batched, batched_identification
 from pickenv.study.running.arm_by_arm import evaluate_arm, evaluate_chunk
 from pickenv.study.running.batched import evaluate_batch, judge_batch
 from pickenv.study.running.run_study import run_study
 from pickenv.study.running.runners import Crew
+
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm.plant.tolerances import TOLERANCES
+from pickenv.errors import InputError
+from pickenv.study.running import batched, batched_identification
 
 AGREEMENT = 1e-9
 """Relative; what rounding leaves is about 1e-12."""

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
-
-from pickenv.errors import InputError
 from pickenv.study.design.config import load_study
 from pickenv.study.results.row_table import chunk_path
 from pickenv.study.results.study_folder import table_sha256
 from pickenv.study.running.run_study import run_study
 from pickenv.study.running.runners import Crew, load_executor, run_joblib, run_serial
+
+from pickenv.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 

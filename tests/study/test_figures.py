@@ -6,12 +6,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
+from pickenv.study.analysis.sensitivity import sensitivities_of
+from pickenv.study.results.quantiles import quantiles_of, yields_of
 
 from pickenv.errors import InputError
 from pickenv.inspect.figures.style import save_figure
 from pickenv.study.analysis import study_figures as figures
-from pickenv.study.analysis.sensitivity import sensitivities_of
-from pickenv.study.results.quantiles import quantiles_of, yields_of
 
 ARMS = 60
 REQUIRED = 0.95

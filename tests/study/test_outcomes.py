@@ -4,7 +4,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
 from pickenv.study.design.config import Noise, Setting
 from pickenv.study.results.outcomes import NOT_FINITE, Outcomes, _columns, figures, reach_status
 from pickenv.study.results.row_table import OK

@@ -3,10 +3,10 @@
 import numpy as np
 import pyarrow.dataset as ds
 import pytest
-
-from pickenv.intervals import quantile_interval
 from pickenv.study.results.quantiles import PROBABILITIES, quantiles_of
 from pickenv.study.results.row_table import FIGURES
+
+from pickenv.intervals import quantile_interval
 
 
 def test_quantiles_are_exact_and_leave_failed_arms_out(written):

@@ -14,13 +14,13 @@ from types import SimpleNamespace
 from unittest import mock
 
 import pytest
-
-from pickenv.errors import InputError
 from pickenv.study.design.config import load_study
 from pickenv.study.results.row_table import chunk_path
 from pickenv.study.results.study_folder import read_rows
 from pickenv.study.running.run_study import run_study
 from pickenv.study.running.runners import Crew, load_executor
+
+from pickenv.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "RAY_ADDRESS": "127.0.0.1:1"}  # nothing answers there

@@ -11,15 +11,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pytest
-
-from pickenv.arm import forward, pose_error
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.arm.plant.tolerances import random_columns
-from pickenv.errors import InputError
-from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
-from pickenv.inspect.runs.run_folder import read_run
-from pickenv.intervals import share_interval
-from pickenv.study.analysis import single_arms
 from pickenv.study.analysis.single_arms import place, ranked
 from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
 from pickenv.study.analysis.study_drawings import gather, study_drawings
@@ -30,6 +21,15 @@ from pickenv.study.design.config import load_study
 from pickenv.study.design.protocol import prepared_study
 from pickenv.study.results.study_folder import read_rows, study_at, study_of, write_record
 from pickenv.study.running.run_study import run_study
+
+from pickenv.arm import forward, pose_error
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm.plant.tolerances import random_columns
+from pickenv.errors import InputError
+from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
+from pickenv.inspect.runs.run_folder import read_run
+from pickenv.intervals import share_interval
+from pickenv.study.analysis import single_arms
 
 STUDY = """
 plant = "qiao2026"

@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-
-from pickenv.errors import InputError
 from pickenv.study.design.config import load_study
 from pickenv.study.results.row_table import chunk_path
 from pickenv.study.results.study_folder import check_folder, missing_chunks, read_rows, study_at, study_of, table_sha256
 from pickenv.study.running.run_study import run_study
+
+from pickenv.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-c", "from pickenv.cli import main; main()", "study"]

@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
-from pickenv.arm import forward, load_plant, pose_error
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
-from pickenv.errors import InputError
 from pickenv.study.design.config import Noise, load_study
 from pickenv.study.design.protocol import carrying, prepared_study
 from pickenv.study.results.outcomes import NOT_FINITE, Outcomes, chunk_table, figures, reach_status
 from pickenv.study.results.row_table import FIGURES, OK
 from pickenv.study.running.arm_by_arm import evaluate_arm, evaluate_chunk
+
+from pickenv.arm import forward, load_plant, pose_error
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
+from pickenv.errors import InputError
 
 
 def rows(config):

@@ -12,8 +12,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-
-from pickenv.errors import InputError
 from pickenv.study.analysis.study_drawings import gather
 from pickenv.study.design.config import load_study
 from pickenv.study.results.row_table import Study, chunk_path, read_chunk, write_chunk
@@ -27,6 +25,8 @@ from pickenv.study.results.study_folder import (
     write_record,
 )
 from pickenv.study.running.run_study import run_study
+
+from pickenv.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 

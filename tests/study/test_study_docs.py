@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+from pickenv.study.running.run_study import BATCHED
+from pickenv.study.running.runners import EXECUTORS
 from typer.main import get_command
 
 from pickenv.cli import app
-from pickenv.study.running.run_study import BATCHED
-from pickenv.study.running.runners import EXECUTORS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/tolerance-studies.md").read_text(encoding="utf-8")

@@ -4,10 +4,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
-
-from pickenv.intervals import share_interval
 from pickenv.study.results.quantiles import yields_of
 from pickenv.study.results.row_table import SETTING
+
+from pickenv.intervals import share_interval
 
 REQUIRED = 0.95
 

@@ -1,0 +1,51 @@
+"""What the harvester's own eyes cost, and what a better detector buys: one crop, bare and leafy, seen in each way.
+
+The paper's way and the best way of `papers.li2016`, with each detector and vision; a row a tree (of one machine;
+simulated).
+"""
+
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from papers.li2016.comparison import SEED, calibrated_controller, strategies
+from pickenv.harvester.harvest_summary import funnel
+from pickenv.harvester.machine import load_machine
+from pickenv.harvester.picking import load_picking
+from pickenv.harvester.strategies import Strategy, work_trees
+from pickenv.harvester.trees import load_orchard
+from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine
+from pickenv.harvester.zones import load_grid
+
+
+@cache
+def machine() -> tuple[TrueMachine, dict[str, Strategy]]:
+    """The machine as built, and the ways to work it."""
+    true = load_true_machine(load_machine())
+    known = calibrated_controller(true, np.random.default_rng(SEED))
+    return true, {way.name: way for way in strategies(Controller(true.machine), known)}
+
+
+def fits(canopy: str, vision: str, way: str, detector: str) -> bool:
+    """Ideal eyes need no detector."""
+    return vision != "ideal" or detector == "li2016"
+
+
+def measure(
+    rng: np.random.Generator, canopy: str, vision: str, way: str, detector: str, trees: int, rendered: int
+) -> list[dict[str, Any]]:
+    """Fruit at each stage of each tree, and the time that it took."""
+    true, ways = machine()
+    count = rendered if vision == "rendered" else trees
+    strategy, orchard = replace(ways[way], detector=detector), load_orchard(canopy=canopy)
+    done = work_trees(true, strategy, load_picking(), orchard, load_grid(), count=count, seed=SEED, vision=vision)
+    return [
+        {"tree": number, **funnel([tree]), "hours": tree.seconds / 3600.0, "misled": tree.misled}
+        for number, tree in enumerate(done)
+    ]
