@@ -25,8 +25,8 @@ from typing import Annotated, Any
 
 import typer
 from measuring import JsonFile, NoPeers, figure, machine, machine_words, markdown_table
-from pickenv.bench.peers import last_words
 
+from pickenv.experiments.peers import last_words
 from pickenv.experiments.study import load_study
 from pickenv.experiments.study_rows import run_study
 from pickenv.files import write_json, write_text

@@ -19,7 +19,6 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from measuring import DATA, ROOT, DataFolder, JsonFile, figure, machine, machine_words, refuse, timed
-from pickenv.bench.peers import FEW, HELD_OUT, LIMIT, PEERS, PeerTask, accuracy_on, read_peer_task, run_peer
 from scipy.optimize import least_squares
 
 from pickenv.arm import Geometry
@@ -28,6 +27,7 @@ from pickenv.calibration import align, complete_model, frames_model, identify
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.commands.showing import print_table
 from pickenv.errors import InputError
+from pickenv.experiments.peers import FEW, HELD_OUT, LIMIT, PEERS, PeerTask, accuracy_on, read_peer_task, run_peer
 from pickenv.files import write_json
 from pickenv.threads import single_threaded
 

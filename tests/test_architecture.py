@@ -50,7 +50,6 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
             "pickenv.cli",
             "pickenv.demo",
             "pickenv.commands",
-            "pickenv.bench",
             "pickenv.experiments",
             "pickenv.__main__",
         ),

@@ -12,8 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
 from typer.testing import CliRunner
 
 from pickenv.agents.evaluation.calibrated import CalibrationPlan, compensators

@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 
 import pytest
-from pickenv.study.design.config import load_study
 from typer.testing import CliRunner
 
 from pickenv.cli import app

@@ -16,17 +16,14 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Plant, displace_pose, load_tolerances
+from pickenv.arm import Array, Plant, displace_pose, draw_plants, load_tolerances, plant_at
 from pickenv.arm.effects.drives import ThermalGrowth, warmed
 from pickenv.arm.kinematics.forward import pose_of, split_joints
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.arm.plant.tolerances import draw_plants
+from pickenv.calibration import Calibration
 from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.identification.term_choice import identify_terms, plain_term
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, geometric_model
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements, random_joints
-from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, require_residual
 from pickenv.errors import InputError
 from pickenv.experiments.engine import Experiment, Progress, Rows, joined, run
@@ -236,17 +233,15 @@ def judged_on(
     plant: Plant, believed: Mapping[str, Believed] | Calibration, settings: ConditionsSettings, rng: np.random.Generator
 ) -> Rows:
     """What is left at new poses under held-out conditions: a row for each sweep, level, method and pose."""
-    levels, each = levels_of(settings.ranges), 2 * settings.poses
-    states = [(name, k, state_at(name, level, each)) for name in levels for k, level in enumerate(levels[name])]
+    levels, count = levels_of(settings.ranges), 2 * settings.poses
+    states = [(name, k, state_at(name, level, count)) for name in levels for k, level in enumerate(levels[name])]
     parts = []
     for sweep, level, state in [*states, (HELD_OUT, 0, None)]:
         state = state or State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
         data = measured_under(plant, state, rng)
         if isinstance(believed, Calibration):
-            errors = {
-                "raw": Believed(ArmModel.of(plant.arm.nominal)).errors_mm(data, state),
-                "this calibration": np.asarray(1e3 * np.linalg.norm(believed.errors(data)[:, :3], axis=1)),
-            }
+            errors = {"raw": Believed(ArmModel.of(plant.arm.nominal)).errors_mm(data, state)}
+            errors["this calibration"] = 1e3 * np.linalg.norm(believed.errors(data)[:, :3], axis=1)
         else:
             errors = {name: model.errors_mm(data, state) for name, model in believed.items()}
         for method, values in errors.items():
@@ -256,32 +251,30 @@ def judged_on(
     return joined(parts)
 
 
-def judged_arm(rng: np.random.Generator, arm: int, drawn: Plant, settings: ConditionsSettings) -> Rows:
-    """One arm of those drawn, calibrated in every way and judged.
+def judged_arm(
+    rng: np.random.Generator, arm: int, plants: Plant, settings: ConditionsSettings, calibration: Calibration | None
+) -> Rows:
+    """One arm of those drawn, calibrated in every way; or the very arm of a calibration.
 
     Args:
         rng: Not used: every arm has the stream of the study's seed and its number.
         arm: Its number.
-        drawn: The arms.
+        plants: The arms, or the one.
         settings: What is measured.
+        calibration: Judged instead of the calibrations made here.
     """
-    own = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(1 + arm,)))
-    plant = plant_at(drawn, arm)
+    if calibration is not None:
+        return judged_on(plants, calibration, settings, _stream(settings.seed))
+    own, plant = _stream(settings.seed, 1 + arm), plant_at(plants, arm)
     return judged_on(plant, calibrated(plant, settings, own), settings, own)
 
 
-def judged_calibration(
-    rng: np.random.Generator, arm: int, plant: Plant, calibration: Calibration, settings: ConditionsSettings
-) -> Rows:
-    """A calibration, judged on its own arm."""
-    return judged_on(plant, calibration, settings, np.random.default_rng(np.random.SeedSequence(settings.seed)))
+def _stream(seed: int, *place: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=place))
 
 
 def conditions_study(
-    plant: Plant,
-    settings: ConditionsSettings,
-    calibration: Calibration | None = None,
-    progress: Progress | None = None,
+    plant: Plant, settings: ConditionsSettings, calibration: Calibration | None = None, progress: Progress | None = None
 ) -> dict[str, Any]:
     """How accuracy changes with payload, temperature and hour, as numbers for table, figure and page.
 
@@ -305,15 +298,13 @@ def conditions_study(
             "a [load]"
         )
     require_residual(settings.residual)
-    heated, arms, over = warming(plant), 1, "pose"
-    if calibration is None:
-        arms, over = settings.arms, "arm"
-        of_draws = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(0,)))
-        drawn = draw_plants(heated, load_tolerances(settings.tolerances), arms, of_draws)
-        measure = partial(judged_arm, drawn=drawn, settings=settings)
-    else:
+    plants, arms, over = warming(plant), 1, "pose"
+    if calibration is not None:
         calibration.refuse_another(plant.arm)
-        measure = partial(judged_calibration, plant=heated, calibration=calibration, settings=settings)
+    else:
+        tolerances, arms, over = load_tolerances(settings.tolerances), settings.arms, "arm"
+        plants = draw_plants(plants, tolerances, arms, _stream(settings.seed, 0))
+    measure = partial(judged_arm, plants=plants, settings=settings, calibration=calibration)
     rows = run(Experiment("arms", {"arm": range(arms)}, {}, measure, settings.seed), progress=progress)
     levels = {name: values.tolist() for name, values in levels_of(settings.ranges).items()} | {HELD_OUT: [0.0]}
     sweeps: dict[str, Any] = {name: {"levels": levels[name], "methods": {}} for name in levels}
@@ -321,14 +312,13 @@ def conditions_study(
         mean = number["estimate"]
         by_level = sweeps[number["sweep"]]["methods"].setdefault(number["method"], [])
         by_level.append({"mean_mm": mean.value, "ci95_mm": mean.ci95})
+    few = f"none: {arms} of at least {LEAST} arms"
     return {
         "plant": plant.name,
         "simulated": True,
         "settings": asdict(settings),
         "growth": "the plant's own" if plant.thermal_growth is not None else "as in the tolerance class medium",
         "interval_over": "arms" if calibration is None else "poses of one arm",
-        "no_interval": ""
-        if calibration is not None or settings.arms >= LEAST
-        else f"none: {settings.arms} of at least {LEAST} arms",
+        "no_interval": few if calibration is None and arms < LEAST else "",
         "sweeps": sweeps,
     }

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from pickenv.experiments.engine import Rows
-from pickenv.experiments.gains import LEARNT, LS, NOMINAL
-from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench
+from pickenv.experiments.gains import LEARNT, LS
+from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench, bench_row
 from pickenv.intervals import Ends
 
 GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
@@ -50,9 +50,8 @@ def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
     """
     arms: dict[str, dict[str, Any]] = {}
     for gain in (gain for gain in bench.gains if gain["split"] != "random"):
-        arm = arms.setdefault(
-            gain["robot"], {"arm": gain["robot"], "rows": gain["rows"], "rows_in_file": gain["rows_in_file"]}
-        )
+        facts = {"arm": gain["robot"], "rows": gain["rows"], "rows_in_file": gain["rows_in_file"]}
+        arm = arms.setdefault(gain["robot"], facts)
         if gain["model"] == LS:
             arm |= {"ls_mm": round(gain["held_out_mm"], 3), "removed": {}}
         else:
@@ -60,24 +59,6 @@ def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
             arm["removed"][gain["model"]] = [round(value, 3) for value in shares]
     folds = bench.settings.folds
     return {"made_by": "pickenv bench calibration", "made": made, "folds": folds, "arms": list(arms.values())}
-
-
-def _row(table: str, robot: str, split: str, model: str, nominal: float, before: float, left: float) -> dict[str, Any]:
-    """The keys of a row without a prediction."""
-    return {
-        "table": table,
-        "robot": robot,
-        "split": split,
-        "model": model,
-        "nominal_mm": nominal,
-        "held_out_mm": left,
-        "published_mm": None,
-        "measured_reduction": 1.0 - left / before,
-        "predicted_reduction": None,
-        "ci95": None,
-        "before": NOMINAL,
-        "before_mm": before,
-    }
 
 
 def _best_rows(models: Rows) -> list[dict[str, Any]]:
@@ -89,7 +70,7 @@ def _best_rows(models: Rows) -> list[dict[str, Any]]:
         for model, (before, left) in steps.items():
             values = (nominal["value_mm"], before["value_mm"], left["value_mm"])
             rows.append(
-                _row("best", spread.real.robot, spread.how, model, *values)
+                bench_row("best", spread.real.robot, spread.how, model, *values)
                 | {"before": before["model"], "held_out_spread_mm": _ends(left)}
                 | {"published_mm": spread.published, "statistic": spread.statistic, "rows": left["rows"]}
             )
@@ -113,7 +94,7 @@ def _peer_rows(peers: Rows) -> list[dict[str, Any]]:
         label, held_out = f"{OURS}: LS" if name == OURS else name, row["split"] == "random"
         others = {"statistic": "rms"} if held_out else {"published_mm": real.published, "statistic": "mean"}
         values = (row["nominal_mm"], row["nominal_mm"], row["held_out_mm"])
-        rows.append(_row("peers", real.robot, row["split"], label, *values) | others | {"note": row["note"]})
+        rows.append(bench_row("peers", real.robot, row["split"], label, *values) | others | {"note": row["note"]})
     return rows
 
 
@@ -166,19 +147,14 @@ def agreement_words(bench: Bench) -> str:
 
 def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
     """The rows of the table of predicted beside measured reductions."""
-    return [
-        (
-            gain["robot"],
-            HELD[gain["split"]],
-            gain["model"],
-            f"{gain['before_mm']:.3f}",
-            f"{gain['held_out_mm']:.3f}",
-            _percent(gain["predicted_reduction"], gain["predicted_ci95"]),
-            _percent(gain["measured_reduction"], gain["ci95"]),
-            f"{100.0 * (gain['predicted_reduction'] - gain['measured_reduction']):+.1f}",
-        )
-        for gain in bench.gains
-    ]
+    cells: list[tuple[str, ...]] = []
+    for gain in bench.gains:
+        predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
+        names = (gain["robot"], HELD[gain["split"]], gain["model"])
+        sizes = (f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}")
+        shares = (_percent(predicted, gain["predicted_ci95"]), _percent(measured, gain["ci95"]))
+        cells.append((*names, *sizes, *shares, f"{100.0 * (predicted - measured):+.1f}"))
+    return cells
 
 
 def _percent(value: float, ends: Ends | None) -> str:
@@ -191,16 +167,11 @@ def spread_table(models: Rows) -> str:
     table = []
     for name, nominal, ls, best in _by_row(models):
         row = SPREAD[name]
+        judged = f"{row.real.robot}, {HELD[row.how]}, {'RMS' if row.statistic == 'rms' else 'mean'}"
         remark = f"; {row.remark}" if row.remark else ""
-        table.append(
-            (
-                f"{row.real.robot}, {HELD[row.how]}, {'RMS' if row.statistic == 'rms' else 'mean'}",
-                _millimetres(nominal),
-                _millimetres(ls),
-                f"{_millimetres(best)}: {best['used']}{remark}" if row.terms != "none" else "",
-                "" if row.published is None else f"{row.published:g}",
-            )
-        )
+        used = f"{_millimetres(best)}: {best['used']}{remark}" if row.terms != "none" else ""
+        published = "" if row.published is None else f"{row.published:g}"
+        table.append((judged, _millimetres(nominal), _millimetres(ls), used, published))
     return _markdown(SPREAD_HEADS, table)
 
 

@@ -386,26 +386,20 @@ def run_bench(
     if len(skipped) == len(rows):
         raise InputError(next(iter(skipped.values()), "no rows were asked for"))
 
-    def made(title: str, kinds: Mapping[str, object], units: Mapping[str, Sequence[int]], measure: Any) -> Rows:
+    def made(title: str, kinds: Mapping[str, object], measure: Any, **units: Sequence[int]) -> Rows:
         names = [name for name in rows if name in kinds and name not in skipped]
+        if not names:
+            return Rows({})
         inputs = partial(_inputs, settings=settings, data=data)
         experiment = Experiment(title, units, {"row": names}, measure, settings.seed, inputs)
-        refused = partial(_refused, skipped)
-        backend = "serial" if workers == 1 else "loky"
-        return (
-            run(experiment, out / title, backend=backend, workers=workers, progress=progress, refused=refused)
-            if names
-            else Rows({})
-        )
+        backend, refused = "serial" if workers == 1 else "loky", partial(_refused, skipped)
+        return run(experiment, out / title, backend=backend, workers=workers, progress=progress, refused=refused)
 
-    folds = made("gains", GAINS, {"fold": range(settings.folds)}, partial(fold_errors, settings=settings, data=data))
-    return Bench(
-        settings=settings,
-        gains=[gain for (row,) in folds.levels("row") if row not in skipped for gain in gains_of(folds.where(row=row))],
-        models=made("models", SPREAD, {}, partial(model_errors, settings=settings, data=data)),
-        peers=made("peers", PEER_ROWS, {}, partial(peer_errors, data=data, peers=peers)),
-        skipped=skipped,
-    )
+    folds = made("gains", GAINS, partial(fold_errors, settings=settings, data=data), fold=range(settings.folds))
+    gains = [gain for (row,) in folds.levels("row") if row not in skipped for gain in gains_of(folds.where(row=row))]
+    models = made("models", SPREAD, partial(model_errors, settings=settings, data=data))
+    others = made("peers", PEER_ROWS, partial(peer_errors, data=data, peers=peers))
+    return Bench(settings, gains, models, others, skipped)
 
 
 def _set_of(row: str) -> RealSet:
@@ -438,47 +432,38 @@ def gains_of(folds: Rows) -> list[dict[str, Any]]:
     parts = [[folds.where(fold=fold, drawn=arm) for arm in drawn] for (fold,) in folds.levels("fold")]
     sums = {model: np.array([[part[model].sum() for part in fold] for fold in parts]) for model in squares}
     rms = {model: float(1e3 * np.sqrt(values.mean())) for model, values in squares.items()}
+    counts = {name: int(folds[name][0]) for name in ("rows", "rows_in_file")}
+    counts["refused_draws"] = sum(int(fold[0]["refused"][0]) for fold in parts)
     gains = []
     for model, before in BEFORE.items():
         pairs = np.stack([squares[model], squares[before]], axis=-1)
-        clusters = pairs
         if split != "random":
-            clusters = np.array([part.sum(axis=0) for part in np.array_split(pairs, min(BLOCKS, len(pairs)))])
+            pairs = np.array([part.sum(axis=0) for part in np.array_split(pairs, min(BLOCKS, len(pairs)))])
         predicted, ends = predicted_gain(sums[model], sums[before])
+        predicted_mm = float(1e3 * np.sqrt(sums[model].sum() / len(drawn) / len(order)))
         gains.append(
-            {
-                "table": "gains",
-                "robot": SETS[name].robot,
-                "split": split,
-                "model": model,
-                "nominal_mm": rms[NOMINAL],
-                "held_out_mm": rms[model],
-                "published_mm": None,
-                "before": before,
-                "before_mm": rms[before],
-                "measured_reduction": _removed(pairs),
-                "ci95": _interval(clusters),
-                "predicted_reduction": predicted,
-                "predicted_ci95": ends,
-                "predicted_mm": float(1e3 * np.sqrt(sums[model].sum() / sums[model].shape[1] / len(order))),
-                "refused_draws": sum(int(folds.where(fold=fold)["refused"][0]) for (fold,) in folds.levels("fold")),
-                "statistic": "rms",
-                "rows": int(folds["rows"][0]),
-                "rows_in_file": int(folds["rows_in_file"][0]),
-            }
+            bench_row("gains", SETS[name].robot, split, model, rms[NOMINAL], rms[before], rms[model])
+            | {"before": before, "ci95": _interval(pairs), "statistic": "rms", **counts}
+            | {"predicted_reduction": predicted, "predicted_ci95": ends, "predicted_mm": predicted_mm}
         )
     return gains
 
 
-def _removed(pairs: Array) -> float:
-    """Share of the RMS that is removed, from squares after and before ``(n, 2)``."""
-    after, before = pairs.sum(axis=0)
-    return float(1.0 - np.sqrt(after / before))
+def bench_row(
+    table: str, robot: str, split: str, model: str, nominal: float, before: float, left: float
+) -> dict[str, Any]:
+    """The keys that every row of the JSON file has; errors in mm, of the nominal arm, the step before and the model."""
+    names = {"table": table, "robot": robot, "split": split, "model": model, "before": NOMINAL}
+    sizes = {"nominal_mm": nominal, "before_mm": before, "held_out_mm": left, "measured_reduction": 1.0 - left / before}
+    return names | sizes | dict.fromkeys(("published_mm", "predicted_reduction", "ci95"))
 
 
-def _interval(clusters: Array) -> Ends | None:
-    """Of that share; as the logarithm of what is left, which is less skewed."""
-    ends = statistic_interval(clusters, lambda pairs: np.log1p(-_removed(pairs)))
+def _interval(pairs: Array) -> Ends | None:
+    """Of the share of the RMS that is removed, from squares after and before ``(n, 2)``.
+
+    As the logarithm of what is left, which is less skewed.
+    """
+    ends = statistic_interval(pairs, lambda some: 0.5 * np.log(np.divide(*some.sum(axis=0))))
     return None if ends is None else (float(-np.expm1(ends[1])), float(-np.expm1(ends[0])))
 
 

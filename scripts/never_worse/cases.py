@@ -24,7 +24,6 @@ from never_worse.judge import (
     regions,
     rms,
 )
-from pickenv.bench.real_sets import SETS
 from scipy.optimize import least_squares as solve
 from scipy.spatial.transform import Rotation
 
@@ -50,6 +49,7 @@ from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.errors import InputError
+from pickenv.experiments.robots import SETS
 from pickenv.files import write_text
 
 MM = 1e3

@@ -10,10 +10,6 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from pickenv.study.design.config import RAW, Noise, StudyConfig
-from pickenv.study.design.protocol import prepared_study
-from pickenv.study.running.arm_by_arm import evaluate_arm
-from pickenv.study.running.batched import judge_batch
 
 from pickenv.arm import plant_at, pose_error
 from pickenv.arm.kinematics.forward import chain_of, forward

@@ -11,7 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pickenv.agents.evaluation.conditions_study import (
+from typer.testing import CliRunner
+
+from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_error
+from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
+from pickenv.cli import app
+from pickenv.errors import InputError
+from pickenv.experiments.conditions_study import (
     BLIND,
     BOTH,
     HELD_OUT,
@@ -32,12 +38,6 @@ from pickenv.agents.evaluation.conditions_study import (
     under,
     warming,
 )
-from typer.testing import CliRunner
-
-from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_error
-from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.cli import app
-from pickenv.errors import InputError
 from pickenv.inspect.runs.run_folder import faults_of, read_run
 from pickenv.intervals import mean_interval
 
@@ -242,17 +242,17 @@ def test_what_is_left_is_the_length_of_each_miss_in_mm_level_by_level(calibratio
     """The same draws once more, by hand."""
     plant, judge = warming(load_plant("qiao2026")), Calibration.load(calibration)
     settings = ConditionsSettings(sessions=3, poses=4, ranges=ConditionRanges(payload=0.4, weather=0.0, hours=6.0))
-    found, rng = judged_on(plant, judge, settings, np.random.default_rng(8)), np.random.default_rng(8)
+    rows, rng = judged_on(plant, judge, settings, np.random.default_rng(8)), np.random.default_rng(8)
     days = [state(8, payload=0.1 * k) for k in range(5)] + [state(8, hour=1.5 * k) for k in range(5)]
-    by_sweep = {name: list(methods.values()) for name, methods in found.items()}
-    assert list(by_sweep) == ["payload", "hour", HELD_OUT]
+    assert rows.levels("sweep") == [("payload",), ("hour",), (HELD_OUT,)]
     for k, day in enumerate(days):
         data = measured_under(plant, day, rng)
-        raw, own = by_sweep["payload" if k < 5 else "hour"]
+        judged = rows.where(sweep="payload" if k < 5 else "hour", level=k % 5)
+        raw, own = (judged.where(method=name)["error_mm"] for name in ("raw", "this calibration"))
         missed = np.linalg.norm(data.position - forward(plant.arm.nominal, data.joints).position, axis=1)
-        np.testing.assert_allclose(raw[k % 5], 1e3 * missed, rtol=1e-9)
-        np.testing.assert_allclose(own[k % 5], 1e3 * np.linalg.norm(judge.errors(data)[:, :3], axis=1), rtol=1e-9)
-    assert [len(values) for values in by_sweep[HELD_OUT][0]] == [12]
+        np.testing.assert_allclose(raw, 1e3 * missed, rtol=1e-9)
+        np.testing.assert_allclose(own, 1e3 * np.linalg.norm(judge.errors(data)[:, :3], axis=1), rtol=1e-9)
+    assert rows.where(sweep=HELD_OUT, method="raw")["pose"].tolist() == list(range(12))
 
 
 @pytest.mark.parametrize("own", [True, False])
@@ -275,8 +275,8 @@ def test_an_interval_is_that_of_the_arms_means() -> None:
     by_arm = []
     for i, own in enumerate(of_arms):
         rng = np.random.default_rng(own)
-        found = judged_on(plant_at(drawn, i), calibrated(plant_at(drawn, i), settings, rng), settings, rng)
-        by_arm.append(found[HELD_OUT][BOTH][0].mean())
+        rows = judged_on(plant_at(drawn, i), calibrated(plant_at(drawn, i), settings, rng), settings, rng)
+        by_arm.append(rows.where(sweep=HELD_OUT, method=BOTH)["error_mm"].mean())
     (whole,) = conditions_study(plant, settings)["sweeps"][HELD_OUT]["methods"][BOTH]
     assert whole["mean_mm"] == pytest.approx(np.mean(by_arm)) and whole["ci95_mm"] == mean_interval(by_arm)
 
@@ -286,7 +286,7 @@ def test_an_interval_is_that_of_the_arms_means() -> None:
     [
         (["geometry_only"], "plant 'geometry_only' has no link masses, so a payload changes nothing; give --payload 0"),
         (["nowhere"], "nowhere"),
-        (["qiao2026", "--residual", "magic"], "there is no residual 'magic'; give one of bpnn, rbf, gp"),
+        (["qiao2026", "--residual", "magic"], "unknown residual model 'magic'; give one of "),
         (["qiao2026", "--weather", "1e9"], "--weather is 1000000000.0; give 0 to 60"),
         (["qiao2026", "--payload", "inf"], "--payload is inf; give 0 to 300"),
         (["nowhere.npz"], r"nowhere\.npz"),

@@ -1,28 +1,18 @@
 """Gains are shares of what was left before, of rows never fitted; their intervals hold what they are intervals of."""
 
-from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from pickenv.bench import gains
-from pickenv.bench.gains import (
-    BEFORE,
-    LS,
-    NOMINAL,
-    TERMS,
-    Fold,
-    agreement,
-    folds_of,
-    gains_of,
-    judged_fold,
-    predicted_gain,
-)
-from pickenv.bench.real_sets import SETS, learnable
 from scipy import stats
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import Measurements
 from pickenv.errors import InputError
+from pickenv.experiments import Rows, robots
+from pickenv.experiments.gains import LS, NOMINAL, TERMS, left_by_models
+from pickenv.experiments.robot_tables import agreement
+from pickenv.experiments.robots import BEFORE, SETS, folds_of, gains_of, judged_fold, learnable, predicted_gain
 from pickenv.intervals import statistic_interval
 
 MODELS = (NOMINAL, *BEFORE)
@@ -37,68 +27,69 @@ def test_every_row_is_held_out_once(split, rng):
         assert split == "random" or np.ptp(held) == len(held) - 1
 
 
-def made_folds(rng, rows=120, draws=3):
-    """Folds whose squared errors are known."""
-    scale = dict(zip(MODELS, (9.0, 4.0, 1.0, 3.0, 2.0), strict=True))
-
-    def squares(count):
-        return {name: size * 1e-6 * rng.chisquare(3, count) for name, size in scale.items()}
-
-    order = rng.permutation(rows)
-    parts = np.array_split(order, 5)
-    return [Fold(np.sort(part), squares(len(part)), tuple(squares(len(part)) for _ in range(draws))) for part in parts]
+def made_folds(rng, split="blocks", rows=120, draws=3):
+    """Rows of folds whose squared errors are known."""
+    scale, order = dict(zip(MODELS, (9.0, 4.0, 1.0, 3.0, 2.0), strict=True)), rng.permutation(rows)
+    parts = []
+    for fold, held in enumerate(np.array_split(order, 5)):
+        count = len(held) * (1 + draws)
+        columns = {"fold": fold, "refused": fold, "rows": rows, "rows_in_file": 2 * rows, "row": f"gain_ur5_{split}"}
+        parts.append(
+            {name: np.full(count, value) for name, value in columns.items()}
+            | {"drawn": np.repeat(np.arange(1 + draws), len(held)), "at": np.tile(np.sort(held), 1 + draws)}
+            | {name: size * 1e-6 * rng.chisquare(3, count) for name, size in scale.items()}
+        )
+    return Rows({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
 
 @pytest.mark.parametrize("split", ["random", "blocks"])
 def test_gains_are_shares_of_the_rms_before_over_all_folds(split, rng):
-    folds = made_folds(rng)
-    rms = {name: np.sqrt(np.mean(np.concatenate([fold.measured[name] for fold in folds]))) for name in MODELS}
-    drawn = [
-        {name: np.sqrt(np.mean(np.concatenate([fold.predicted[i][name] for fold in folds]))) for name in MODELS}
-        for i in range(3)
-    ]
-    for gain in gains_of(folds, split):
-        before = BEFORE[gain.model]
-        assert gain.measured == pytest.approx(1.0 - rms[gain.model] / rms[before])
-        assert gain.predicted == pytest.approx(np.mean([1.0 - each[gain.model] / each[before] for each in drawn]))
-        assert (gain.nominal_mm, gain.before_mm) == pytest.approx((1e3 * rms[NOMINAL], 1e3 * rms[before]))
-        assert gain.measured_ci95[0] < gain.measured < gain.measured_ci95[1]
-        assert gain.predicted_ci95[0] < gain.predicted < gain.predicted_ci95[1]
+    folds = made_folds(rng, split)
+    rms, *drawn = ({name: np.sqrt(np.mean(folds.where(drawn=arm)[name])) for name in MODELS} for arm in range(4))
+    for gain in gains_of(folds):
+        model, before = gain["model"], BEFORE[gain["model"]]
+        assert (gain["before"], gain["split"], gain["rows"], gain["rows_in_file"]) == (before, split, 120, 240)
+        assert gain["measured_reduction"] == pytest.approx(1.0 - rms[model] / rms[before])
+        predicted = np.mean([1.0 - arm[model] / arm[before] for arm in drawn])
+        assert gain["predicted_reduction"] == pytest.approx(predicted)
+        assert (gain["nominal_mm"], gain["before_mm"]) == pytest.approx((1e3 * rms[NOMINAL], 1e3 * rms[before]))
+        assert gain["ci95"][0] < gain["measured_reduction"] < gain["ci95"][1]
+        assert gain["predicted_ci95"][0] < gain["predicted_reduction"] < gain["predicted_ci95"][1]
 
 
 @pytest.mark.parametrize("split", ["random", "blocks"])
 def test_intervals_are_of_rows_or_of_ten_blocks_in_file_order_and_of_one_more_arm_by_its_folds(split, rng):
-    folds = made_folds(rng)
-    folds = [replace(fold, refused=k) for k, fold in enumerate(folds)]
-    at = np.concatenate([fold.held for fold in folds])
-    for gain in gains_of(folds, split):
-        names = gain.model, BEFORE[gain.model]
-        rows = np.stack([np.concatenate([fold.measured[name] for fold in folds]) for name in names], axis=1)
-        rows = rows[np.argsort(at)]
+    folds = made_folds(rng, split)
+    for gain in gains_of(folds):
+        names, measured = (gain["model"], BEFORE[gain["model"]]), folds.where(drawn=0)
+        rows = np.stack([measured[name] for name in names], axis=1)[np.argsort(measured["at"])]
         if split == "blocks":
             rows = np.add.reduceat(rows, np.arange(0, 120, 12))
         low, high = statistic_interval(rows, lambda part: 0.5 * np.log(part[:, 0].sum() / part[:, 1].sum()))
-        assert gain.measured_ci95 == pytest.approx((1.0 - np.exp(high), 1.0 - np.exp(low)))
-        after, before = (np.array([[arm[name].sum() for arm in fold.predicted] for fold in folds]) for name in names)
-        effect = 0.5 * (1.0 - gain.predicted) * (after / after.sum(0).mean() - before / before.sum(0).mean())
+        assert gain["ci95"] == pytest.approx((1.0 - np.exp(high), 1.0 - np.exp(low)))
+        after, before = (
+            np.array([[folds.where(fold=f, drawn=k)[name].sum() for k in (1, 2, 3)] for f in range(5)])
+            for name in names
+        )
+        effect = 0.5 * (1.0 - gain["predicted_reduction"])
+        effect = effect * (after / after.sum(0).mean() - before / before.sum(0).mean())
         deviation = np.sqrt(np.sum(effect.std(axis=1, ddof=1) ** 2) * 4 / 3)
         half = stats.t.ppf(0.975, 10) * deviation
-        assert gain.predicted_ci95 == pytest.approx((gain.predicted - half, gain.predicted + half))
-        assert gain.predicted_mm == pytest.approx(1e3 * np.sqrt(after.sum() / 3 / 120))
-        assert gain.held_out_mm == pytest.approx(
-            1e3 * np.sqrt(np.mean(np.concatenate([f.measured[names[0]] for f in folds])))
-        )
-        assert gain.refused == 10
+        middle = gain["predicted_reduction"]
+        assert gain["predicted_ci95"] == pytest.approx((middle - half, middle + half))
+        assert gain["predicted_mm"] == pytest.approx(1e3 * np.sqrt(after.sum() / 3 / 120))
+        assert gain["held_out_mm"] == pytest.approx(1e3 * np.sqrt(np.mean(measured[names[0]])))
+        assert gain["refused_draws"] == 10
 
 
 def test_folds_in_another_order_give_the_same_gains(rng):
     folds = made_folds(rng)
-    one, other = (gains_of(each, "blocks") for each in (folds, folds[::-1]))
-    for first, second in zip(one, other, strict=True):
-        assert (first.model, first.measured) == (second.model, pytest.approx(second.measured))
-        assert first.predicted == pytest.approx(second.predicted)
-        assert first.predicted_ci95 == pytest.approx(second.predicted_ci95)
-        assert first.measured_ci95 == pytest.approx(second.measured_ci95)
+    order = np.argsort(-folds["fold"], kind="stable")
+    other = Rows({name: values[order] for name, values in folds.columns.items()})
+    for first, second in zip(gains_of(folds), gains_of(other), strict=True):
+        for name in ("measured_reduction", "predicted_reduction", "predicted_ci95", "ci95"):
+            assert first[name] == pytest.approx(second[name])
+        assert first["model"] == second["model"]
 
 
 def test_where_one_more_arm_would_lie_holds_it_in_nineteen_of_twenty_cases(rng):
@@ -114,21 +105,13 @@ def test_where_one_more_arm_would_lie_holds_it_in_nineteen_of_twenty_cases(rng):
 
 
 def test_agreement_counts_points_and_signs(rng):
-    gains = gains_of(made_folds(rng), "blocks")
-    said = agreement({("a", "blocks"): gains, ("a", "random"): gains})
-    apart = [100.0 * abs(gain.predicted - gain.measured) for gain in gains]
+    folds = made_folds(rng)
+    random = Rows({**folds.columns, "row": np.full(len(folds), "gain_wam_random")})
+    gains = gains_of(folds)
+    said = agreement([*gains, *gains_of(random)])
+    apart = [100.0 * abs(gain["predicted_reduction"] - gain["measured_reduction"]) for gain in gains]
     assert said["median_absolute_difference_points"] == pytest.approx(np.median(apart))
-    assert (said["sets"], said["gains"], said["learnt_on_blocks"], said["sign_right"]) == (1, 2 * len(gains), 2, 1.0)
-
-
-def test_a_fold_reads_back_what_it_was(rng):
-    fold = made_folds(rng)[0]
-    again = Fold.from_dict(fold.as_dict())
-    assert again.held.tolist() == fold.held.tolist()
-    for one, other in zip((again.measured, *again.predicted), (fold.measured, *fold.predicted), strict=True):
-        assert {name: values.tolist() for name, values in one.items()} == {
-            name: values.tolist() for name, values in other.items()
-        }
+    assert (said["sets"], said["gains"], said["learnt_on_blocks"], said["sign_right"]) == (2, 2 * len(gains), 2, 1.0)
 
 
 def positions(count, rng, lift=0.0):
@@ -143,36 +126,36 @@ def positions(count, rng, lift=0.0):
 
 def test_the_twin_never_sees_the_rows_held_out(rng, monkeypatch):
     """Held-out rows are measured otherwise: the arms drawn, and what is left of them, stay the same to the bit."""
-    monkeypatch.setattr(gains, "LEARNT", {})
+    monkeypatch.setattr(robots, "left_by_models", partial(left_by_models, learnt={}))
     data = positions(48, rng, 2e-4)
     rows = folds_of(np.arange(48), "blocks", 5, rng)[1]
     other = data.position.copy()
     other[rows[1]] += rng.normal(0.0, 1e-4, (len(rows[1]), 3))
     moved = Measurements(data.joints, other, None, data.prismatic, 2e-5, std_stated=True)
-    one, two = (judged_fold(load_arm("ur5"), each, rows, 2, np.random.SeedSequence(5)) for each in (data, moved))
-    for first, second in zip(one.predicted, two.predicted, strict=True):
+    (one, *drawn), (two, *same) = (
+        judged_fold(load_arm("ur5"), rows_of, rows, 2, np.random.SeedSequence(5))[0] for rows_of in (data, moved)
+    )
+    for first, second in zip(drawn, same, strict=True):
         assert {name: values.tolist() for name, values in first.items()} == {
             name: values.tolist() for name, values in second.items()
         }
-    assert one.measured[LS].sum() < two.measured[LS].sum()
-    assert one.predicted[0][TERMS].tolist() != one.predicted[1][TERMS].tolist()  # two arms
+    assert one[LS].sum() < two[LS].sum()
+    assert drawn[0][TERMS].tolist() != drawn[1][TERMS].tolist()  # two arms
 
 
 def test_arms_that_cannot_be_calibrated_are_counted_and_drawn_anew(rng, monkeypatch):
     data, calls = positions(48, rng), []
-    monkeypatch.setattr(gains, "LEARNT", {})
-    judged = gains.left_by_models
 
     def left(arm, train, test, rng):
         calls.append(train.position)
         if len(calls) in refuses:
             raise InputError("it does not converge")
-        return judged(arm, train, test, rng)
+        return left_by_models(arm, train, test, rng, learnt={})
 
-    monkeypatch.setattr(gains, "left_by_models", left)
+    monkeypatch.setattr(robots, "left_by_models", left)
     rows, refuses = folds_of(np.arange(48), "blocks", 5, rng)[0], (2,)
-    fold = judged_fold(load_arm("ur5"), data, rows, 1, np.random.SeedSequence(5))
-    assert (fold.refused, len(fold.predicted), len(calls)) == (1, 1, 3)
+    arms, refused = judged_fold(load_arm("ur5"), data, rows, 1, np.random.SeedSequence(5))
+    assert (refused, len(arms), len(calls)) == (1, 2, 3)
     assert np.abs(calls[1] - calls[2]).max() > 1e-6  # another arm, not the same once more
     refuses = range(len(calls) + 2, 100)
     with pytest.raises(InputError, match="4 arms drawn from the twin could not be calibrated"):

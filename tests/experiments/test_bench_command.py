@@ -8,16 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pickenv.agents.evaluation.blocked_gain import MEASURED
-from pickenv.bench import peers
-from pickenv.bench import run_bench as module
-from pickenv.bench.bench_tables import bench_json, blocked_json
-from pickenv.bench.gains import BEFORE, NOMINAL
-from pickenv.bench.peers import PEERS, Peer, homogeneous, judged_peer, last_words, peer_python
-from pickenv.bench.run_bench import GAINS, QUICK, ROWS, BenchSettings, run_bench
 
 from pickenv.arm import Pose, rotation_matrix
 from pickenv.errors import InputError
+from pickenv.experiments import check_experiment, peers, robots
+from pickenv.experiments.gains import MEASURED, NOMINAL
+from pickenv.experiments.peers import PEERS, Peer, homogeneous, judged_peer, last_words, peer_python
+from pickenv.experiments.robot_tables import bench_json, blocked_json
+from pickenv.experiments.robots import BEFORE, GAINS, QUICK, ROWS, BenchSettings, run_bench
 
 KEYS = {
     *("robot", "split", "model", "nominal_mm", "held_out_mm", "published_mm"),
@@ -42,27 +40,34 @@ def test_an_unknown_row_is_answered_with_all_of_them(tmp_path: Path) -> None:
     assert all(name in str(found.value) for name in ROWS)
 
 
-def made_fold(number: int) -> dict[str, object]:
-    """What a fold's part holds, of rows that nobody measured."""
-    rng = np.random.default_rng(number)
+def made_fold(fold: int) -> dict[str, np.ndarray]:
+    """Rows of a fold that nobody measured."""
+    rng = np.random.default_rng(fold)
     sizes = dict(zip((NOMINAL, *BEFORE), (9.0, 4.0, 1.0, 3.0, 2.0), strict=True))
-    arms = [{name: (size * 1e-6 * rng.chisquare(3, 12)).tolist() for name, size in sizes.items()} for _ in range(3)]
-    held = list(range(12 * number, 12 * number + 12))
-    return {"in_file": 100, "rows": 60, "held": held, "measured": arms[0], "predicted": arms[1:], "refused": 1}
+    counts = {"refused": 1, "rows": 60, "rows_in_file": 100}
+    at = np.arange(12 * fold, 12 * fold + 12)
+    return (
+        {"drawn": np.repeat(np.arange(3), 12), "at": np.tile(at, 3)}
+        | {name: size * 1e-6 * rng.chisquare(3, 36) for name, size in sizes.items()}
+        | {name: np.full(36, value) for name, value in counts.items()}
+    )
 
 
 @pytest.fixture
 def worked(monkeypatch, tmp_path):
     """The bench without its calibrations, on one file; what it worked on is listed."""
-    seen: list[module.Part] = []
+    seen: list[tuple[str, int]] = []
 
-    def work(part, settings, data, peers):
-        seen.append(part)
-        if part.row.startswith("peer"):
-            raise InputError("it is not installed")
-        return made_fold(part.number)
+    def fold_errors(rng, row, fold, settings, data):
+        seen.append((row, fold))
+        return made_fold(fold)
 
-    monkeypatch.setattr(module, "_worked", work)
+    def peer_errors(rng, row, data, peers):
+        seen.append((row, 0))
+        raise InputError("it is not installed")
+
+    monkeypatch.setattr(robots, "fold_errors", fold_errors)
+    monkeypatch.setattr(robots, "peer_errors", peer_errors)
     for kind in ("grid", "random"):
         file = tmp_path / f"data/ur5_wam_jacobi2025/UR5/3D_UR5_uncalibrated_{kind}_cleaned.csv"
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -75,25 +80,26 @@ def worked(monkeypatch, tmp_path):
 def test_what_is_done_is_kept_until_settings_or_data_change(worked, tmp_path: Path) -> None:
     seen, run = worked
     first = bench_json(run(["gain_ur5_blocks"]))
-    assert [part.number for part in seen] == [0, 1, 2, 3, 4]
-    next(iter((tmp_path / "out/parts").glob("*_3_*.json"))).unlink()
+    assert [fold for _, fold in seen] == [0, 1, 2, 3, 4]
+    next(iter((tmp_path / "out/gains").glob("*-3_*.parquet"))).unlink()
     assert bench_json(run(["gain_ur5_blocks"])) == first
-    assert [part.number for part in seen[5:]] == [3]
+    assert [fold for _, fold in seen[5:]] == [3]
     run(["gain_ur5_blocks"], BenchSettings(seed=1))
     assert len(seen) == 11
     (tmp_path / "data/ur5_wam_jacobi2025/UR5/3D_UR5_uncalibrated_grid_cleaned.csv").write_text("other")
     run(["gain_ur5_blocks"])
     assert len(seen) == 16
+    assert all(reason is None for _, reason in check_experiment(tmp_path / "out/gains"))
 
 
 def test_what_cannot_be_made_is_said_and_tried_again(worked) -> None:
     seen, run = worked
     for _ in range(2):
-        found = run(["gain_ur5_random", "peer_figaroh", "gain_wam_random"])
-        assert found.skipped["peer_figaroh"] == "it is not installed"
-        assert "name the folder of the data sets" in found.skipped["gain_wam_random"]
-        assert list(found.gains) == [("UR5", "random")]
-    assert [part.row for part in seen].count("peer_figaroh") == 2
+        bench = run(["gain_ur5_random", "peer_figaroh", "gain_wam_random"])
+        assert bench.skipped["peer_figaroh"] == "it is not installed"
+        assert "name the folder of the data sets" in bench.skipped["gain_wam_random"]
+        assert {(gain["robot"], gain["split"]) for gain in bench.gains} == {("UR5", "random")}
+    assert [row for row, _ in seen].count("peer_figaroh") == 2
 
 
 def test_every_row_has_the_keys_that_programs_read(worked) -> None:

@@ -4,14 +4,13 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pickenv.bench import gains, run_bench
-from pickenv.bench.gains import Fold, agreement, left_by_models, seen_of
-from pickenv.bench.peers import PeerTask, accuracy_on
-from pickenv.bench.real_sets import RealSet
-from pickenv.bench.run_bench import BenchSettings, Part
-from pickenv.bench.spread_rows import cell
 
 from pickenv.calibration import Measurements
+from pickenv.experiments import gains, robots
+from pickenv.experiments.gains import as_measured, left_by_models
+from pickenv.experiments.peers import PeerTask, accuracy_on
+from pickenv.experiments.robot_tables import agreement, spread_table
+from pickenv.experiments.robots import BenchSettings, RealSet, fold_errors
 
 
 def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, tmp_path):
@@ -20,19 +19,23 @@ def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, t
     some = Measurements(np.arange(23.0)[:, None], np.zeros((23, 3)), None, (False,))
 
     def judged(arm, chosen, rows, draws, seed):
-        calls[part.row, part.number] = rows, tuple(seed.generate_state(4).tolist())
+        calls[row, number] = rows, tuple(seed.generate_state(4).tolist())
         assert (arm, len(chosen), draws) == ("arm", 23, 7)
-        return Fold(rows[1], {}, (), 2)
+        return [{"LS": 0.1 * rows[1]}, {"LS": 0.2 * rows[1]}], 2
 
     monkeypatch.setattr(RealSet, "load", lambda self, data: ("arm", SimpleNamespace(joints=np.zeros((31, 6))), None))
-    monkeypatch.setattr(run_bench, "learnable", lambda arm, rows, most: asked.append(most) or some)
-    monkeypatch.setattr(run_bench, "judged_fold", judged)
+    monkeypatch.setattr(robots, "learnable", lambda arm, rows, most: asked.append(most) or some)
+    monkeypatch.setattr(robots, "judged_fold", judged)
     settings = BenchSettings(rows=24, folds=3, draws=7, seed=5)
     for row in ("gain_wam_random", "gain_wam_blocks", "gain_ur5_random"):
         for number in range(3):
-            part = Part(row, number)
-            found = run_bench._worked(part, settings, tmp_path, tmp_path)
-            assert (found["in_file"], found["rows"], found["refused"]) == (31, 23, 2)
+            columns = fold_errors(None, row, number, settings, tmp_path)
+            held = calls[row, number][0][1]
+            assert columns["drawn"].tolist() == [0] * len(held) + [1] * len(held)
+            assert columns["at"].tolist() == [*held, *held]
+            np.testing.assert_array_equal(columns["LS"], np.concatenate([0.1 * held, 0.2 * held]))
+            for name, value in {"rows_in_file": 31, "rows": 23, "refused": 2}.items():
+                assert columns[name].tolist() == [value] * 2 * len(held)
     for row in ("gain_wam_random", "gain_wam_blocks", "gain_ur5_random"):
         parts = [rows for (name, _), (rows, _) in calls.items() if name == row]
         held = np.concatenate([rows[1] for rows in parts])
@@ -42,7 +45,7 @@ def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, t
     one, other = (calls[f"gain_{name}_random", 0][0][1].tolist() for name in ("wam", "ur5"))
     assert one != other
     before = dict(calls)
-    run_bench._worked(part, settings, tmp_path, tmp_path)
+    fold_errors(None, row, number, settings, tmp_path)
     assert calls["gain_ur5_random", 2][1] == before["gain_ur5_random", 2][1]
 
 
@@ -51,14 +54,14 @@ def test_progress_counts_what_was_done_before_and_what_is_done_now(monkeypatch, 
         file = tmp_path / f"ur5_wam_jacobi2025/UR5/3D_UR5_uncalibrated_{kind}_cleaned.csv"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(kind)
-    monkeypatch.setattr(run_bench, "_worked", lambda *_: {"models": {}, "used": [], "rows": 3})
+    monkeypatch.setattr(robots, "model_errors", lambda rng, row, settings, data: [{"model": row}])
     for begun in (0, 2):
-        told: list[int] = []
-        run_bench.run_bench(
+        told: list[tuple[str, int, int]] = []
+        robots.run_bench(
             ["ur5_random", "ur5_blocks"], BenchSettings(), tmp_path, tmp_path / "out", tmp_path,
             progress=lambda *step, told=told: told.append(step),
         )  # fmt: skip
-        assert told == [(done, 2) for done in range(begun, 3)]
+        assert told == [("models", done, 2) for done in range(begun, 3)]
 
 
 def test_what_models_leave_are_squares_of_positions_and_residuals_are_learnt_of_positions_alone(monkeypatch):
@@ -72,8 +75,8 @@ def test_what_models_leave_are_squares_of_positions_and_residuals_are_learnt_of_
         fit = SimpleNamespace(calibration=SimpleNamespace(errors=lambda rows: left["terms"] if rows is test else None))
         return SimpleNamespace(errors=left, fit=fit, geometric="geometry")
 
-    def learnt(fit, kind, rows, rng):
-        assert (fit, rows) == ("geometry", "a positions")
+    def learnt(fit, kind, rows, rng, settings):
+        assert (fit, rows, settings) == ("geometry", "a positions", None)
         return SimpleNamespace(
             calibration=SimpleNamespace(errors=lambda rows: left[kind] if rows == "b positions" else None)
         )
@@ -98,7 +101,7 @@ def test_an_arm_is_seen_at_the_joints_of_the_rows_with_attitudes_where_they_have
         return SimpleNamespace(position=rows.position + 1.0, rotation=-rotation)
 
     monkeypatch.setattr(gains, "simulated_tracker", tracked)
-    seen = seen_of("plant", rows, rng)
+    seen = as_measured("plant", rows, rng)
     np.testing.assert_array_equal(seen.position, rows.position + 1.0)
     assert (seen.rotation is not None) == turned
     if turned:
@@ -121,10 +124,13 @@ def test_a_peers_errors_are_the_rms_on_rows_held_out_and_the_mean_on_other_poses
     ],
 )
 def test_below_a_millimetre_micrometres_are_shown_and_else_hundredths(values, shown):
-    assert cell(values) == shown
+    low, high = (np.nan if end is None else end for end in values[1:])
+    columns = {"value_mm": values[0], "low_mm": low, "high_mm": high, "used": "none", "model": "any"}
+    rows = robots.Rows({name: np.full(3, value) for name, value in ({"row": "ur5_random"} | columns).items()})
+    assert spread_table(rows).splitlines()[2].split(" | ")[1] == shown
 
 
 def test_without_gains_nothing_agrees_or_differs():
-    said = agreement({})
+    said = agreement([])
     assert (said["sets"], said["gains"], said["learnt_on_blocks"]) == (0, 0, 0)
     assert said["median_absolute_difference_points"] is said["ninth_decile_points"] is said["sign_right"] is None

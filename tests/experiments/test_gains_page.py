@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pickenv.agents.evaluation.blocked_gain import MEASURED, measured_gains
-from pickenv.bench.bench_tables import GAIN_HEADS, HELD
-from pickenv.bench.gains import BEFORE, LEARNT, LS
-from pickenv.bench.run_bench import GAINS, SETS
+
+from pickenv.experiments.gains import LEARNT, LS, MEASURED, measured_gains
+from pickenv.experiments.robot_tables import GAIN_HEADS, HELD
+from pickenv.experiments.robots import BEFORE, GAINS, SETS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/twin.md").read_text(encoding="utf-8")
@@ -49,7 +49,7 @@ def test_differences_and_shares_are_those_of_the_figures_beside_them() -> None:
 def test_twins_predict_as_well_as_is_asked() -> None:
     apart = [abs(float(row[-1])) for row in rows()]
     assert np.median(apart) <= POINTS
-    learnt = [row for row in rows() if row[1] == HELD["blocks"] and row[2] in {f"{LS} + {name}" for name in LEARNT}]
+    learnt = [row for row in rows() if row[1] == HELD["blocks"] and row[2] in LEARNT]
     assert len(learnt) >= 10
     assert np.mean([(share(row[5])[0] > 0.0) == (share(row[6])[0] > 0.0) for row in learnt]) >= SIGNS
 
