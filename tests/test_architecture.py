@@ -29,6 +29,7 @@ GROUND = (
     "pickenv.seeds",
     "pickenv.container",
     "pickenv.provenance",
+    "pickenv.registry",
     "pickenv.reservations",
     "pickenv.texts",
     "pickenv.threads",

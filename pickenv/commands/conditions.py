@@ -27,7 +27,7 @@ def conditions(
     tolerances: Annotated[str, typer.Option(help="Tolerance class that arms are drawn from.")] = "medium",
     sessions: Annotated[int, typer.Option(help="Training sessions, each under other conditions.", min=2)] = 12,
     poses: Annotated[int, typer.Option(help="Poses of a session.", min=5)] = 25,
-    residual: Annotated[str, typer.Option(help="What learns the rest: rbf, bpnn, gp.")] = "rbf",
+    residual: Annotated[str, typer.Option(help="What learns the rest: {residual}.")] = "rbf",
     allow: Annotated[
         list[str] | None, typer.Option(help="Judge the calibration in spite of this: fitted-frames, do-not-use.")
     ] = None,

@@ -148,7 +148,7 @@ def evaluate(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="Policy, baseline, policy file, or folder of one training with several seeds; may be repeated."
+            help="{policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated."
         ),
     ] = None,
     compensation: Annotated[list[str] | None, typer.Option(help="raw, ls, ls_bpnn, best; may be repeated.")] = None,

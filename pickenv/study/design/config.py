@@ -22,9 +22,9 @@ from pickenv.arm.plant.named_plants import load_plant
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.tolerances import GRADE, Tolerances, load_tolerances
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
-from pickenv.calibration.residuals.residual_models import FITTERS
 from pickenv.errors import InputError
 from pickenv.limits import LIMITS
+from pickenv.registry import names
 from pickenv.toml_tables import ONCE, SHARE, WHOLE, Check, Key, Unit, made, toml_of, toml_table
 
 # How each drawn arm differs from its design: the columns that sensitivity analyses start from. ``delta_PARAMETER_mm``
@@ -92,7 +92,7 @@ VERSION = 3
 """Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""
 
 RAW, LS = "raw", "ls"
-METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in FITTERS))
+METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
 """No calibration; least squares; least squares and a learnt residual of that kind."""
 
 
