@@ -103,6 +103,28 @@ def test_another_code_makes_pieces_anew(tmp_path, monkeypatch):
     assert not set(first) & set(keep(experiment(), tmp_path))
 
 
+def longer(rng, arm, method):
+    """As many steps as the arm's number; one method knows a word more."""
+    return {"way_mm": np.full((2, arm), float(arm))} | ({"word": np.array(["some", "more"])} if method == "ls" else {})
+
+
+def test_shorter_arrays_and_missing_columns_are_filled():
+    rows = run(experiment(measure=longer))
+    assert rows["way_mm"].shape == (12, 2)
+    assert np.isfinite(rows["way_mm"]).sum(axis=1).tolist() == [0, 0, 1, 1, 2, 2] * 2
+    assert rows["word"].tolist() == [""] * 6 + ["some", "more"] * 3
+
+
+def of_arm(arm, method):
+    return (arm == 1,)
+
+
+def test_inputs_of_a_piece_make_no_other_anew(tmp_path):
+    first = keep(experiment(inputs=(False,)), tmp_path)
+    again = keep(experiment(inputs=of_arm), tmp_path)
+    assert [one == other for one, other in zip(first, again, strict=True)] == [True, False, True] * 2
+
+
 def damaged(path, how):
     content = path.read_bytes()
     if how == "removed":
