@@ -414,21 +414,18 @@ def share_estimate(chances: NDArray[np.float64]) -> Estimate:
     return _with_reason(float(each.mean()), ends, each)
 
 
-def interquartile_estimate(values: NDArray[np.float64], sequence: np.random.SeedSequence | None = None) -> Estimate:
+def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:
     """Mean of the middle half of independent values ``(n,)``, one per arm; its interval is a bootstrap's over them.
 
     Args:
         values: The values; the lowest and the highest quarter do not count.
-        sequence: Seeds the bootstrap; always the same when None, so that equal data have equal ends.
     """
     from scipy.stats import trim_mean  # late: half of SciPy comes along
 
     found = float(trim_mean(values, 0.25))
     if len(values) < LEAST:
         return Estimate(found, None, f"needs {LEAST} arms")
-    drawn = np.random.default_rng(sequence or stream(0, "leaderboard")).integers(
-        len(values), size=(RESAMPLES, len(values))
-    )
+    drawn = np.random.default_rng(stream(0, "leaderboard")).integers(len(values), size=(RESAMPLES, len(values)))
     low, high = np.quantile(trim_mean(values[drawn], 0.25, axis=1), (0.025, 0.975))
     return Estimate(found, (float(low), float(high)))
 

@@ -110,17 +110,15 @@ def policies(
         Literal["serial", "joblib", "ray"], typer.Option(help="What computes; it does not change the figures.")
     ] = "serial",
     workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
-    address: Annotated[
-        str | None, typer.Option(help="Ray cluster, host:port or ray://host:port; a local one if left out.")
-    ] = None,
 ) -> None:
     """Policies raw and calibrated, with interquartile means over arms that no two seeds share; picks per hour too."""
     from dataclasses import replace
     from itertools import groupby
 
-    from pickenv.agents.evaluation.leaderboard import (
+    from pickenv.experiments.policy_tables import (
+        LEADERBOARD,
+        QUICK,
         WORDS,
-        LeaderboardSettings,
         leaderboard_cells,
         leaderboard_heads,
         leaderboard_tables,
@@ -128,13 +126,11 @@ def policies(
     )
     from pickenv.extras import require
     from pickenv.inspect.runs.run_folder import listed_files
-    from pickenv.study.running.runners import Crew, load_executor
 
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
-    require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
-    crew, compute = Crew(workers, address).for_executor(executor), load_executor(executor)
-    usual = LeaderboardSettings.quick() if quick else LeaderboardSettings()
+    require("torch", "pyarrow")
+    usual = QUICK if quick else LEADERBOARD
     settings = replace(
         usual,
         policies=(*usual.policies, *dict.fromkeys(policy or [])),
@@ -152,7 +148,8 @@ def policies(
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
-            rows = run_leaderboard(settings, out, report, lambda numbers, work: compute(numbers, work, crew))
+            backend = "loky" if executor == "joblib" else executor
+            rows = run_leaderboard(settings, out, backend=backend, workers=workers, progress=report)
         saves = [
             (page, lambda path: write_text(path, leaderboard_tables(rows))),
             (json_file, lambda path: write_json(path, {"rows": rows})),
