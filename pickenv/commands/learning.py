@@ -177,21 +177,14 @@ def evaluate(
     defaults about ten minutes on two cores; fewer --arms or --compensation take less, --cache keeps them.
     """
     from pickenv.agents.evaluation.compared_policies import kind_of
+    from pickenv.experiments import policy_tables as tables
     from pickenv.experiments.methods import CalibrationPlan, residual_of
     from pickenv.experiments.policies import PolicySettings, run_policies
-    from pickenv.experiments.policy_tables import (
-        EPISODES,
-        ROWS,
-        evaluation_content,
-        evaluation_drawings,
-        write_evaluation,
-        write_rows,
-    )
     from pickenv.extras import require
     from pickenv.inspect.figures.run_drawings import write_drawings
     from pickenv.inspect.runs.run_folder import RECORD
 
-    written = [] if out is None else [out / name for name in (RECORD, EPISODES, ROWS)]
+    written = [] if out is None else [out / name for name in (RECORD, tables.EPISODES, tables.ROWS)]
     separate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
         {"--out": written, "--json": json_file, "--table": table},
@@ -215,17 +208,16 @@ def evaluate(
         raise InputError(NO_CAMERA)
     require(*([] if out is None else ["pyarrow"]))
     workers = workers or os.cpu_count() or 1
-    several = workers > 1 and any(map(residual_of, settings.compensations))
-    backend = "loky" if several else "serial"
+    backend = "loky" if workers > 1 and any(map(residual_of, settings.compensations)) else "serial"
     with progress_bars() as report:
         rows = run_policies(settings, cache=cache, backend=backend, workers=workers, progress=report)
-    content = evaluation_content(settings, rows)
+    content = tables.evaluation_content(settings, rows)
     deliver(
         [
             (json_file, lambda path: write_json(path, content)),
-            (table, lambda path: write_rows(path, content["rows"])),
-            (out, lambda folder: write_evaluation(settings, rows, folder)),
-            (figures, lambda folder: write_drawings(evaluation_drawings(rows), folder)),
+            (table, lambda path: tables.write_rows(path, content["rows"])),
+            (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
+            (figures, lambda folder: write_drawings(tables.evaluation_drawings(rows), folder)),
         ],
         lambda: _print(**content),
     )

@@ -12,12 +12,12 @@ from pickenv.faces import offered as _offered
 if _TYPE_CHECKING:
     from pickenv.experiments.engine import Experiment, Rows, check_experiment, keep, kept_rows, run
     from pickenv.experiments.methods import CalibrationPlan, calibrate_arm, reaches_behind
-    from pickenv.experiments.policies import PolicySettings, run_picks, run_policies
-    from pickenv.experiments.policy_tables import compensations_compared, evaluation_rows
+    from pickenv.experiments.policies import PolicySettings, run_policies
+    from pickenv.experiments.policy_tables import compensations_compared, estimates, evaluation_rows
     from pickenv.intervals import Estimate, estimate
 
 __all__ = ["CalibrationPlan", "Estimate", "Experiment", "PolicySettings", "Rows", "calibrate_arm", "check_experiment"]
-__all__ += ["compensations_compared", "estimate", "evaluation_rows", "keep", "kept_rows", "reaches_behind", "run"]
-__all__ += ["run_picks", "run_policies"]
+__all__ += ["compensations_compared", "estimate", "estimates", "evaluation_rows", "keep", "kept_rows"]
+__all__ += ["reaches_behind", "run", "run_policies"]
 
 __getattr__, __dir__ = _offered(__name__)

@@ -7,13 +7,13 @@ seed alone, so that any two policies of one plant can be compared pair by pair; 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -32,15 +32,8 @@ from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
 from pickenv.errors import InputError
-from pickenv.experiments.engine import Columns, Experiment, Progress, Rows, run, spread
-from pickenv.experiments.methods import (
-    METHODS,
-    CalibrationPlan,
-    check_method,
-    compensators,
-    kept_calibration,
-    sources_of,
-)
+from pickenv.experiments import methods
+from pickenv.experiments.engine import Columns, Experiment, Progress, Rows, run
 from pickenv.inspect.runs.episode_summary import Reaches
 from pickenv.inspect.runs.run_folder import listed_files
 from pickenv.limits import check_limit
@@ -48,7 +41,6 @@ from pickenv.orchard.gripper import load_gripper
 from pickenv.provenance import file_sha256
 from pickenv.registry import names, origin
 from pickenv.seeds import seed_words, stream
-from pickenv.threads import single_threaded
 
 CYCLE_MM = 2.0
 """Radius within which a cycle is over, for the cycle time."""
@@ -81,11 +73,11 @@ class PolicySettings:
         camera_noise_mm: Standard deviation per axis of the camera's view of the gap.
         fruit_noise_mm: The same for the fruit's position.
         plan: How arms are calibrated; its seed is the comparison's.
-        canopies: Canopies that scripted policies clear with each arm.
+        canopies: Canopies that each of `PICKERS` clears with each arm.
     """
 
     policies: tuple[str, ...] = ("scripted", "oracle", "servo", "adaptive")
-    compensations: tuple[str, ...] = METHODS
+    compensations: tuple[str, ...] = methods.METHODS
     feedback: tuple[str, ...] = FEEDBACK
     plants: tuple[str, ...] = ("qiao2026", "orchard")
     grippers: tuple[str, ...] = ("li_cup", "compliant_hand")
@@ -95,14 +87,16 @@ class PolicySettings:
     tolerances: str = "coarse"
     camera_noise_mm: float = 1.0
     fruit_noise_mm: float = 0.0
-    plan: CalibrationPlan = field(default_factory=CalibrationPlan)
+    plan: methods.CalibrationPlan = field(default_factory=methods.CalibrationPlan)
     canopies: int = 0
 
     def __post_init__(self) -> None:
         for compensation in self.compensations:
-            check_method(compensation)
+            methods.check_method(compensation)
         for feedback in self.feedback:
             check_choice("feedback", feedback, FEEDBACK)
+        for gripper in self.grippers:
+            load_gripper(gripper)
         for name in ("camera_noise_mm", "fruit_noise_mm"):
             check_number(name, getattr(self, name))
         check_limit("arms", self.arms, "compared arms")
@@ -112,6 +106,10 @@ class PolicySettings:
     def population(self, plant: str, seed: int) -> Plant:
         """The arms of a plant that a seed draws, as the environments draw them."""
         return draw_arms(plant, self.tolerances, self.arms, np.random.default_rng(population_seed(seed)))
+
+    def levels(self, name: str) -> tuple[Any, ...]:
+        """What one of the fields names, each once."""
+        return tuple(dict.fromkeys(getattr(self, name)))
 
 
 def population_seed(seed: int) -> int:
@@ -123,150 +121,89 @@ def run_policies(
     settings: PolicySettings,
     folder: Path | None = None,
     *,
+    task: Literal["reaching", "picking"] = "reaching",
     cache: Path | None = None,
     backend: str = "serial",
     workers: int | None = None,
     progress: Progress | None = None,
-    fits: Callable[..., bool] | None = None,
+    fits: Callable[..., bool] = lambda **levels: True,
 ) -> Rows:
-    """Let every policy reach, behind every compensation and with every feedback that it can use.
+    """Let policies reach, or pick, with the same arms behind every compensation.
 
     Args:
         settings: What is compared.
         folder: Where rows are kept for the next time, or None.
+        task: "reaching", for every policy with every feedback that it can use; "picking", where each of `PICKERS`
+            clears canopies of `pickenv/Pick-v0` with the arms of `PICK_PLANT`, the same for every compensation.
         cache: Where calibrations are kept for the next time; in the former's "calibrations", or nowhere, when None.
         backend: Who computes, as of `pickenv.experiments.run`.
         workers: Processes.
         progress: Called with (stage, done, in all).
-        fits: Called with plant, compensation, feedback, policy, seed and training by name: what is left out; nothing
-            when None.
+        fits: Called with plant, compensation, policy, seed and so on by name: whether that is measured.
 
     Returns:
-        A row for each episode: plant, compensation, feedback, policy, seed and training (numbers of files of one
-        training), whether it was ``learned``, ``arm`` (no two seeds share a number) and ``episode``; ``error_mm`` and
-        ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last), ``cycle_steps`` until the tool is
-        within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a gripper takes the fruit, and the
-        fields of `pickenv.agents.Reaches`.
+        Of reaching a row for each episode: plant, compensation, feedback, policy, seed and training (number of the file
+        of one with several), whether it was ``learned``, ``arm`` (no two seeds share a number) and ``episode``;
+        ``error_mm`` and ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last), ``cycle_steps``
+        until the tool is within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a gripper takes the
+        fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm and gripper, over all canopies:
+        grasps ``attempted``, fruit ``collected`` undamaged, ``picks_per_hour`` of these without the ways between
+        canopies, and sums over grasps of the distance between fruit and true tool (``error_sum_mm``) and of the tool's
+        angle with the vertical (``tilt_sum_deg``).
 
     Raises:
         InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.
     """
-    kinds = {name: _entrant(name) for name in settings.policies}
-    shown = [policy_name(name) for name in kinds]
-    twice = next((name for name in shown if shown.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f"two policies are called '{twice}'; give one of them another name")
-    factors = {"plant": settings.plants, "compensation": settings.compensations, "feedback": settings.feedback}
-
-    def experiment(kept: Path) -> Experiment:
-        return Experiment(
-            "reaching",
-            {"seed": _once(settings.seeds), "training": range(max(len(kind.files) or 1 for kind in kinds.values()))},
-            {name: _once(levels) for name, levels in factors.items()} | {"policy": tuple(kinds)},
-            partial(_reaches, settings, kinds, kept),
-            inputs=partial(_inputs, replace(settings, canopies=0), kinds),
-            fits=partial(_fits, kinds, fits),
-        )
-
-    if not experiment(Path()).pieces():
-        raise InputError(_nothing_fits(settings, kinds))
-    return _run(experiment, settings, folder, cache, backend, workers, progress)
-
-
-def run_picks(
-    settings: PolicySettings,
-    folder: Path | None = None,
-    *,
-    cache: Path | None = None,
-    backend: str = "serial",
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> Rows:
-    """Let each of `PICKERS` clear canopies of `pickenv/Pick-v0` with the arms of `PICK_PLANT`.
-
-    Canopies depend on seed, arm and number alone, so that every compensation meets the same fruit.
-
-    Args:
-        settings: What is compared; policies, feedback, plants and episodes are not used.
-        folder: Where rows are kept for the next time, or None.
-        cache: Where calibrations are kept for the next time; in the former's "calibrations", or nowhere, when None.
-        backend: Who computes, as of `pickenv.experiments.run`.
-        workers: Processes.
-        progress: Called with (stage, done, in all).
-
-    Returns:
-        A row for each gripper, policy, compensation, seed and ``arm``, over all its canopies: grasps ``attempted``,
-        fruit ``collected`` undamaged, ``picks_per_hour`` of these without the ways between canopies, and sums over
-        grasps of the distance between fruit and true tool (``error_sum_mm``) and of the tool's angle with the vertical
-        (``tilt_sum_deg``).
-    """
-
-    def experiment(kept: Path) -> Experiment:
-        return Experiment(
-            "picking",
-            {"seed": _once(settings.seeds), "arm": range(settings.arms)},
-            {
-                "plant": (PICK_PLANT,),
-                "gripper": _once(settings.grippers),
-                "policy": tuple(PICKERS),
-                "compensation": _once(settings.compensations),
-            },
-            partial(_picks, settings, kept),
-            inputs=partial(_inputs, settings, {}),
-        )
-
-    return _run(experiment, settings, folder, cache, backend, workers, progress)
-
-
-def _once(levels: Sequence[Any]) -> tuple[Any, ...]:
-    return tuple(dict.fromkeys(levels))
-
-
-def _run(
-    experiment_of: Callable[[Path], Experiment],
-    settings: PolicySettings,
-    folder: Path | None,
-    cache: Path | None,
-    backend: str,
-    workers: int | None,
-    progress: Progress | None,
-) -> Rows:
-    """Calibrate the arms that an experiment needs, then run it on them."""
     kept = cache if folder is None or cache is not None else folder / "calibrations"
+    make = _reaching if task == "reaching" else _picking
+    how: dict[str, Any] = {"backend": backend, "workers": workers, "progress": progress}
     with TemporaryDirectory() if kept is None else nullcontext(kept) as place:
         kept = Path(place).resolve()
-        experiment = experiment_of(kept)
-        levels = (piece.levels for piece in experiment.pieces())
-        behind = _once([(each["plant"], each["compensation"], each["seed"]) for each in levels])
-        jobs = [(*each, arm) for each in behind if each[1] != "raw" for arm in range(settings.arms)]
-        if jobs:
+        experiment = make(settings, kept, fits)
+        calibrations = _calibrations(settings, kept, experiment)
+        if calibrations.pieces():
             with listed_files(kept):
-                work = spread(partial(_calibrate, settings, kept, jobs), range(len(jobs)), backend, workers)
-                for done, _ in enumerate(work, start=1):
-                    if progress is not None:
-                        progress(f"calibrations, {experiment.name}", done, len(jobs))
-        place_of_rows = None if folder is None else folder / experiment.name
-        return run(experiment, place_of_rows, backend=backend, workers=workers, progress=progress)
+                run(calibrations, **how)
+        return run(experiment, None if folder is None else folder / task, **how)
 
 
-def _calibrate(settings: PolicySettings, kept: Path, jobs: Sequence[tuple[str, str, int, int]], number: int) -> None:
-    plant, compensation, seed, arm = jobs[number]
-    with single_threaded():
-        _calibration(settings, kept, plant, compensation, seed, arm)
+def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) -> Experiment:
+    """The arms that an experiment is to be run with, calibrated and kept one by one."""
+    wanted = {tuple(piece.levels[name] for name in BEHIND) for piece in experiment.pieces()}
+    return Experiment(
+        f"calibrations, {experiment.name}",
+        {"seed": settings.levels("seeds"), "arm": range(settings.arms)},
+        {name: tuple(dict.fromkeys(experiment.factors[name])) for name in BEHIND[:2]},
+        partial(_calibrated, settings, kept),
+        fits=lambda arm, **levels: levels["compensation"] != "raw" and tuple(map(levels.get, BEHIND)) in wanted,
+    )
+
+
+BEHIND = ("plant", "compensation", "seed")
+"""What tells one calibrated population from another."""
+
+
+def _calibrated(settings: PolicySettings, kept: Path, *, rng: np.random.Generator, arm: int, **behind: Any) -> Columns:
+    return {"key": np.array([_calibration(settings, kept, arm=arm, **behind).record[methods.ORIGIN]])}
 
 
 def _calibration(
-    settings: PolicySettings, kept: Path, plant: str, compensation: str, seed: int, arm: int
+    settings: PolicySettings, kept: Path, *, plant: str, compensation: str, seed: int, arm: int
 ) -> Calibration:
-    """The kept calibration of one arm of a seed."""
     plan = replace(settings.plan, seed=seed)
-    return kept_calibration(kept, plant_at(settings.population(plant, seed), arm), compensation, plan, arm)
+    return methods.kept_calibration(kept, plant_at(settings.population(plant, seed), arm), compensation, plan, arm)
 
 
 def _inputs(
-    settings: PolicySettings, kinds: Mapping[str, Kind], *, plant: str, compensation: str, policy: str, seed: int,
-    **levels: Any,
-) -> tuple[Any, ...]:  # fmt: skip
+    settings: PolicySettings,
+    kinds: Mapping[str, Kind],
+    *,
+    plant: str,
+    compensation: str,
+    policy: str,
+    seed: int,
+    **_: Any,
+) -> tuple[Any, ...]:
     """What a piece's rows depend on beside its levels; another policy or seed changes none of it."""
     learned = kinds[policy].files if policy in kinds else ()
     files = [path for name in learned for path in (Path(name), BASELINES / f"{name}.npz") if path.is_file()]
@@ -276,75 +213,52 @@ def _inputs(
         [load_gripper(name) for name in settings.grippers],
         [file_sha256(path) for path in files],
         str(origin("policy", policy)) if policy in names("policy") else None,
-        sources_of(compensation, settings.plan),
+        methods.sources_of(compensation, settings.plan),
     )
 
 
 # Reaching.
 
 
-def _reaches(
-    settings: PolicySettings, kinds: Mapping[str, Kind], kept: Path, *, rng: np.random.Generator, plant: str,
-    compensation: str, feedback: str, policy: str, seed: int, training: int,
-) -> Columns:  # fmt: skip
-    """The episodes of one policy; they draw as the environments do, and not from ``rng``."""
-    kind = kinds[policy]
-    noise = float(np.hypot(settings.camera_noise_mm, settings.fruit_noise_mm))
-    rollout = roll_out(
-        maker_of((kind.files or (policy,))[training], noise, compensation),
-        settings.arms,
-        settings.episodes,
-        seed,
-        compensators=compensators(
-            settings.population(plant, seed), compensation, replace(settings.plan, seed=seed), kept
-        ),
-        sequential=kind.sequential,
-        steps=kind.steps,
-        plant=plant,
-        feedback=feedback,
-        camera_noise_mm=settings.camera_noise_mm if feedback == "camera" else 0.0,
-        fruit_noise_mm=settings.fruit_noise_mm,
-        tolerances=settings.tolerances,
-        population_seed=population_seed(seed),
+def _reaching(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -> Experiment:
+    kinds = {name: _entrant(name) for name in settings.policies}
+    labels = [policy_name(name) for name in kinds]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise InputError(f"two policies are called '{label}'; give one of them another name")
+
+    def able(**levels: Any) -> bool:
+        kind = kinds[levels["policy"]]
+        behind = levels["compensation"] == "raw" or not kind.raw_only
+        there = levels["feedback"] in kind.feedback and levels["training"] < (len(kind.files) or 1)
+        return behind and there and fits(**levels)
+
+    experiment = Experiment(
+        "reaching",
+        {"seed": settings.levels("seeds"), "training": range(max(len(kind.files) or 1 for kind in kinds.values()))},
+        {"plant": settings.levels("plants"), "compensation": settings.levels("compensations")}
+        | {"feedback": settings.levels("feedback"), "policy": tuple(kinds)},
+        partial(_reaches, settings, kinds, kept),
+        inputs=partial(_inputs, replace(settings, canopies=0), kinds),
+        fits=able,
     )
-    reaches, count = rollout.reaches, len(rollout.arm)
-    return {
-        "policy": np.full(count, policy_name(policy)),
-        "learned": np.full(count, bool(kind.files)),
-        "arm": _once(settings.seeds).index(seed) * settings.arms + rollout.arm,
-        "episode": np.arange(count) // settings.arms,
-        "error_mm": reaches.position_error_mm,
-        "attitude_deg": reaches.attitude_error_deg,
-        "cycle_steps": rollout.cycle_steps(CYCLE_MM),
-        **{f"chance_{name}": rollout.capture(load_gripper(name)) for name in settings.grippers},
-        "way_mm": rollout.error_mm.T,
-        **{each.name: np.asarray(getattr(reaches, each.name)) for each in fields(Reaches)},
-    }
-
-
-def reaches_in(rows: Rows) -> Reaches:
-    """The ends of the episodes of rows of one plant."""
-    columns: dict[str, Any] = {each.name: rows[each.name] for each in fields(Reaches)}
-    commands = rows["joint_command"]
-    return Reaches(**columns | {"joint_command": commands[:, np.isfinite(commands).all(axis=0)]})
-
-
-def _fits(kinds: Mapping[str, Kind], further: Callable[..., bool] | None, **levels: Any) -> bool:
-    kind = kinds[levels["policy"]]
-    return (
-        levels["feedback"] in kind.feedback
-        and (levels["compensation"] == "raw" or not kind.raw_only)
-        and levels["training"] < (len(kind.files) or 1)
-        and (further is None or further(**levels))
-    )
+    if not experiment.pieces():
+        needs = (
+            f"{name} needs feedback {' or '.join(kind.feedback)}{' and compensation raw' if kind.raw_only else ''}"
+            for name, kind in kinds.items()
+        )
+        raise InputError(
+            f"no policy can be run with feedback {' or '.join(settings.feedback)} and compensation "
+            f"{' or '.join(settings.compensations)}: {', '.join(needs)}; change one of them"
+        )
+    return experiment
 
 
 def _entrant(name: str) -> Kind:
     """What kind of policy a name stands for; with what feedback one of somebody else's making can be run is tried."""
-    kind = kind_of(name)
+    kind, able, refusal = kind_of(name), [], ""
     if len(kind.feedback) == 1:
         return kind
-    able, refusal = [], ""
     for feedback in kind.feedback:
         env = ReachVectorEnv(1, feedback=feedback)
         try:
@@ -357,37 +271,89 @@ def _entrant(name: str) -> Kind:
     return replace(kind, feedback=tuple(able))
 
 
-def _nothing_fits(settings: PolicySettings, kinds: Mapping[str, Kind]) -> str:
-    """Why there is nothing to compare."""
-    able = (
-        f"{name} needs feedback {' or '.join(kind.feedback)}{' and compensation raw' if kind.raw_only else ''}"
-        for name, kind in kinds.items()
+def _reaches(
+    settings: PolicySettings, kinds: Mapping[str, Kind], kept: Path, *, rng: np.random.Generator, plant: str,
+    compensation: str, feedback: str, policy: str, seed: int, training: int,
+) -> Columns:  # fmt: skip
+    """The episodes of one policy; they draw as the environments do, and not from ``rng``."""
+    kind, population = kinds[policy], settings.population(plant, seed)
+    noise = float(np.hypot(settings.camera_noise_mm, settings.fruit_noise_mm))
+    rollout = roll_out(
+        maker_of((kind.files or (policy,))[training], noise, compensation),
+        settings.arms,
+        settings.episodes,
+        seed,
+        compensators=methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept),
+        sequential=kind.sequential,
+        steps=kind.steps,
+        plant=plant,
+        feedback=feedback,
+        camera_noise_mm=settings.camera_noise_mm if feedback == "camera" else 0.0,
+        fruit_noise_mm=settings.fruit_noise_mm,
+        tolerances=settings.tolerances,
+        population_seed=population_seed(seed),
     )
-    return (
-        f"no policy can be run with feedback {' or '.join(settings.feedback)} and compensation "
-        f"{' or '.join(settings.compensations)}: {', '.join(able)}; change one of them"
-    )
+    reaches, count = rollout.reaches, len(rollout.arm)
+    chances = {f"chance_{name}": rollout.capture(load_gripper(name)) for name in settings.grippers}
+    return {
+        "policy": np.full(count, policy_name(policy)),
+        "learned": np.full(count, bool(kind.files)),
+        "arm": settings.levels("seeds").index(seed) * settings.arms + rollout.arm,
+        "episode": np.arange(count) // settings.arms,
+        "error_mm": reaches.position_error_mm,
+        "attitude_deg": reaches.attitude_error_deg,
+        "cycle_steps": rollout.cycle_steps(CYCLE_MM),
+        "way_mm": rollout.error_mm.T,
+        **chances,
+        **{each.name: np.asarray(getattr(reaches, each.name)) for each in fields(Reaches)},
+    }
+
+
+def reaches_in(rows: Rows) -> Reaches:
+    """The ends of the episodes of rows of one plant."""
+    columns: dict[str, Any] = {each.name: rows[each.name] for each in fields(Reaches)}
+    commands = rows["joint_command"]
+    return Reaches(**columns | {"joint_command": commands[:, np.isfinite(commands).all(axis=0)]})
 
 
 # Picking.
 
 
+def _picking(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -> Experiment:
+    return Experiment(
+        "picking",
+        {"seed": settings.levels("seeds"), "arm": range(settings.arms)},
+        {"plant": (PICK_PLANT,), "gripper": settings.levels("grippers")}
+        | {"policy": tuple(PICKERS), "compensation": settings.levels("compensations")},
+        partial(_picks, settings, kept),
+        inputs=partial(_inputs, settings, {}),
+        fits=fits,
+    )
+
+
 def _picks(
-    settings: PolicySettings, kept: Path, *, rng: np.random.Generator, plant: str, gripper: str, policy: str,
-    compensation: str, seed: int, arm: int,
-) -> Columns:  # fmt: skip
-    """What one policy does with one arm and gripper, over all its canopies."""
+    settings: PolicySettings,
+    kept: Path,
+    *,
+    rng: np.random.Generator,
+    gripper: str,
+    policy: str,
+    arm: int,
+    **behind: Any,
+) -> list[dict[str, Any]]:
+    """What one picker does with one arm and gripper, over all its canopies."""
+    seed, steps, collected, grasps = behind["seed"], 0, 0, []
     env = PickEnv(
-        plant=plant,
+        plant=behind["plant"],
         gripper=gripper,
         arms="per_episode",
         tolerances=settings.tolerances,
         population=settings.arms,
         population_seed=population_seed(seed),
     )
-    if compensation != "raw":
-        env.compensator = _calibration(settings, kept, plant, compensation, seed, arm).compensator()
-    picker, steps, collected, grasps = PICKERS[policy](env), 0, 0, []
+    if behind["compensation"] != "raw":
+        env.compensator = _calibration(settings, kept, arm=arm, **behind).compensator()
+    picker = PICKERS[policy](env)
     for canopy in seed_words(stream(seed, "picks", arm), settings.canopies):
         attempted = 0
         for moment in moments_of(env, picker, canopy, options={"arm": arm}, steps=LONGEST_CANOPY):
@@ -397,11 +363,6 @@ def _picks(
                 grasps.append((np.hypot(info["grasp_lateral_mm"], info["grasp_axial_mm"]), info["tilt_deg"]))
         steps, collected = steps - 1, collected + info["collected"]  # the first moment is the reset
     error, tilt = np.reshape(grasps, (-1, 2)).sum(axis=0)
-    return {
-        "arm": np.array([_once(settings.seeds).index(seed) * settings.arms + arm]),
-        "attempted": np.array([len(grasps)]),
-        "collected": np.array([collected]),
-        "picks_per_hour": np.array([3600.0 * collected / (steps * CONTROL_PERIOD)]),
-        "error_sum_mm": np.array([error]),
-        "tilt_sum_deg": np.array([tilt]),
-    }
+    row: dict[str, Any] = {"arm": settings.levels("seeds").index(seed) * settings.arms + arm, "attempted": len(grasps)}
+    row |= {"collected": collected, "picks_per_hour": 3600.0 * collected / (steps * CONTROL_PERIOD)}
+    return [row | {"error_sum_mm": error, "tilt_sum_deg": tilt}]

@@ -269,10 +269,10 @@ ROOMS = {
         most=SECOND,
     ),
     "leaderboard": room(
-        "agents/evaluation",
-        "leaderboard statistics grid_tables",
-        "tests/agents",
-        "leaderboard grid",
+        "pickenv/experiments",
+        "methods policies policy_tables",
+        "tests/experiments",
+        "leaderboard policies",
         most=SECOND,
     ),
     "pictures": room(

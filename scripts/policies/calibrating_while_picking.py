@@ -24,13 +24,13 @@ import typer
 from train_baselines import SEEDS, training_of
 
 import pickenv  # noqa: F401
-from pickenv.agents.evaluation.grid_tables import with_interval
 from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
 from pickenv.agents.policies.remembering import RememberingPolicy, load_remembering
 from pickenv.agents.training.training import train
 from pickenv.arm import Array, forward
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration.compensation.compensator import aimed, taught
+from pickenv.experiments.policy_tables import with_interval
 from pickenv.files import write_json
 from pickenv.inspect.figures.style import WIDTH, new_figure, save_figure
 from pickenv.intervals import Estimate, mean_estimate

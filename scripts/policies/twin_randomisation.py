@@ -23,10 +23,10 @@ import typer
 from stable_baselines3 import PPO
 
 import pickenv
-from pickenv.agents.evaluation.grid_tables import with_interval
 from pickenv.agents.training.history import HistoryPolicy
 from pickenv.arm import load_plant, write_twin
 from pickenv.calibration import Result, calibrate, random_joints, simulated_tracker
+from pickenv.experiments.policy_tables import with_interval
 from pickenv.files import write_json
 from pickenv.seeds import seed_words, stream
 from pickenv.threads import torch_on_one_thread

@@ -11,11 +11,11 @@ import pytest
 
 import pickenv  # noqa: F401
 from pickenv.agents.evaluation.compared_policies import load_any
-from pickenv.experiments import PolicySettings, evaluation_rows, run_policies
 from pickenv.agents.policies.learned import BASELINES, FORMAT, load_policy, shipped_baselines
 from pickenv.arm import load_arm
 from pickenv.container import read_container, write_container
 from pickenv.errors import InputError
+from pickenv.experiments import PolicySettings, evaluation_rows, run_policies
 from pickenv.sealed import seal
 from pickenv.wrappers.gap import GapScaling, Scaling
 

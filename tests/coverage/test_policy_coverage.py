@@ -42,7 +42,9 @@ def test_errors_over_arms(repeats: Any, key: str, count: int) -> None:
     truth, most = TRUTHS[key]
     if (key, count) == ("p95_arm_ci95", LEAST):
         pytest.skip("ten arms bound no 95th percentile from above, and from below hardly")
-    repeats.check(lambda rng: evaluation_rows(SETTINGS, rows_of(arms_of(rng, count, 2.0)))[0][key], truth, most, share=0.1)
+    repeats.check(
+        lambda rng: evaluation_rows(SETTINGS, rows_of(arms_of(rng, count, 2.0)))[0][key], truth, most, share=0.1
+    )
 
 
 @pytest.mark.parametrize("typical_mm", [4.0, 15.0, 30.0])
@@ -50,7 +52,12 @@ def test_errors_over_arms(repeats: Any, key: str, count: int) -> None:
 def test_success_over_arms(repeats: Any, arms: int, most: float, typical_mm: float) -> None:
     """Chances vary less than tries, so that few arms have intervals on the safe side."""
     truth = chance_of_the_hand(typical_mm)
-    repeats.check(lambda rng: evaluation_rows(SETTINGS, rows_of(arms_of(rng, arms, typical_mm)))[0]["success_ci95"], truth, most, share=0.1)
+    repeats.check(
+        lambda rng: evaluation_rows(SETTINGS, rows_of(arms_of(rng, arms, typical_mm)))[0]["success_ci95"],
+        truth,
+        most,
+        share=0.1,
+    )
 
 
 def test_differences_of_compensations(repeats: Any) -> None:

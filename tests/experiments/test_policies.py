@@ -90,9 +90,8 @@ def test_there_is_one_row_per_combination(table):
 
 
 def test_all_cells_meet_the_same_arms_and_fruit(episodes):
-    cells = [
-        episodes.where(policy=policy, compensation=behind) for policy, behind in episodes.levels("policy", "compensation")
-    ]
+    keys = episodes.levels("policy", "compensation")
+    cells = [episodes.where(policy=policy, compensation=behind) for policy, behind in keys]
     assert len(cells) == 5
     for cell in cells:
         assert np.array_equal(cell["fruit_position"], cells[0]["fruit_position"])
@@ -130,7 +129,8 @@ def test_an_evaluation_is_reproducible_and_its_calibrations_are_kept(episodes, f
 
 def test_any_registered_residual_model_is_a_method_of_the_table(tmp_path):
     """ "ls+gp" is what "best" is short for; another's name fits that model."""
-    settings = replace(SMALL, policies=("scripted",), compensations=("raw", "ls+gp", "best", "ls+rbf"), arms=2)
+    settings = replace(SMALL, policies=("scripted",), compensations=("raw", "ls+gp", "best", "ls+rbf"))
+    settings = replace(settings, arms=1, episodes=2)
     rows = run_policies(settings, cache=tmp_path)
     errors = {behind: rows.where(compensation=behind)["error_mm"] for behind in settings.compensations}
     np.testing.assert_array_equal(errors["ls+gp"], errors["best"])
@@ -153,7 +153,7 @@ def test_arms_with_different_numbers_of_joints_stand_in_one_table(tmp_path):
 def test_plants_with_compensations_of_their_own_are_one_evaluation():
     settings = replace(SMALL, policies=("scripted",), plants=("qiao2026", "orchard"), arms=2, episodes=2)
     rows = run_policies(settings, fits=lambda plant, compensation, **_: plant == "qiao2026" or compensation == "raw")
-    assert rows.levels("plant", "compensation") == [("qiao2026", "raw"), ("orchard", "raw"), ("qiao2026", "ls")]
+    assert rows.levels("plant", "compensation") == [("qiao2026", "raw"), ("qiao2026", "ls"), ("orchard", "raw")]
     assert [line["plant"] for line in compensations_compared(rows)] == ["qiao2026"]
 
 
@@ -346,7 +346,10 @@ def test_figures_are_drawn_from_the_run_folder_to_the_bit(episodes, tmp_path):
     [
         ({"policies": ("nobody",)}, "unknown policy 'nobody'; give random, scripted"),
         ({"policies": ("missing.npz",)}, "unknown policy 'missing.npz'"),
-        ({"compensations": ("magic",)}, r"unknown compensation 'magic'; give one of raw, ls, ls_bpnn, best, or ls\+ and a residual model: bpnn, .*gp"),
+        (
+            {"compensations": ("magic",)},
+            r"unknown compensation 'magic'; give one of raw, ls, ls_bpnn, best, or ls\+ and",
+        ),
         ({"compensations": ("ls+magic",)}, r"unknown compensation 'ls\+magic'; give one of raw"),
         ({"feedback": ("sonar",)}, "feedback is 'sonar'"),
         ({"grippers": ("tongs",)}, "unknown gripper 'tongs'"),
@@ -381,11 +384,11 @@ def test_the_commands_run(tmp_path):
     assert "none: needs" in result.output
 
 
-def test_trainings_of_several_seeds_are_one_policy(trained, tmp_path):
+def test_trainings_of_several_seeds_are_one_policy(tmp_path):
     """The mean over arms and trainings; a folder of anything else is refused."""
     with pytest.raises(InputError, match="holds no trainings"):
         kind_of(str(tmp_path))
-    policy = load_policy(trained / "policy.npz")
+    policy = load_policy("ppo_encoders")
     training = policy.record["training"]
     for seed in range(2):
         record = {**policy.record, "training": training | {"seed": seed}}

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.experiments import PolicySettings, run_policies
-from pickenv.experiments.policy_tables import write_evaluation
 from pickenv.commands.inspection import inspect, recordings_of
 from pickenv.errors import InputError
+from pickenv.experiments import PolicySettings, run_policies
+from pickenv.experiments.policy_tables import write_evaluation
 from pickenv.inspect.recordings import live
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.recordings.live import Live, open_live

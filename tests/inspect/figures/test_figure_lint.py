@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pickenv.experiments import PolicySettings, run_policies
-from pickenv.experiments.policy_tables import evaluation_drawings
 from pickenv.bench.real_sets import SETS, learnable
 from pickenv.calibration import Choices, calibrate
 from pickenv.commands.calibrate import write_run
+from pickenv.experiments import PolicySettings, run_policies
+from pickenv.experiments.policy_tables import evaluation_drawings
 from pickenv.inspect.figures import plot_calibration, style
 from pickenv.inspect.figures.figure_lint import contrast_of, figure_faults, linting
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
