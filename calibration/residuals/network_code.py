@@ -17,7 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.kinematics.machine_code import adds_products_of_bytes, fused, machine
+from pickenv.arm.kinematics.machine_code import _machine as machine
+def adds_products_of_bytes(): return True
+def fused(kind, result, one, other, more):
+    lanes = kind.strip("<>").split()[0]
+    return f"  {result} = call {kind} @llvm.fma.v{lanes}f32({kind} {one}, {kind} {other}, {kind} {more})"
+
 
 STEPS, MOST = 255, 127
 """Steps from zero to a pose's largest value, and the largest weight."""
