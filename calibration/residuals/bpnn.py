@@ -55,9 +55,6 @@ SCALES = ("input_mean", "input_std", "output_mean", "output_std", "loss")
 ROWS = 512
 """Poses that go through the network together: what a core's second cache holds."""
 
-SAMPLE = 2000
-"""Inputs for which a network's weights are rounded."""
-
 
 def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
     """Values ``(..., in)`` through a network with ReLU between its layers."""
@@ -143,14 +140,9 @@ class Bpnn:
         """What runs it in eight bits, where that is wanted and can be."""
         if not (self.fast and is_there("llvmlite")):
             return None
-        from scipy.stats import qmc
+        from pickenv.calibration.residuals.network_code import CompiledNetwork
 
-        from pickenv.calibration.residuals.network_code import CompiledNetwork, Layer, rounded_layers
-
-        layers = [Layer(weight, bias) for weight, bias in self._scaled]
-        shares = qmc.Halton(len(self.input_mean), scramble=False).random(SAMPLE)
-        spread = np.sqrt(3.0) * (2.0 * shares - 1.0)
-        return CompiledNetwork(rounded_layers(layers, self.input_mean + self.input_std * spread))
+        return CompiledNetwork(self._scaled)
 
     def arrays(self) -> dict[str, Array]:
         """All numbers by name, for saving."""

@@ -319,7 +319,7 @@ class Compiled:
         self._arrays = tuple(dict.fromkeys((*read, *(out.array for loop in loops for out in loop))))
         code = (_loop(trace.operations, f"loop{i}", goal, self._arrays) for i, goal in enumerate(goals))
         names = tuple(f"loop{i}" for i in range(len(loops)))
-        self._engine, addresses = _machine("\n".join((*DECLARED, *code)), names, count >= THOROUGH)
+        self._engine, addresses = machine("\n".join((*DECLARED, *code)), names, count >= THOROUGH)
         self._loops = [FUNCTION(address) for address in addresses]
         self._between: dict[str, Array] = {}
 
@@ -467,7 +467,7 @@ class _Body:
 
 
 @lru_cache(maxsize=64)
-def _machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, list[int]]:
+def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, list[int]]:
     """What keeps code in memory, and the addresses of its functions.
 
     Args:
