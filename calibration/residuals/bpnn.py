@@ -77,8 +77,7 @@ class Bpnn:
         output_mean: Mean of the training residuals ``(6,)``, m and rad.
         output_std: Their standard deviation.
         loss: Mean training loss of each epoch, in units of the residual's standard deviation squared.
-        fast: Whether it runs with its inner layers in eight bits (`rounded_layers`) where llvmlite is installed: 0.3 %
-            of its size apart, in steps as fine as that. Elsewhere in single precision, in which it was trained.
+        fast: Whether it runs in single precision, in which it was trained; as machine code where llvmlite is installed.
     """
 
     input_mean: Array
@@ -93,8 +92,8 @@ class Bpnn:
     def predict(self, joints: ArrayLike) -> Array:
         """Residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
 
-        Many poses go through the network in blocks that are cut at fixed places. In eight bits a pose has the same bits
-        alone and among many.
+        Many poses go through the network in blocks that are cut at fixed places. As machine code a pose has the same
+        bits alone and among many.
         """
         if self._code is not None:
             given = np.asarray(joints, dtype=float)
@@ -137,7 +136,7 @@ class Bpnn:
 
     @cached_property
     def _code(self) -> CompiledNetwork | None:
-        """What runs it in eight bits, where that is wanted and can be."""
+        """What runs it as machine code, where that is wanted and can be."""
         if not (self.fast and is_there("llvmlite")):
             return None
         from pickenv.calibration.residuals.network_code import CompiledNetwork

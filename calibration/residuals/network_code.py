@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ class CompiledNetwork:
         self._layers = layers
         self._outputs = len(layers[-1][1])
         sizes = [len(layers[0][0]), *(-(-len(bias) // TILE) * TILE for _, bias in layers)]
-        shapes = list(zip(sizes, sizes[1:], strict=False))
+        shapes = list(pairwise(sizes))
         parts = [_arranged(layer, *shape) for layer, shape in zip(layers, shapes, strict=True)]
         starts = np.cumsum([0, *map(len, parts)]).tolist()
         calls = [_call(i, len(layers), starts[i], *shape) for i, shape in enumerate(shapes)]

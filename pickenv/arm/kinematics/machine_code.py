@@ -172,9 +172,7 @@ PI, PI_REST = float.fromhex("0x1.921fb544p+1"), float.fromhex("0x1.0b4611a626331
 TERMS = 11
 """Of each series: at a quarter turn the first one left out is less than half a rounding of the largest."""
 
-INTRINSICS = {
-    **{"sqrt": "sqrt", "round": "rint", "abs": "fabs", "atan2": "atan2", "log": "log", "log10": "log10", "exp": "exp"},
-}
+INTRINSICS = {"round": "rint", "abs": "fabs"} | {name: name for name in ("sqrt", "atan2", "log", "log10", "exp")}
 """Functions by the names that NumPy and LLVM have for them."""
 
 
@@ -246,7 +244,7 @@ def _outside(function: Fill, values: Sequence[Scalar], rows: int) -> list[Traced
 _least, _most = _function("min", np.minimum), _function("max", np.maximum)
 
 SYMBOLS: Any = SimpleNamespace(
-    **{name: _function(name, getattr(np, name if name != "atan2" else "arctan2")) for name in INTRINSICS},
+    **{name: _function(name, getattr(np, name)) for name in INTRINSICS},
     __name__="symbols",
     sin=lambda angle: sine(SYMBOLS, angle) if isinstance(angle, Traced) else math.sin(angle),
     cos=lambda angle: cosine(SYMBOLS, angle) if isinstance(angle, Traced) else math.cos(angle),
@@ -312,7 +310,11 @@ class Compiled:
         self._calls = trace.calls
         loops = [[Outputs(f"given{i}", call.values)] for i, call in enumerate(trace.calls)] + [list(outputs)]
         goals = [
-            [(trace.of(value, out.kind), out.array, row) for out in loop for row, value in enumerate(out.rows, out.first)]
+            [
+                (trace.of(value, out.kind), out.array, row)
+                for out in loop
+                for row, value in enumerate(out.rows, out.first)
+            ]
             for loop in loops
         ]
         read = (operation.detail[0] for operation in trace.operations if operation.name == "input")
