@@ -230,9 +230,8 @@ class Compensator:
         identified: The calibrated geometry.
         residual: Learnt residual, or None.
         iterations: Corrections applied, each from the joints of the one before, with the factors of one Jacobian. On
-            the picking arm with the paper's network one leaves 1.8 um of the predicted error on average, two 1.4 um:
-            the residual changes by its own correction, and a fast network predicts in steps. Without a residual one
-            leaves 1 um, two nothing.
+            the picking arm with the paper's network one leaves 1.4 um of the predicted error on average, two 0.9 um:
+            the residual changes by its own correction. Without a residual one leaves 1 um, two nothing.
         single_precision: Whether many poses at once are corrected in single precision: faster, and another 0.1 um.
         reservations: What stands against using it, by name (`pickenv.reservations`).
         within95: What holds 95 of 100 errors of position, m, and attitude, rad, at commands ``(..., n)``, as counted on
@@ -275,7 +274,7 @@ class Compensator:
         return joints
 
     def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
-        """The same for some ``count`` targets ``(count, n)`` again and again: machine code, with the same bits.
+        """The same for some ``count`` targets ``(count, n)`` again and again: machine code, the same up to roundings.
 
         In single precision there is none, and it is this compensator itself.
 
@@ -426,7 +425,7 @@ def _truncated_step(inverse: Array, error: Sequence[float], columns: Sequence[Se
     return step
 
 
-# A compensator as machine code, for a control loop over many arms: the commands of the plain one, to the bit.
+# A compensator as machine code, for a control loop over many arms: the commands of the plain one, up to roundings.
 
 
 class CompiledCompensator:

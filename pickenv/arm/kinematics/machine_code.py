@@ -296,6 +296,10 @@ class Outputs(NamedTuple):
     kind: str = DOUBLE
     first: int = 0
 
+    def goals(self, trace: Trace) -> list[tuple[int, str, int]]:
+        """Number of an operation, array and row, of each."""
+        return [(trace.of(value, self.kind), self.array, row) for row, value in enumerate(self.rows, self.first)]
+
 
 class Compiled:
     """A trace ready to be run: a loop for what each call is given, which begins anew, and one for the outputs.
@@ -309,14 +313,7 @@ class Compiled:
     def __init__(self, trace: Trace, outputs: Sequence[Outputs], count: int) -> None:
         self._calls = trace.calls
         loops = [[Outputs(f"given{i}", call.values)] for i, call in enumerate(trace.calls)] + [list(outputs)]
-        goals = [
-            [
-                (trace.of(value, out.kind), out.array, row)
-                for out in loop
-                for row, value in enumerate(out.rows, out.first)
-            ]
-            for loop in loops
-        ]
+        goals = [[goal for out in loop for goal in out.goals(trace)] for loop in loops]
         read = (operation.detail[0] for operation in trace.operations if operation.name == "input")
         self._arrays = tuple(dict.fromkeys((*read, *(out.array for loop in loops for out in loop))))
         code = (_loop(trace.operations, f"loop{i}", goal, self._arrays) for i, goal in enumerate(goals))

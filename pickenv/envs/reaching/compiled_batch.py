@@ -1,4 +1,4 @@
-"""Many reach tasks side by side on NumPy's arrays, with the step compiled: the same bits in fewer passes.
+"""Many reach tasks side by side on NumPy's arrays, with the step compiled: the same up to roundings, in one pass.
 
 The step is traced and becomes machine code (`pickenv.arm.kinematics.machine_code`) when it is first taken. Episodes
 begin on NumPy.

@@ -1,4 +1,4 @@
-"""The arithmetic that the simulation runs on: Python floats, NumPy arrays, torch tensors, or none, to be compiled.
+"""The arithmetic that the simulation runs on: Python floats, NumPy arrays, torch tensors, or machine code.
 
 An executor bundles the namespace of kinematics (`pickenv.arm.kinematics.backend` has what the three spell
 differently) with 64-bit integers modulo 2^64 for the random streams. torch is imported when its executor is asked for.
