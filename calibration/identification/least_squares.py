@@ -35,6 +35,9 @@ OFFSET = 1e-3
 REDUNDANCY_TOLERANCE = 1e-3
 """A parameter is redundant when what it adds, for a deviation of one tolerance, is below this share of the largest."""
 
+BLOCK = 1600
+"""Equations that are brought to a triangle at a time: so many stay near the processor."""
+
 NOTHING = 1e-7
 """A parameter of which neither rows nor priors say so much, as a share of the clearest one, stays where it is."""
 
@@ -201,7 +204,8 @@ def identify(
     names = own + model.names
     tolerance = np.concatenate([*(part.tolerances() for part in sets), model.tolerance])
     whiten = whiten or np.asarray
-    matrix, weighted = _system(model, sets, arm, unknowns, tolerance, whiten), whiten(_stacked(sets, arm, unknowns))
+    weighted = whiten(_stacked(sets, arm, unknowns))
+    matrix, right = _triangle(_system(model, sets, arm, unknowns, tolerance, whiten), weighted)
     poses = sum(len(part.joints) for part in sets)
     if every:
         found = identifiability(matrix, names, tolerance, poses, NOTHING)
@@ -213,8 +217,8 @@ def identify(
     history = [_rms(weighted)]
     converged, damping, judged = False, 0.0, every or not own
     for _ in range(max_iterations if judged else 2 * max_iterations):
-        whole = _solve(matrix[:, kept], weighted, 0.0)
-        step = _solve(matrix[:, kept], weighted, damping) if damping else whole
+        whole = _solve(matrix[:, kept], right, 0.0)
+        step = _solve(matrix[:, kept], right, damping) if damping else whole
         change = np.zeros(len(names))
         change[kept] = step * scale
         moved, moved_unknowns = _moved(arm, unknowns, model, change)
@@ -241,7 +245,7 @@ def identify(
         if settled and judged:
             converged = True
             break
-        matrix = _system(model, sets, arm, unknowns, tolerance, whiten)
+        matrix, right = _triangle(_system(model, sets, arm, unknowns, tolerance, whiten), weighted)
         if settled:
             # Where a kind's unknowns start, a parameter may have no effect that has one where they end: a tip that
             # starts in the flange's middle hides how the flange turns. So the rank is judged once more with them, of
@@ -374,6 +378,15 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
     # The last column of r is q.T @ right, so that q itself is not needed.
     r = np.asarray(np.linalg.qr(np.column_stack([matrix, right]), mode="r"))
     return np.asarray(np.linalg.solve(r[:count, :count], r[:count, count]))
+
+
+def _triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
+    """Equations of the same least squares in as few rows as there are columns: QR of blocks of rows, then of these."""
+    whole = np.column_stack([matrix, right])
+    if len(whole) > 2 * BLOCK:
+        whole = np.vstack([np.linalg.qr(part, mode="r") for part in np.array_split(whole, len(whole) // BLOCK)])
+    r = np.asarray(np.linalg.qr(whole, mode="r"))
+    return r[:, :-1], r[:, -1]
 
 
 def _rms(values: Array) -> float:
