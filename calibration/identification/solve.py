@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
+from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged, triangle
 from pickenv.calibration.model.noise import RowNoise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
@@ -140,8 +140,8 @@ def averaged_over_scales(
     group = np.r_[np.full(count, ""), model.group][kept]
     moved = np.zeros(columns.shape[1])
     moved[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
-    scaled = columns[:, kept] * width
-    gram, right = scaled.T @ scaled, scaled.T @ (residual + columns @ moved)
+    upper, right = triangle(columns[:, kept] * width, residual + columns @ moved)
+    gram, right = upper.T @ upper, upper.T @ right
     member = np.array([group == name for name in free]).reshape(len(free), len(group))
     mean, std = np.zeros(len(free)), np.full(len(free), np.log(SPREAD))
     nodes = np.array(list(product(NODES, repeat=len(free))))
@@ -158,9 +158,12 @@ def averaged_over_scales(
         mean = weight @ logs
         std = np.maximum(np.sqrt(weight @ (logs - mean) ** 2), NARROWEST * std)
     some = weight > LIGHT * weight.max()
-    weight, factor, inverse = weight[some] / weight[some].sum(), factor[some], np.linalg.inv(precision[some])
+    weight, factor, root = weight[some] / weight[some].sum(), factor[some], np.linalg.inv(lower[some])
+    inverse = root.transpose(0, 2, 1) @ root
     means = factor * (inverse @ (factor * right)[..., None])[..., 0]
-    spread = common * inverse - (common - 1.0) * inverse @ inverse
+    # Rows and priors apart, each as a square: of metres that no row tells, rounding must not leave less than nothing.
+    rows = upper * factor[:, None, :] @ root.transpose(0, 2, 1) @ root
+    spread = common * rows.transpose(0, 2, 1) @ rows + inverse @ inverse
     centre = weight @ means
     covariance = np.einsum("n,ni,nij,nj->ij", weight, factor, spread, factor)
     covariance += np.einsum("n,ni,nj->ij", weight, means - centre, means - centre)

@@ -327,14 +327,14 @@ def refined(
     for _ in range(ROUNDS):
         wave = PeriodicTerm(wave.joints, tuple(orders.tolist()))
         linear = Linearised.of(bare, (*others, wave))
-        solution = solved(*_all_equations(linear, observations)) * linear.scale
-        sines, cosines = solution[linear.coefficients_of(len(others))].reshape(-1, 2).T.tolist()
+        columns, left, matrix, right = _with_priors(linear, observations)
+        solution = solved(matrix, right, np.arange(len(right)))
+        sines, cosines = (solution * linear.scale)[linear.coefficients_of(len(others))].reshape(-1, 2).T.tolist()
         linear = Linearised.of(bare, (*others, wave, OrderTerm(wave, tuple(sines), tuple(cosines))))
-        matrix, right, everything = _all_equations(linear, observations)
-        solution = solved(matrix, right, everything)
+        columns, left, matrix, right = _with_priors(linear, observations)
+        solution = solved(matrix, right, np.arange(len(right)))
         places = linear.coefficients_of(len(others) + 1)
         orders = np.clip(orders + (solution * linear.scale)[places], grid - 0.48 * FINE, grid + 0.48 * FINE)
-        columns, left = linear.equations(observations)
         remains = left - columns @ solution
         spare = max(len(left) - len(matrix), 1)
         scale = np.sqrt(np.diag(matrix))
@@ -343,10 +343,10 @@ def refined(
     return PeriodicTerm(wave.joints, tuple(orders.tolist()), tuple(std.tolist()))
 
 
-def _all_equations(linear: Linearised, observations: Observations) -> tuple[Array, Array, Places]:
-    """Normal equations of all rows, with priors, and the places of all parameters."""
-    matrix, right = BlockEquations.of(linear, [observations]).without(None)
-    return matrix, right, np.arange(len(right))
+def _with_priors(linear: Linearised, observations: Observations) -> tuple[Array, Array, Array, Array]:
+    """Equations of all rows, columns and what is left, and their normal equations with priors."""
+    columns, left = linear.equations(observations)
+    return columns, left, columns.T @ columns + np.diag(linear.ridge), left @ columns + linear.pull
 
 
 MARGIN = 0.03

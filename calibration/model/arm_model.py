@@ -83,8 +83,9 @@ class JointTerm(Term, Protocol):
     def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
         """What all coefficients together move each joint by, times the joint Jacobian."""
         which, steps = self.steps(geometry, joints, conditions)
-        moved = steps @ (coefficients[:, None] * (np.asarray(which)[:, None] == np.arange(geometry.joints)))
-        return np.einsum("nij,nj->ni", joint_jacobian(geometry, joints), moved)
+        moved = (coefficients * (np.arange(geometry.joints)[:, None] == which)) @ steps.T
+        by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
+        return np.einsum("ijn,jn->ni", by_joint, moved)
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +225,7 @@ class ComplianceTerm(JointTerm):
         chain = chain_of(geometry)
         found = frames(np, chain, split_joints(geometry.joints, joints))
         load = Load(self.load.mass, self.load.centre, payload)
-        torque = _repeated(gravity_torques(chain, found, load), len(joints))
+        torque = _repeated(gravity_torques(chain, found, load), len(joints)).T
         return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
 
 
@@ -428,14 +429,13 @@ class GravityTerm(JointTerm):
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = chain_of(geometry)
         found = frames(np, chain, split_joints(geometry.joints, joints))
-        # Axes and origins of the links and of the tool ``(L + 1, 4, 3, N)``; what a lever weighs about an axis z is
-        # z . (lever x up) = lever . (up x z).
-        placed = np.stack(
-            [_placed(frame, len(joints)).transpose(1, 2, 0) for frame in (*found[1:], attach(found[-1], chain.tool))]
-        )
+        # Axes and origin ``(4, 3, N)`` of each link, and of the tool: of what is carried. About an axis z a lever's
+        # weight turns by z . (lever x up) = lever . (up x z).
+        placed = [
+            _repeated(frame, len(joints)).reshape(4, 3, -1) for frame in (*found[1:], attach(found[-1], chain.tool))
+        ]
         up = geometry.base.rotation @ np.array(self.up)
-        about = np.cross(up, placed[:-1, 2], axisb=1, axisc=1)
-        reach = np.einsum("jcin,kin->kjcn", placed, about)
+        about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
         payload, torques = conditions.payload if self.payload else 1.0, []
         for i, j, moment in self.moments(geometry):
             torque = np.zeros(len(joints))
@@ -443,11 +443,10 @@ class GravityTerm(JointTerm):
                 if k > j:
                     continue  # what hangs on link j is carried by the links before it
                 if geometry.slides[k]:
-                    torque -= ratio * (up @ placed[k, 2]) * (moment in "mp")
-                elif moment in "mp":
-                    torque -= ratio * (reach[k, j, 3] - reach[k, k, 3])
+                    torque -= ratio * (up @ placed[k][2]) * (moment in "mp")
                 else:
-                    torque -= ratio * reach[k, j, "xyz".index(moment)]
+                    lever = placed[j][3] - placed[k][3] if moment in "mp" else placed[j]["xyz".index(moment)]
+                    torque -= ratio * np.einsum("in,in->n", lever, about[k])
             torques.append(torque * payload if moment == "p" else torque)
         return np.stack(torques).T
 
@@ -466,12 +465,12 @@ class GravityTerm(JointTerm):
 
 def _placed(frame: Frame, count: int) -> Array:
     """Axes and origin of a frame ``(count, 4, 3)``, one row each, where it may have plain numbers for all poses."""
-    return _repeated(frame, count).reshape(count, 4, 3)
+    return _repeated(frame, count).T.reshape(count, 4, 3)
 
 
 def _repeated(parts: Sequence[Scalar], count: int) -> Array:
-    """Components as columns ``(count, k)``, plain numbers once for each row."""
-    return np.stack([np.broadcast_to(part, count) for part in parts], 1)
+    """Components ``(k, count)``, plain numbers once for each pose."""
+    return np.stack([np.broadcast_to(part, count) for part in parts])
 
 
 KINDS: dict[str, type] = {

@@ -107,9 +107,11 @@ class Measurements(OneGroup):
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Eq (8), stacked and weighted."""
-        jacobian = model.jacobian(self.joints, self.conditions)[:, : self.rows_per_pose] * self.row_weights[:, None]
-        flat = jacobian.reshape(-1, jacobian.shape[-1])
-        return flat, np.zeros((len(flat), 0))
+        jacobian = np.moveaxis(model.jacobian(self.joints, self.conditions), 0, -1)
+        flat = np.empty((jacobian.shape[1], len(self), self.rows_per_pose))
+        for i, weight in enumerate(self.row_weights):
+            np.multiply(jacobian[i], weight, out=flat[..., i])
+        return flat.reshape(len(flat), -1).T, np.zeros((flat[0].size, 0))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Measured minus predicted positions."""

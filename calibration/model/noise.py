@@ -145,8 +145,10 @@ def neighbours(joints: Array, length: float) -> Array:
     """How many rows each row is like ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over all rows."""
     some = equally_spaced(len(joints), NEIGHBOUR_ROWS)
     like = np.empty(len(joints))
-    for part in np.array_split(np.arange(len(joints)), max(1, len(joints) // NEIGHBOUR_ROWS)):
-        kernel = np.exp(-0.5 * cdist(joints[part], joints[some], "sqeuclidean") / length**2)
+    for part in np.array_split(np.arange(len(joints)), max(1, len(joints) // 100)):  # as much as stays near
+        kernel = cdist(joints[part], joints[some], "sqeuclidean")
+        kernel *= -0.5 / length**2
+        np.exp(kernel, out=kernel)
         kernel[part[:, None] == some] = 0.0
         like[part] = 1.0 + kernel.sum(axis=1) * (len(joints) - 1) / max(len(some) - 1, 1)
     return like

@@ -62,7 +62,7 @@ from pickenv.calibration.residuals.gate import GateReport, gate_residuals, posit
 from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS, require_residual
 from pickenv.errors import InputError
 
-GATE_ROWS = 3000
+GATE_ROWS = 1500
 """Residual models are judged on so many training rows at most, taken evenly."""
 
 ENOUGH_FOR_BLOCKS = 40
