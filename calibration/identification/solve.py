@@ -93,8 +93,9 @@ def solve(
         by_arm, by_own = data.jacobian(solution.arm_model, unknowns)
         stated = np.hstack([by_own, by_arm[:, model.parameters.columns]])
         if noise is None:
-            width = np.r_[np.full(len(unknowns), UNKNOWN_STD), weighed.width]
-            leverage = leverages(weights.whiten(stated) * width)
+            leverage = np.full(len(stated), solution.spent / len(stated))
+            if len(data.joints) <= MANY:
+                leverage = leverages(weights.whiten(stated) * np.r_[np.full(len(unknowns), UNKNOWN_STD), weighed.width])
             weights = noise_of(data, solution.arm_model, unknowns, leverage)
         residual = weights.whiten(data.residual(solution.arm_model, unknowns))
         average = averaged_over_scales(weighed, solution, weights.whiten(stated), residual, weights.common, free)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,11 +140,6 @@ class BlockEquations:
         if block is not None:
             matrix, right = matrix - self.matrix[block], right - self.right[block]
         return matrix + np.diag(self.model.ridge), right + self.model.pull
-
-    def left(self, block: int, solution: Array) -> float:
-        """Sum of squares that a solution leaves of one block."""
-        drawn = self.matrix[block] @ solution - 2.0 * self.right[block]
-        return float(self.square[block] + solution @ drawn)
 
 
 def solved(matrix: Array, right: Array, places: Places) -> Array:
@@ -301,9 +296,18 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
     for block in range(len(equations.blocks)):
         matrix, right = equations.without(block)
         path = candidates[pursued(matrix, right, base, candidates, most)]
+        places = np.r_[base, path.ravel()]
+        square = np.ix_(places, places)
+        matrix, right, own, own_right = (
+            matrix[square],
+            right[places],
+            equations.matrix[block][square],
+            equations.right[block][places],
+        )
         for count in range(most + 1):
-            solution = solved(matrix, right, np.r_[base, path[:count].ravel()])
-            squares[count] += equations.left(block, solution)
+            n = len(base) + 2 * count
+            solution = solved(matrix[:n, :n], right[:n], np.arange(n))
+            squares[count] += equations.square[block] + solution @ (own[:n, :n] @ solution - 2.0 * own_right[:n])
         paths.append(path)
     rms = np.sqrt(np.abs(squares))  # of nothing but rounding a sum may be negative
     count = int(np.flatnonzero(rms <= (1.0 + WITHIN) * rms.min())[0])
@@ -479,6 +483,7 @@ class _Trial:
         names: Names of the terms.
         equations: Normal equations of geometry and terms by block.
         counts: What each row counts by block ``(N,)``: rows of a cluster miss alike, and are few facts.
+        harmonics: What `chosen_orders` chose beside other terms, by their names.
     """
 
     bare: Identification
@@ -486,6 +491,7 @@ class _Trial:
     names: tuple[str, ...]
     equations: BlockEquations
     counts: tuple[Array, ...]
+    harmonics: dict[tuple[str, ...], tuple[list[Places], Places]] = field(default_factory=dict)
 
     @staticmethod
     def of(arm: Arm, bare: Identification, observations: Observations, names: tuple[str, ...] | None = None) -> _Trial:
@@ -508,8 +514,10 @@ class _Trial:
         base = np.concatenate([model.fitted, *others])
         if "periodic" not in names:
             return [base] * len(self.equations.blocks), base
-        every = model.coefficients_of(self.names.index("periodic")).reshape(-1, 2)
-        paths, whole = chosen_orders(self.equations, base, every)
+        if names not in self.harmonics:
+            every = model.coefficients_of(self.names.index("periodic")).reshape(-1, 2)
+            self.harmonics[names] = chosen_orders(self.equations, base, every)
+        paths, whole = self.harmonics[names]
         return [np.r_[base, path] for path in paths], np.r_[base, whole]
 
     def score(self, names: tuple[str, ...]) -> float:
