@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -253,7 +254,7 @@ def identify(
         near, offset = every and progress.offset < min(NEAR**2, offset / 100.0), progress.offset
         if near and not settled:
             q, r = np.linalg.qr(matrix[:, kept])
-            right = q @ solve_triangular(r, columns.T[kept] @ weighted, trans=1)
+            right = q @ solve_triangular(r, (columns.T @ weighted)[kept], trans=1)
         else:
             columns = _system(model, sets, arm, unknowns, tolerance, whiten)
             matrix, right = triangle(columns, weighted)
@@ -398,10 +399,9 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
 
 def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
     """Equations of the same least squares in as few rows as there are columns: QR of blocks of rows, then of these."""
-    whole = np.column_stack([matrix, right])
-    if len(whole) > 2 * BLOCK:
-        whole = np.vstack([np.linalg.qr(part, mode="r") for part in np.array_split(whole, len(whole) // BLOCK)])
-    r = np.asarray(np.linalg.qr(whole, mode="r"))
+    ends = np.linspace(0, len(right), max(len(right) // BLOCK, 1) + 1).astype(int).tolist()
+    parts = [np.linalg.qr(np.column_stack([matrix[i:j], right[i:j]]), mode="r") for i, j in pairwise(ends)]
+    r = parts[0] if len(parts) == 1 else np.linalg.qr(np.vstack(parts), mode="r")
     return r[:, :-1], r[:, -1]
 
 

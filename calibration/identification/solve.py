@@ -141,7 +141,8 @@ def averaged_over_scales(
     group = np.r_[np.full(count, ""), model.group][kept]
     moved = np.zeros(columns.shape[1])
     moved[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
-    upper, right = triangle(columns[:, kept] * width, residual + columns @ moved)
+    upper, right = triangle(columns, residual)
+    upper, right = upper[:, kept] * width, right + upper @ moved
     gram, right = upper.T @ upper, upper.T @ right
     member = np.array([group == name for name in free]).reshape(len(free), len(group))
     mean, std = np.zeros(len(free)), np.full(len(free), np.log(SPREAD))

@@ -22,6 +22,7 @@ from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term
 from pickenv.calibration.model.measurements import FRAMES, Measurements, Stacked
+from pickenv.calibration.model.noise import noise_of
 from pickenv.calibration.model.observations import (
     BLOCKS,
     Observations,
@@ -388,16 +389,18 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
     data = train.select(equally_spaced(len(train), GATE_ROWS))
-    expected = draft.best[1].identification.prior
+    name, best = draft.best
+    expected, whole = best.identification.prior, best.identification.arm_model
     assert expected is not None
 
     def refit(rows: Measurements) -> ArmModel:
-        return solve(expected, rows).arm_model
+        """Fit the arm to some of the rows; what these scatter by, the fit to all of them says."""
+        none, unused = np.zeros(0), np.zeros(rows.rows_per_pose * len(rows))
+        return solve(expected, rows, noise_of(rows, whole, none, unused)).arm_model
 
     told = None
     if draft.progress is not None:
-        name, best = draft.best
-        rms = 1e3 * position_rms(train.misses(best.identification.arm_model, np.zeros(0)))
+        rms = 1e3 * position_rms(train.misses(whole, np.zeros(0)))
         told = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
     return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=told)
