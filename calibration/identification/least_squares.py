@@ -400,8 +400,8 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
 def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
     """Equations of the same least squares in as few rows as there are columns: QR of blocks of rows, then of these."""
     ends = np.linspace(0, len(right), max(len(right) // BLOCK, 1) + 1).astype(int).tolist()
-    parts = [np.linalg.qr(np.column_stack([matrix[i:j], right[i:j]]), mode="r") for i, j in pairwise(ends)]
-    r = parts[0] if len(parts) == 1 else np.linalg.qr(np.vstack(parts), mode="r")
+    parts = [np.asarray(np.linalg.qr(np.column_stack([matrix[i:j], right[i:j]]), "r")) for i, j in pairwise(ends)]
+    r = parts[0] if len(parts) == 1 else np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
     return r[:, :-1], r[:, -1]
 
 

@@ -442,8 +442,8 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
         InputError: If there are too few rows, or they do not fit the arm.
     """
     frames = frames_model(arm.nominal)
-    if isinstance(data, Measurements):
-        return robust_align(arm.nominal, data, frames, np.random.default_rng(0)).geometry
+    if data.poses is not None:
+        return robust_align(arm.nominal, data.poses, frames, np.random.default_rng(0)).geometry
     return robust_identify(frames, rough_start(arm.nominal, data), data).geometry
 
 

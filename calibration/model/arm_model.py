@@ -71,21 +71,21 @@ class Term(Protocol):
 class JointTerm(Term, Protocol):
     """An effect of which each coefficient moves one joint, to first order."""
 
-    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[ArrayLike, Array]:
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
         """The joint of each coefficient ``(k,)``, and how far one unit of it goes ``(N, k)``, rad or m."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times the steps; in memory the poses lie next to each other."""
         which, steps = self.steps(geometry, joints, conditions)
         by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
-        return np.moveaxis(by_joint[:, which] * steps.T, -1, 0)
+        return np.asarray(np.moveaxis(by_joint[:, list(which)] * steps.T, -1, 0))
 
     def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
         """What all coefficients together move each joint by, times the joint Jacobian."""
         which, steps = self.steps(geometry, joints, conditions)
-        moved = (coefficients * (np.arange(geometry.joints)[:, None] == which)) @ steps.T
+        moved = (coefficients * (np.arange(geometry.joints)[:, None] == list(which))) @ steps.T
         by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
-        return np.einsum("ijn,jn->ni", by_joint, moved)
+        return np.asarray(np.einsum("ijn,jn->ni", by_joint, moved))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,8 @@ class ArmModel:
     def displacement(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """What the terms add to the pose ``(..., 6)``, m and rad."""
         joints = np.asarray(joints, dtype=float)
-        flat, first, moved = joints.reshape(-1, joints.shape[-1]), 0, 0.0
+        flat, first = joints.reshape(-1, joints.shape[-1]), 0
+        moved = np.zeros((len(flat), 6))
         for term in self.terms:
             last = first + len(term.names(self.geometry))
             moved += term.displacement(self.geometry, flat, conditions or Conditions(), self.coefficients[first:last])
@@ -208,9 +209,9 @@ class ComplianceTerm(JointTerm):
         """1 mrad at 10 N*m, 1 mm at 100 N."""
         return np.array([1e-5 if geometry.prismatic[i] else 1e-4 for i in self.joints])
 
-    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[ArrayLike, Array]:
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
         """The torques of the joints that yield."""
-        return list(self.joints), self.torques(geometry, joints, conditions)[:, self.joints]
+        return self.joints, self.torques(geometry, joints, conditions)[:, self.joints]
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Measured torques, or gravity's ``(N, n)``."""
@@ -285,9 +286,9 @@ class LeadTerm(JointTerm):
         """1 mm per metre."""
         return np.full(len(self.joints), 1e-3)
 
-    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[ArrayLike, Array]:
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
         """The joints themselves."""
-        return list(self.joints), joints[:, self.joints]
+        return self.joints, joints[:, self.joints]
 
 
 @dataclass(frozen=True)
@@ -319,10 +320,10 @@ class PeriodicTerm(JointTerm):
         pairs = zip(self.joints, self.orders, strict=True)
         return 1e-3 * np.repeat([1.0 if geometry.prismatic[i] else 3.0 / order for i, order in pairs], 2)
 
-    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[ArrayLike, Array]:
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
         """Sine and cosine of each harmonic."""
         angle = joints[:, self.joints] * np.array(self.orders)
-        return np.repeat(self.joints, 2), np.stack([np.sin(angle), np.cos(angle)], -1).reshape(len(joints), -1)
+        return np.repeat(self.joints, 2).tolist(), np.stack([np.sin(angle), np.cos(angle)], -1).reshape(len(joints), -1)
 
 
 @dataclass(frozen=True)
@@ -341,12 +342,12 @@ class OrderTerm(JointTerm):
         """Half the step of the grid on which orders are sought."""
         return np.full(len(self.wave.orders), ORDER_TOLERANCE)
 
-    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[ArrayLike, Array]:
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
         """The slopes of the waves."""
         turned = joints[:, self.wave.joints]
         angle = turned * np.array(self.wave.orders)
         slope = np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle)
-        return list(self.wave.joints), turned * slope
+        return self.wave.joints, turned * slope
 
 
 @dataclass(frozen=True)
@@ -419,9 +420,9 @@ class GravityTerm(JointTerm):
         """The joint that each coefficient belongs to ``(k,)``, from 0."""
         return np.array([i for i, _, _ in self.moments(geometry)])
 
-    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[ArrayLike, Array]:
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
         """Each moment's torque."""
-        return self.owners(geometry), self.torques(geometry, joints, conditions)
+        return self.owners(geometry).tolist(), self.torques(geometry, joints, conditions)
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Torque of each moment on its joint, per unit of it ``(N, k)``."""
@@ -436,7 +437,7 @@ class GravityTerm(JointTerm):
         ]
         up = geometry.base.rotation @ np.array(self.up)
         about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
-        payload, torques = conditions.payload if self.payload else 1.0, []
+        torques = []
         for i, j, moment in self.moments(geometry):
             torque = np.zeros(len(joints))
             for k, ratio in geometry.links_of(i):
@@ -447,7 +448,7 @@ class GravityTerm(JointTerm):
                 else:
                     lever = placed[j][3] - placed[k][3] if moment in "mp" else placed[j]["xyz".index(moment)]
                     torque -= ratio * np.einsum("in,in->n", lever, about[k])
-            torques.append(torque * payload if moment == "p" else torque)
+            torques.append(torque * np.asarray(conditions.payload) if moment == "p" else torque)
         return np.stack(torques).T
 
     def weighed(self, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:
