@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,6 +140,11 @@ class BlockEquations:
         if block is not None:
             matrix, right = matrix - self.matrix[block], right - self.right[block]
         return matrix + np.diag(self.model.ridge), right + self.model.pull
+
+    def left(self, block: int, solution: Array) -> float:
+        """Sum of squares that a solution leaves of one block."""
+        drawn = self.matrix[block] @ solution - 2.0 * self.right[block]
+        return float(self.square[block] + solution @ drawn)
 
 
 def solved(matrix: Array, right: Array, places: Places) -> Array:
@@ -297,17 +302,10 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
         matrix, right = equations.without(block)
         path = candidates[pursued(matrix, right, base, candidates, most)]
         places = np.r_[base, path.ravel()]
-        square = np.ix_(places, places)
-        matrix, right, own, own_right = (
-            matrix[square],
-            right[places],
-            equations.matrix[block][square],
-            equations.right[block][places],
-        )
+        matrix, right = matrix[np.ix_(places, places)], right[places]
+        few = replace(equations, matrix=equations.matrix[:, places[:, None], places], right=equations.right[:, places])
         for count in range(most + 1):
-            n = len(base) + 2 * count
-            solution = solved(matrix[:n, :n], right[:n], np.arange(n))
-            squares[count] += equations.square[block] + solution @ (own[:n, :n] @ solution - 2.0 * own_right[:n])
+            squares[count] += few.left(block, solved(matrix, right, np.arange(len(base) + 2 * count)))
         paths.append(path)
     rms = np.sqrt(np.abs(squares))  # of nothing but rounding a sum may be negative
     count = int(np.flatnonzero(rms <= (1.0 + WITHIN) * rms.min())[0])
