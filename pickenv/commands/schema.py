@@ -28,7 +28,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.arm.plant.plant_file import PlantFile
     from pickenv.arm.plant.tolerances import Tolerances
     from pickenv.calibration.camera.boards import Board
-    from pickenv.calibration.reading.description import DescriptionFile
+    from pickenv.calibration.reading.description import description_file
     from pickenv.envs.harvesting.harvest_task import Rules
     from pickenv.harvester.machine import MachineFile
     from pickenv.harvester.optimiser import Effort
@@ -46,7 +46,7 @@ def kinds() -> dict[str, Any]:
         "arm": ArmFile,
         "plant": PlantFile,
         "tolerances": Tolerances,
-        "description": DescriptionFile,
+        "description": description_file(),
         "board": toml_table(make_dataclass("BoardFile", [("board", Board)])),
         "study": StudyConfig,
         "branch": orchard.Branch,
