@@ -25,7 +25,7 @@ def kinds() -> dict[str, Any]:
     """The classes of all kinds of files; of orchard presets a file of one's own is meant."""
     from pickenv import orchard
     from pickenv.arm.files.arm_file import ArmFile
-    from pickenv.arm.plant.plant_file import PlantFile
+    from pickenv.arm.plant.plant_file import plant_file, shipped_effects
     from pickenv.arm.plant.tolerances import Tolerances
     from pickenv.calibration.camera.boards import Board
     from pickenv.calibration.reading.description import DescriptionFile
@@ -44,7 +44,7 @@ def kinds() -> dict[str, Any]:
 
     return {
         "arm": ArmFile,
-        "plant": PlantFile,
+        "plant": plant_file(shipped_effects()),
         "tolerances": Tolerances,
         "description": DescriptionFile,
         "board": toml_table(make_dataclass("BoardFile", [("board", Board)])),

@@ -3,37 +3,77 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
-from pickenv.arm.files.joint_keys import PER_JOINT
+from pickenv.arm.effects.effect import BESIDE, JOINT, MOTOR, Components, Draws, Effect, Passage
+from pickenv.arm.files.joint_keys import PER_JOINT, ByJoint, numbers_per_joint
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, frames
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.toml_tables import DEG, HOURS, KELVIN, MILLISECONDS, MM, Unit, toml_table
+from pickenv.errors import InputError
+from pickenv.registry import register
+from pickenv.toml_tables import ARCSEC, DEG, HOURS, KELVIN, MILLISECONDS, MM, UM, Then, Unit, toml_table
 
 
+@toml_table
+class EncoderTable:
+    """[encoder] of a plant file; every joint has an encoder."""
+
+    joints: Annotated[tuple[Any, ...], ByJoint(resolution=(ARCSEC.positive, UM.positive))]
+
+
+def _encoder(table: EncoderTable, context: Any) -> Encoder:
+    (resolution,) = numbers_per_joint(table, context, "resolution")
+    if 0.0 in resolution:
+        raise InputError(f"joints of [encoder] does not name joint {resolution.index(0.0) + 1}; give each joint")
+    return Encoder(resolution)
+
+
+@register("effect", "encoder")
 @dataclass(frozen=True)
-class Encoder:
+class Encoder(Effect):
     """Motor encoders of finite resolution: a drive can hold, and report, whole counts only.
 
     Attributes:
         resolution: One count of each joint, seen at the joint, rad or m.
     """
 
+    name, place = "encoder", MOTOR
+    table = Annotated[Any, Then(_encoder, EncoderTable)]
+
     resolution: tuple[Scalar, ...]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Hold the motors at whole counts."""
+        at.turn(quantised(at.m, self, at.motor))
 
+
+@register("effect", "servo")
 @toml_table
-class Servo:
+class Servo(Effect):
     """Position loops that follow with an error proportional to speed: x' = (command - x) / time constant.
 
     Attributes:
         time_constant: Of each joint's loop, s (one over the position gain).
     """
 
+    name, place = "servo", MOTOR + 0.5
+
     time_constant: Annotated[tuple[Scalar, ...], MILLISECONDS.positive, PER_JOINT]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Turn the motors to where they have come."""
+        at.turn(memory)
+
+    def begin(self, at: Passage) -> Components:
+        """Motors that have arrived."""
+        return tuple(at.motor)
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Motors under way."""
+        return tuple(followed(at.m, self, memory, at.motor, dt))
 
 
 def quantised(m: ModuleType, encoder: Encoder, q: Sequence[Scalar]) -> list[Scalar]:
@@ -51,8 +91,9 @@ def followed(m: ModuleType, servo: Servo, motor: Sequence[Scalar], q: Sequence[S
 # dT is the rise above the temperature at which the true geometry holds. Units: K, s.
 
 
+@register("effect", "thermal_growth")
 @toml_table
-class ThermalGrowth:
+class ThermalGrowth(Effect):
     """Growth of each link with the arm's temperature.
 
     Attributes:
@@ -62,10 +103,36 @@ class ThermalGrowth:
         time_constant: Time constant of the warm-up, s.
     """
 
+    name, place = "thermal_growth", JOINT + 0.6
+    spreads: ClassVar = {"time_constant": "warm_up_time"}
+
     expansion: Annotated[tuple[Scalar, ...], Unit("um_per_m_K", 1e-6).not_negative, PER_JOINT]
     initial_rise: Annotated[Scalar, KELVIN]
     final_rise: Annotated[Scalar, KELVIN]
     time_constant: Annotated[Scalar, HOURS.positive]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Let links and racks grow."""
+        at.chain = grown_chain(self, at.chain, memory[0])
+        at.joints = grown_joints(self, at.chain, at.joints, memory[0])
+
+    def begin(self, at: Passage) -> Components:
+        """The rise when the arm is switched on, K."""
+        return (at.command[0] * 0.0 + self.initial_rise,)
+
+    def rest(self, at: Passage) -> Components:
+        """The warm arm's."""
+        return (self.final_rise,)
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """The rise by then."""
+        return (warmed(at.m, self, memory[0], dt),)
+
+    def drawn(self, draws: Draws) -> ThermalGrowth:
+        """Arms that warm up to anything in the class' range."""
+        low, high = draws.temperature_rise
+        rise = low + (high - low) * draws.even["temperature_rise"][:, 0]
+        return replace(super().drawn(draws), final_rise=rise)
 
 
 def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> Scalar:
@@ -97,8 +164,9 @@ AXES = {"x": 0, "y": 3, "z": 6}
 """Where a link's axes begin among a frame's components."""
 
 
+@register("effect", "gravity_yield")
 @dataclass(frozen=True)
-class GravityYield:
+class GravityYield(Effect):
     """How each joint yields.
 
     Attributes:
@@ -108,9 +176,15 @@ class GravityYield:
         up: Direction against gravity in the axes of frame 0.
     """
 
+    name, place = "gravity_yield", JOINT + 0.2
+
     moments: tuple[tuple[int, int, str], ...]
     sizes: tuple[Scalar, ...]
     up: tuple[float, float, float]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Let the joints yield."""
+        at.joints = weighed_down(at.m, self, at.cold, at.joints)
 
 
 def weighed_down(m: ModuleType, effect: GravityYield, chain: Chain, q: Sequence[Scalar]) -> list[Scalar]:
@@ -146,8 +220,9 @@ def _cross(one: Sequence[Scalar], other: Sequence[Scalar]) -> tuple[Scalar, ...]
 # Every number is used as a standard deviation, makers' limits too. Runs on floats, arrays and tensors. Units: m, rad.
 
 
+@register("effect", "measurement_noise")
 @toml_table
-class MeasurementNoise:
+class MeasurementNoise(Effect):
     """Normal errors of a measuring instrument, per axis.
 
     Attributes:
@@ -157,6 +232,8 @@ class MeasurementNoise:
         centring_std: How far the target's centre lies beside the point that is meant, m; it stays as long as the
             target is mounted.
     """
+
+    name, place = "measurement_noise", BESIDE
 
     position_std: Annotated[float, MM.not_negative]
     attitude_std: Annotated[float, DEG.not_negative]

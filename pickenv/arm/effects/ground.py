@@ -8,18 +8,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import ModuleType
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
-from pickenv.arm.effects.structure import Weight, turn_horizontally
+import numpy as np
+
+from pickenv.arm.effects.effect import BASE, JOINT, Components, Draws, Effect, Passage, Weight
+from pickenv.arm.effects.structure import turn_horizontally
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
 from pickenv.arm.kinematics.forward import Frame, Scalar
+from pickenv.registry import register
 from pickenv.toml_tables import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Check, Unit, toml_table
 
 
+@register("effect", "base_tilt")
 @toml_table
-class BaseTilt:
+class BaseTilt(Effect):
     """Tilt and sinkage of the machine that carries the arm.
 
     Attributes:
@@ -30,11 +36,31 @@ class BaseTilt:
         time_constant: Time constant of creep and settlement, s.
     """
 
+    name, place, needs_load = "base_tilt", BASE, True
+    spreads: ClassVar = {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"}
+
     stiffness: Annotated[tuple[Scalar, Scalar], Unit("N_m_per_rad").positive]
     pivot: Annotated[tuple[float, float, float], MM]
     creep: Annotated[Scalar, NUMBER.not_negative]
     settlement: Annotated[Scalar, MM.not_negative]
     time_constant: Annotated[Scalar, HOURS.positive]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Carry the tool along."""
+        at.frame = tilted_frame(self, immediate_tilt(self, at.weights), memory, at.frame)
+
+    def begin(self, at: Passage) -> Components:
+        """Creep about x and y in rad, and settlement in m: none yet."""
+        zero = at.command[0] * 0.0
+        return zero, zero, zero
+
+    def rest(self, at: Passage) -> Components:
+        """What creeps in the long run."""
+        return long_run(self, immediate_tilt(self, at.weights))
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """What has crept by then."""
+        return sunk(at.m, self, memory, immediate_tilt(self, at.weights), dt)
 
 
 def immediate_tilt(tilt: BaseTilt, weights: Sequence[Weight]) -> tuple[Scalar, Scalar]:
@@ -42,7 +68,7 @@ def immediate_tilt(tilt: BaseTilt, weights: Sequence[Weight]) -> tuple[Scalar, S
 
     Args:
         tilt: The ground.
-        weights: What hangs on each link, from `pickenv.arm.effects.structure.weights_behind`.
+        weights: What hangs on each link, from `pickenv.arm.effects.effect.weights_behind`.
     """
     x0, y0, _ = tilt.pivot
     mass, moment_x, moment_y = weights[0]
@@ -90,8 +116,13 @@ BELOW_ONE = Check(
 )
 
 
+LARGEST_DAMPING = 0.5
+"""No structure is damped more; a draw from a wide spread stops here."""
+
+
+@register("effect", "settling")
 @toml_table
-class Settling:
+class Settling(Effect):
     """Vibration of the structure behind each joint.
 
     Attributes:
@@ -101,10 +132,36 @@ class Settling:
         rise_time: Time constant of the motion profile, s: how smoothly commands are approached.
     """
 
+    name, place = "settling", JOINT + 0.4
+    spreads: ClassVar = {"frequency": "frequency", "damping": "damping"}
+
     frequency: Annotated[tuple[Scalar, ...], Unit("Hz").positive, PER_JOINT]
     damping: Annotated[tuple[Scalar, ...], NUMBER.not_negative, BELOW_ONE, PER_JOINT]
     participation: Annotated[tuple[Scalar, ...], NUMBER.not_negative, PER_JOINT]
     rise_time: Annotated[Scalar, MILLISECONDS.positive]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Swing the joints."""
+        if memory:
+            at.joints = [value + swing.vibration for value, swing in zip(at.joints, _swings(memory), strict=True)]
+
+    def begin(self, at: Passage) -> Components:
+        """Profiles of all joints, then vibrations, then rates: nothing swings."""
+        return _components(at_rest(at.command))
+
+    def rest(self, at: Passage) -> Components:
+        """Nothing swings any more."""
+        return ()
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """How all swing then."""
+        return _components(swung(at.m, self, _swings(memory), at.command, dt))
+
+    def drawn(self, draws: Draws) -> Settling:
+        """Modes of which none is damped more than any structure."""
+        modes = super().drawn(draws)
+        damping: Any = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in modes.damping)
+        return replace(modes, damping=damping)
 
 
 class Swing(NamedTuple):
@@ -119,6 +176,15 @@ class Swing(NamedTuple):
     profile: Scalar
     vibration: Scalar
     rate: Scalar
+
+
+def _swings(memory: Components) -> list[Swing]:
+    n = len(memory) // 3
+    return [Swing(*parts) for parts in zip(memory[:n], memory[n : 2 * n], memory[2 * n :], strict=True)]
+
+
+def _components(swings: Sequence[Swing]) -> Components:
+    return tuple(part for parts in zip(*swings, strict=True) for part in parts)
 
 
 def at_rest(q: Sequence[Scalar]) -> list[Swing]:

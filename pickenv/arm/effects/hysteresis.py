@@ -11,18 +11,49 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
-from pickenv.arm.effects.structure import Weight
-from pickenv.arm.files.joint_keys import BOOM
+from pickenv.arm.effects.effect import BEND, GEAR, Components, Draws, Effect, Passage, Weight
+from pickenv.arm.files.arm import Arm
+from pickenv.arm.files.joint_keys import BOOM, TRAVEL, ByJoint, numbers_per_joint
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.toml_tables import GRAVITY, MM, WHOLE, Then, Unit, fault, toml_table
+from pickenv.registry import register
+from pickenv.toml_tables import (
+    GRAVITY,
+    MM,
+    NEWTON,
+    NEWTON_METRE,
+    NUMBER,
+    WHOLE,
+    Then,
+    Unit,
+    fault,
+    toml_table,
+)
 
 
+@toml_table
+class BacklashTable:
+    """[backlash] of a plant file; joints left out have no gap."""
+
+    joints: Annotated[
+        tuple[Any, ...], ByJoint(width=TRAVEL, preload=(NEWTON_METRE.not_negative, NEWTON.not_negative))
+    ] = ()
+
+
+@toml_table
+class StickBandTable:
+    """[stick_band] of a plant file; joints left out have no friction."""
+
+    joints: Annotated[tuple[Any, ...], ByJoint(forward=TRAVEL, backward=TRAVEL)] = ()
+    scatter: Annotated[float, NUMBER.not_negative] = 0.0
+
+
+@register("effect", "backlash")
 @dataclass(frozen=True)
-class Backlash:
+class Backlash(Effect):
     """Lost motion in each joint's gear.
 
     Attributes:
@@ -31,12 +62,31 @@ class Backlash:
             turns, N*m or N; below it, friction holds the joint and the gap is crossed on every reversal.
     """
 
+    name, place = "backlash", GEAR + 0.5
+    table = Annotated[
+        Any, Then(lambda table, at: Backlash(*numbers_per_joint(table, at, "width", "preload")), BacklashTable)
+    ]
+    spreads: ClassVar = {"width": "backlash"}
+
     width: tuple[Scalar, ...]
     preload: tuple[Scalar, ...]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Put the joints behind their gaps."""
+        at.joints = memory
 
+    def begin(self, at: Passage) -> Components:
+        """Joints in the middle of gaps that gravity does not close."""
+        return self.carry(at, tuple(at.joints), 0.0)
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Joints that the motors have pushed along."""
+        return tuple(joints_behind_backlash(at.m, self, at.torques if at.load else None, at.joints, memory))
+
+
+@register("effect", "stick_band")
 @dataclass(frozen=True)
-class StickBand:
+class StickBand(Effect):
     """Coulomb friction winds up the drive: a joint stops short of its command, on the side that it came from.
 
     Attributes:
@@ -46,9 +96,31 @@ class StickBand:
             it: whoever asks how well the arm repeats does (`one_stop`).
     """
 
+    name, place = "stick_band", GEAR
+    table = Annotated[
+        Any,
+        Then(
+            lambda table, at: StickBand(*numbers_per_joint(table, at, "forward", "backward"), table.scatter),
+            StickBandTable,
+        ),
+    ]
+    spreads: ClassVar = {"forward": "friction", "backward": "friction"}
+
     forward: tuple[Scalar, ...]
     backward: tuple[Scalar, ...]
     scatter: Scalar = 0.0
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Put the joints behind their friction."""
+        at.joints = memory
+
+    def begin(self, at: Passage) -> Components:
+        """Joints in the middle of their bands."""
+        return tuple(joints_amid_friction(self, at.joints))
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Joints that the motors have pulled along."""
+        return tuple(joints_behind_friction(at.m, self, at.joints, memory))
 
 
 def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]]) -> StickBand:
@@ -124,12 +196,13 @@ def joints_behind_backlash(
 
 # What yields where an arm slides: the boom under a couple beside its tip, its twist, carriages in their guides. All
 # three follow the masses that hang behind a link, wherever they are: gravity's force and moment there come from
-# `pickenv.arm.effects.structure.weights_behind`, of the straight arm, and deflections are taken to first order.
+# `pickenv.arm.effects.effect.weights_behind`, of the straight arm, and deflections are taken to first order.
 # Units: m, rad, N, kg.
 
 
+@register("effect", "boom_couple")
 @toml_table
-class BoomCouple:
+class BoomCouple(Effect):
     """Masses that hang beside a boom's tip bend it by their couple: delta = M L^2 / 2EI, slope = M L / EI.
 
     Attributes:
@@ -138,13 +211,21 @@ class BoomCouple:
         flexural_rigidity: EI, N*m^2.
     """
 
+    name, place, needs_load = "boom_couple", BEND + 0.4, True
+    spreads: ClassVar = {"flexural_rigidity": "flexural_rigidity"}
+
     joint: Annotated[int, WHOLE, BOOM]
     length: Annotated[Scalar, MM.not_negative]
     flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Let the boom bend."""
+        at.bends.append(lambda: couple_flexure(at.m, self, at.weights, at.joints))
 
+
+@register("effect", "boom_torsion")
 @toml_table
-class BoomTorsion:
+class BoomTorsion(Effect):
     """Masses that hang beside a boom twist it: angle = M L / GJ.
 
     Attributes:
@@ -153,9 +234,16 @@ class BoomTorsion:
         torsional_rigidity: GJ, N*m^2.
     """
 
+    name, place, needs_load = "boom_torsion", BEND + 0.6, True
+    spreads: ClassVar = {"torsional_rigidity": "flexural_rigidity"}
+
     joint: Annotated[int, WHOLE, BOOM]
     length: Annotated[Scalar, MM.not_negative]
     torsional_rigidity: Annotated[Scalar, Unit("N_m2").positive]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Let the boom twist."""
+        at.bends.append(lambda: torsion_flexure(at.m, self, at.weights, at.joints))
 
 
 @toml_table
@@ -184,15 +272,40 @@ def _once(bearings: Any, _context: Any) -> Any:
     return bearings
 
 
+@register("effect", "slide_compliance")
 @toml_table
-class SlideCompliance:
+class SlideCompliance(Effect):
     """Slides give way across their axis, and turn, in their bearings.
 
     Attributes:
         bearings: One entry per slide that yields.
     """
 
+    name, place, needs_load = "slide_compliance", BEND, True
+
     bearings: Annotated[tuple[Bearing, ...], Then(_once)]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Let the slides give way."""
+        at.bends.append(lambda: slide_flexure(at.m, self, at.weights, at.joints))
+
+    def fault(self, arm: Arm) -> str:
+        """A span that the slide runs out of."""
+        for bearing in self.bearings:
+            limit = arm.nominal.upper[bearing.joint]
+            if bearing.overhang is not None and bearing.span <= limit:
+                return (
+                    f"span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}; "
+                    f"give more than the {limit * 1e3:g} mm that it runs out"
+                )
+        return ""
+
+    def drawn(self, draws: Draws) -> SlideCompliance:
+        """Slides whose bearings' stiffness spreads."""
+        stiffness = [bearing.stiffness for bearing in self.bearings]
+        sizes = draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness")
+        pairs = zip(self.bearings, sizes, strict=True)
+        return SlideCompliance(tuple(replace(bearing, stiffness=size) for bearing, size in pairs))
 
 
 def couple_flexure(m: ModuleType, couple: BoomCouple, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:

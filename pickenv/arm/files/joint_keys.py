@@ -11,7 +11,7 @@ from typing import Annotated, Any, cast
 
 from pickenv.arm.files.arm import Arm
 from pickenv.errors import InputError
-from pickenv.toml_tables import WHOLE, Kinds, Then, Unit, fault, toml_table
+from pickenv.toml_tables import ARCMIN, MM, WHOLE, Kinds, Then, Unit, fault, toml_table
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
@@ -49,15 +49,20 @@ BOOM = Then(_boom)
 """The number of a prismatic joint, which becomes its index from 0."""
 
 
-def number_per_joint(table: Any, key: str, context: Any) -> tuple[float, ...]:
-    """One number per joint from the entries of a table, zero for joints that none names."""
-    found: dict[int, float] = {}
+TRAVEL = (ARCMIN.not_negative, MM.not_negative)
+"""Units of what a joint travels in vain: it turns, or it slides."""
+
+
+def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float, ...], ...]:
+    """For each key one number per joint from the entries of a table, zero for joints that none names."""
+    entries: dict[int, Any] = {}
     for entry in table.joints:
-        if entry.joint in found:
+        if entry.joint in entries:
             raise InputError(f"joint {entry.joint + 1} has two entries in one table; give each joint once")
-        found[entry.joint] = getattr(entry, key)
+        entries[entry.joint] = entry
     arm = arm_in(context)
-    return () if arm is None else tuple(found.get(joint, 0.0) for joint in range(arm.nominal.joints))
+    joints = () if arm is None else range(arm.nominal.joints)
+    return tuple(tuple(getattr(entries.get(joint), key, 0.0) for joint in joints) for key in keys)
 
 
 class Entry(dict[str, Any]):
