@@ -139,9 +139,7 @@ class Draws:
         size = spread if isinstance(spread, float) else getattr(self.spread, spread or key)
         return np.asarray(np.exp(size * standard_normal_of(self.even[key])))
 
-    def scaled(
-        self, values: Sequence[float], key: str, first: int = 0, spread: str | float = ""
-    ) -> tuple[Array, ...]:
+    def scaled(self, values: Sequence[float], key: str, first: int = 0, spread: str | float = "") -> tuple[Array, ...]:
         """Each value times the factors of its column."""
         factors = self.factors(key, spread)
         return tuple(value * factors[:, first + i] for i, value in enumerate(values))

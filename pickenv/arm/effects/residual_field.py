@@ -350,7 +350,7 @@ def drawn_structure(structure: LocalStructure, even: Array) -> LocalStructure:
 
 def local_structure_of(table: StructureTable, context: Any) -> LocalStructure:
     """The effect of a plant file: the design's own draw."""
-    lengths = np.array(*numbers_per_joint(table, context, "length"))
+    lengths = np.array(numbers_per_joint(table, context, "length")[0])
     joints = len(lengths)
     per_length = np.divide(1.0, lengths, out=np.zeros(joints), where=lengths > 0)
     rng = np.random.default_rng(table.seed)

@@ -89,9 +89,13 @@ class RollerPlay(Effect):
     def fault(self, arm: Arm) -> str:
         """An overlap that the boom runs out of."""
         limit = arm.nominal.upper[self.joint]
-        return "" if self.overlap > limit else (
-            f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
-            f"that joint {self.joint + 1} runs out"
+        return (
+            ""
+            if self.overlap > limit
+            else (
+                f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
+                f"that joint {self.joint + 1} runs out"
+            )
         )
 
 

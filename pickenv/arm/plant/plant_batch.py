@@ -15,6 +15,7 @@ from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Po
 from pickenv.arm.plant.plant import Plant, Ready
 from pickenv.arm.plant.tree import leaves, tree_map
 
+
 def plant_count(plants: Plant) -> int | None:
     """Number of arms in a batch, or None for a single arm."""
     return None if plants.geometry.alpha.ndim == 1 else len(plants.geometry.alpha)

@@ -50,7 +50,7 @@ def plant_file(effects: tuple[str, ...]) -> Any:
     """
     tables = {name: table_of(name) for name in effects}
     optional = {"load": Load} | {name: table for name, table in tables.items() if table is not None}
-    members = [
+    members: list[Any] = [
         ("arm", Annotated[Arm, Then(_arm, Annotated[str, NAMED])]),
         ("name", Annotated[str, LINE]),
         ("source", str),
@@ -83,11 +83,11 @@ def read_plant(name: str | Path) -> Plant:
     others = tuple(name for name in registry.names("effect") if name in toml_of(path)[0])
     parts = dict(vars(read(plant_file(tuple(dict.fromkeys((*shipped_effects(), *others)))), path, context={})))
     del parts["source"]
-    arm, name, load = (parts.pop(key) for key in ("arm", "name", "load"))
+    arm, called, load = (parts.pop(key) for key in ("arm", "name", "load"))
     effects = tuple(effect for effect in parts.values() if effect is not None)
     for effect in effects:
         if effect.needs_load and load is None:
             raise InputError(f"{path}: {effect.name} needs [load], the masses that gravity pulls at")
         if fault := effect.fault(arm):
             raise InputError(f"{path}: {fault}")
-    return Plant(name, arm, arm.nominal if arm.true is None else arm.true, load, effects)
+    return Plant(called, arm, arm.nominal if arm.true is None else arm.true, load, effects)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from pickenv.arm import forward, load_plant
 from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
+from pickenv.arm.effects.effect import Load
 from pickenv.arm.effects.hysteresis import Backlash, StickBand, joints_behind_backlash, one_stop, play
-from pickenv.arm.effects.structure import Load
 
 WAYS = st.lists(st.floats(-1, 1), min_size=1, max_size=30)
 GAPS = st.floats(0, 0.3)
@@ -98,7 +98,7 @@ def approached(plant, target, start):
 
 
 def test_an_arm_with_backlash_ends_elsewhere_when_it_comes_from_the_other_side():
-    plant = replace(BARE, backlash=Backlash((0.0, 1e-4, 0.0, 0.0, 0.0, 0.0), NONE))
+    plant = BARE.with_effect(Backlash((0.0, 1e-4, 0.0, 0.0, 0.0, 0.0), NONE))
     below, above = ([*START[:1], START[1] + way, *START[2:]] for way in (-0.05, 0.05))
     apart = approached(plant, START, above) - approached(plant, START, below)
     assert np.linalg.norm(apart) == pytest.approx(1e-4, rel=1e-9)
@@ -107,7 +107,7 @@ def test_an_arm_with_backlash_ends_elsewhere_when_it_comes_from_the_other_side()
 def test_gravity_holds_the_pitch_joint_to_one_side_whichever_way_it_comes():
     """The arm hangs in front of J1, whose gap of 2 mrad then opens to the side that the torque pushes to."""
     load = Load((0.0,) * 5 + (2.0,), ((0.0, 0.0, 0.0),) * 6, 0.0)
-    plant = replace(BARE, load=load, backlash=Backlash((2e-3, *NONE[1:]), (5.0, *NONE[1:])))
+    plant = replace(BARE, load=load).with_effect(Backlash((2e-3, *NONE[1:]), (5.0, *NONE[1:])))
     start = [0.1, 0.3, 0.7, 0.0, 0.1, 0.2]
     ends = [approached(plant, start, [start[0] + way, *start[1:]]) for way in (-0.1, 0.1)]
     np.testing.assert_array_equal(*ends)
@@ -118,7 +118,7 @@ def test_gravity_holds_the_pitch_joint_to_one_side_whichever_way_it_comes():
 
 
 def test_friction_stops_a_joint_short_by_another_distance_in_each_direction():
-    plant = replace(BARE, stick_band=StickBand((0.0, 3e-4, *NONE[2:]), (0.0, 1e-4, *NONE[2:])))
+    plant = BARE.with_effect(StickBand((0.0, 3e-4, *NONE[2:]), (0.0, 1e-4, *NONE[2:])))
     below, above = ([START[0], START[1] + way, *START[2:]] for way in (-0.05, 0.05))
     settled = plant.tool_pose(START).position
     near, far = (forward(plant.geometry, [START[0], out, *START[2:]]).position for out in (0.0, 1.0))
@@ -161,7 +161,7 @@ def test_the_servo_closes_its_gap_exponentially(dt):
 
 
 def test_at_constant_speed_the_following_error_is_speed_times_time_constant():
-    plant = replace(BARE, servo=Servo((0.02,) * 6))
+    plant = BARE.with_effect(Servo((0.02,) * 6))
     state = plant.initial_state(math, START)
     for step in range(1, 2001):
         q = [START[0], START[1] + 1e-4 * step, *START[2:]]
@@ -178,7 +178,7 @@ def test_encoders_see_the_motor_and_nothing_behind_it():
     state, _ = blind.advance(math, state, moving, 0.05)
     motor = [b + (a - b) * math.exp(-0.05 / 0.02) for a, b in zip(START, moving, strict=True)]
     assert blind.readings(math, state, moving) == pytest.approx(motor, abs=1e-12)
-    counts = plant.encoder.resolution
+    counts = plant.effect("encoder").resolution
     state, _ = plant.advance(math, plant.initial_state(math, START), moving, 0.05)
     for reading, value, count in zip(plant.readings(math, state, moving), motor, counts, strict=True):
         assert abs(reading - value) <= count + 1e-12

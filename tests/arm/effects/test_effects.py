@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_plant, rotation_matrix
+from pickenv.arm.effects.effect import GRAVITY, Load, gravity_torques
 from pickenv.arm.effects.structure import (
-    GRAVITY,
     BoomBending,
     Harmonic,
     JointCompliance,
-    Load,
     TransmissionError,
     boom_flexure,
     driven_joints,
-    gravity_torques,
     turn_horizontally,
     yielded_joints,
 )
