@@ -53,8 +53,8 @@ def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
     """
     if plant_count(plants) is None:
         return plants
-    geometry, chain = with_links(plants.geometry, change), tree_map(change, plants.chain)
-    load, effects = tree_map(change, (plants.load, plants.effects))
+    geometry = with_links(plants.geometry, change)
+    load, effects, chain = tree_map(change, (plants.load, plants.effects, plants.chain))  # in `arrays_of`'s order
     return replace(plants, geometry=geometry, load=load, effects=effects, ready=Ready(geometry, chain))
 
 
