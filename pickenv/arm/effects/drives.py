@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from pickenv.arm.effects.effect import BESIDE, JOINT, MOTOR, Components, Draws, Effect, Passage
 from pickenv.arm.files.joint_keys import PER_JOINT, ByJoint, numbers_per_joint
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, frames
+from pickenv.arm.kinematics.forward import Frame, Scalar, frames
 from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.errors import InputError
 from pickenv.registry import register
@@ -33,14 +33,13 @@ def _encoder(table: EncoderTable, context: Any) -> Encoder:
 
 @register("effect", "encoder")
 @dataclass(frozen=True)
-class Encoder(Effect):
+class Encoder(Effect, place=MOTOR):
     """Motor encoders of finite resolution: a drive can hold, and report, whole counts only.
 
     Attributes:
         resolution: One count of each joint, seen at the joint, rad or m.
     """
 
-    name, place = "encoder", MOTOR
     table = Annotated[Any, Then(_encoder, EncoderTable)]
 
     resolution: tuple[Scalar, ...]
@@ -52,14 +51,12 @@ class Encoder(Effect):
 
 @register("effect", "servo")
 @toml_table
-class Servo(Effect):
+class Servo(Effect, place=MOTOR + 0.5):
     """Position loops that follow with an error proportional to speed: x' = (command - x) / time constant.
 
     Attributes:
         time_constant: Of each joint's loop, s (one over the position gain).
     """
-
-    name, place = "servo", MOTOR + 0.5
 
     time_constant: Annotated[tuple[Scalar, ...], MILLISECONDS.positive, PER_JOINT]
 
@@ -93,7 +90,7 @@ def followed(m: ModuleType, servo: Servo, motor: Sequence[Scalar], q: Sequence[S
 
 @register("effect", "thermal_growth")
 @toml_table
-class ThermalGrowth(Effect):
+class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_up_time"}):
     """Growth of each link with the arm's temperature.
 
     Attributes:
@@ -103,18 +100,19 @@ class ThermalGrowth(Effect):
         time_constant: Time constant of the warm-up, s.
     """
 
-    name, place = "thermal_growth", JOINT + 0.6
-    spreads: ClassVar = {"time_constant": "warm_up_time"}
-
     expansion: Annotated[tuple[Scalar, ...], Unit("um_per_m_K", 1e-6).not_negative, PER_JOINT]
     initial_rise: Annotated[Scalar, KELVIN]
     final_rise: Annotated[Scalar, KELVIN]
     time_constant: Annotated[Scalar, HOURS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Let links and racks grow."""
-        at.chain = grown_chain(self, at.chain, memory[0])
-        at.joints = grown_joints(self, at.chain, at.joints, memory[0])
+        """Let a and d of every link grow, and what a slide has run out with its rack; angles stay."""
+        factors = [1.0 + alpha * memory[0] for alpha in self.expansion]
+        pairs = zip(at.chain.links, factors, strict=True)
+        links = tuple(link._replace(a=link.a * factor, d=link.d * factor) for link, factor in pairs)
+        at.chain = at.chain._replace(links=links)
+        numbers = zip(links, at.joints, factors, strict=True)
+        at.joints = [value * factor if link.prismatic else value for link, value, factor in numbers]
 
     def begin(self, at: Passage) -> Components:
         """The rise when the arm is switched on, K."""
@@ -140,21 +138,6 @@ def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> S
     return thermal.final_rise + (rise - thermal.final_rise) * exponential(m, -dt / thermal.time_constant)
 
 
-def grown_chain(thermal: ThermalGrowth, chain: Chain, rise: Scalar) -> Chain:
-    """The chain with a and d of every link grown by a temperature rise of ``rise`` K."""
-    links = []
-    for link, alpha in zip(chain.links, thermal.expansion, strict=True):
-        factor = 1.0 + alpha * rise
-        links.append(link._replace(a=link.a * factor, d=link.d * factor))
-    return chain._replace(links=tuple(links))
-
-
-def grown_joints(thermal: ThermalGrowth, chain: Chain, joints: Sequence[Scalar], rise: Scalar) -> list[Scalar]:
-    """Joint displacements of the warm arm: what a slide has run out grows with its rack, angles stay."""
-    numbers = zip(chain.links, joints, thermal.expansion, strict=True)
-    return [value * (1.0 + alpha * rise) if link.prismatic else value for link, value, alpha in numbers]
-
-
 # Joints that yield under the arm's own weight, of which only a calibration's moments are known: neither k nor masses.
 # A joint's torque is linear in the mass and first moments of every link behind it, so dq = c tau is linear in c g m
 # and c g m r: what `pickenv.calibration.model.arm_model.GravityTerm` identifies. Units: rad or m, rad/m or 1.
@@ -166,7 +149,7 @@ AXES = {"x": 0, "y": 3, "z": 6}
 
 @register("effect", "gravity_yield")
 @dataclass(frozen=True)
-class GravityYield(Effect):
+class GravityYield(Effect, place=JOINT + 0.2):
     """How each joint yields.
 
     Attributes:
@@ -176,31 +159,23 @@ class GravityYield(Effect):
         up: Direction against gravity in the axes of frame 0.
     """
 
-    name, place = "gravity_yield", JOINT + 0.2
-
     moments: tuple[tuple[int, int, str], ...]
     sizes: tuple[Scalar, ...]
     up: tuple[float, float, float]
 
     def act(self, at: Passage, memory: Components) -> None:
         """Let the joints yield."""
-        at.joints = weighed_down(at.m, self, at.cold, at.joints)
-
-
-def weighed_down(m: ModuleType, effect: GravityYield, chain: Chain, q: Sequence[Scalar]) -> list[Scalar]:
-    """Joint displacements after the joints have yielded."""
-    links = frames(m, chain, q)
-    base = links[0]
-    up = [sum(base[axis + i] * part for axis, part in zip((0, 3, 6), effect.up, strict=True)) for i in range(3)]
-    moved = list(q)
-    for (joint, link, moment), size in zip(effect.moments, effect.sizes, strict=True):
-        own = links[joint + 1]
-        if chain.links[joint].prismatic:
-            moved[joint] = moved[joint] - size * _dot(own[6:9], up)
-            continue
-        lever = links[link + 1][AXES[moment] :][:3] if moment != "m" else _less(links[link + 1], own)
-        moved[joint] = moved[joint] - size * _dot(own[6:9], _cross(lever, up))
-    return moved
+        links = frames(at.m, at.cold, at.joints)
+        base, joints = links[0], list(at.joints)
+        up = [sum(base[axis + i] * part for axis, part in zip((0, 3, 6), self.up, strict=True)) for i in range(3)]
+        for (joint, link, moment), size in zip(self.moments, self.sizes, strict=True):
+            own = links[joint + 1]
+            if at.cold.links[joint].prismatic:
+                joints[joint] = joints[joint] - size * _dot(own[6:9], up)
+                continue
+            lever = links[link + 1][AXES[moment] :][:3] if moment != "m" else _less(links[link + 1], own)
+            joints[joint] = joints[joint] - size * _dot(own[6:9], _cross(lever, up))
+        at.joints = joints
 
 
 def _less(one: Frame, other: Frame) -> tuple[Scalar, ...]:
@@ -222,7 +197,7 @@ def _cross(one: Sequence[Scalar], other: Sequence[Scalar]) -> tuple[Scalar, ...]
 
 @register("effect", "measurement_noise")
 @toml_table
-class MeasurementNoise(Effect):
+class MeasurementNoise(Effect, place=BESIDE):
     """Normal errors of a measuring instrument, per axis.
 
     Attributes:
@@ -232,8 +207,6 @@ class MeasurementNoise(Effect):
         centring_std: How far the target's centre lies beside the point that is meant, m; it stays as long as the
             target is mounted.
     """
-
-    name, place = "measurement_noise", BESIDE
 
     position_std: Annotated[float, MM.not_negative]
     attitude_std: Annotated[float, DEG.not_negative]

@@ -6,11 +6,12 @@ effect may be arrays too, one entry per arm. Gravity points along -z of the worl
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Annotated, Any, ClassVar, Self, cast
 
 import numpy as np
@@ -28,6 +29,8 @@ MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in
 """Where an effect acts, from the motors to the tool: on the motors (`Passage.turn`), in the drives (`Passage.drive`),
 in the gears and at the joints (``joints``, ``chain``), along the links (``bends``), under the base and at the tool
 (``frame``); what is beside the arm never moves it. Effects of one place act in the order of its fractions."""
+
+EMPTY: Mapping[str, str | float] = MappingProxyType({})
 
 Components = tuple[Scalar, ...]
 
@@ -62,14 +65,14 @@ class Passage:
         cold: The true geometry as it was measured.
         chain: The true geometry as it is now.
         load: The masses, or None.
-        bends: What makes the `Flexure` of each link that bends, asked when all joints are known.
+        bends: What bends the links, asked for its `Effect.flexure` when all joints are known.
     """
 
     def __init__(self, m: ModuleType, chain: Chain, load: Load | None, command: Sequence[Scalar]) -> None:
         self.m, self.command, self.load = m, command, load
         self.motor = self.driven = self.joints = command
         self.cold = self.chain = chain
-        self.bends: list[Callable[[], Flexure]] = []
+        self.bends: list[Effect] = []
         self._straight: list[Frame] | None = None
         self._weights: list[Weight] | None = None
         self._torques: list[Scalar] | None = None
@@ -106,18 +109,16 @@ class Passage:
     def frame(self) -> Frame:
         """Where the tool is; joints and links are what they are from here on."""
         if self._frame is None:
-            self._frame = tool_frame(self.m, self.chain, self.joints, _after_one_another([b() for b in self.bends]))
+            bends = [effect.flexure(self) for effect in self.bends]
+            both = (
+                bends[0] if len(bends) == 1 else lambda i, frame: reduce(lambda bent, bend: bend(i, bent), bends, frame)
+            )
+            self._frame = tool_frame(self.m, self.chain, self.joints, both if bends else None)
         return self._frame
 
     @frame.setter
     def frame(self, frame: Frame) -> None:
         self._frame = frame
-
-
-def _after_one_another(bends: Sequence[Flexure]) -> Flexure | None:
-    if len(bends) < 2:
-        return bends[0] if bends else None
-    return lambda i, frame: reduce(lambda bent, bend: bend(i, bent), bends, frame)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,14 +135,17 @@ class Draws:
     spread: Any
     temperature_rise: tuple[float, float]
 
-    def factors(self, key: str, spread: str | float = "") -> Array:
-        """Factors about 1 ``(N, k)`` of the numbers ``key``; ``spread`` where that is not their entry of [spread]."""
-        size = spread if isinstance(spread, float) else getattr(self.spread, spread or key)
-        return np.asarray(np.exp(size * standard_normal_of(self.even[key])))
-
     def scaled(self, values: Sequence[float], key: str, first: int = 0, spread: str | float = "") -> tuple[Array, ...]:
-        """Each value times the factors of its column."""
-        factors = self.factors(key, spread)
+        """Each value times factors about 1 by its column ``(N,)`` of the numbers ``key``.
+
+        Args:
+            values: The values.
+            key: What the numbers are for.
+            first: The first value's column.
+            spread: The entry of [spread], where that is not ``key``, or the standard deviation itself.
+        """
+        size = spread if isinstance(spread, float) else getattr(self.spread, spread or key)
+        factors = np.exp(size * standard_normal_of(self.even[key]))
         return tuple(value * factors[:, first + i] for i, value in enumerate(values))
 
 
@@ -153,32 +157,42 @@ def standard_normal_of(even: Array) -> Array:
 class Effect:
     """What one cause does to an arm: base of frozen dataclasses of numbers, of one arm or of many.
 
+    Its class says ``place``: where it acts, `MOTOR` to `BESIDE` and fractions. It may say ``spreads``: which of its
+    numbers differ from arm to arm, each with its entry in a tolerance class's [spread], whose random numbers it then
+    shares, or with a standard deviation of its logarithm and random numbers of its own. ``needs_load``: whether it is
+    nothing without masses. ``name``: what it is registered as, and its table in plant files, where that is not the
+    class's name in lower case, words apart by ``_``.
+
     An effect that remembers has `begin` and `carry` (and `rest`, where that is another memory); its memory is a tuple
     of components of the joints' shape.
 
     Attributes:
-        name: The name that it is registered under, and its table in plant files.
-        place: Where it acts: `MOTOR` to `BESIDE`, and fractions.
         table: What a plant file's table is read as, where that is not the class itself as `toml_table` makes it.
-        spreads: Which of its numbers differ from arm to arm: each with its entry in a tolerance class's [spread], whose
-            random numbers it then shares, or with a standard deviation of its logarithm and random numbers of its own.
-        needs_load: Whether it is nothing without masses.
-        remembers: Whether it has a memory (`carry`).
+        remembers: Whether it has a memory.
     """
 
     name: ClassVar[str]
     place: ClassVar[float]
+    spreads: ClassVar[Mapping[str, str | float]]
+    needs_load: ClassVar[bool]
+    remembers: ClassVar[bool]
     table: ClassVar[Any] = None
-    spreads: ClassVar[Mapping[str, str | float]] = {}
-    needs_load: ClassVar[bool] = False
-    remembers: ClassVar[bool] = False
 
-    def __init_subclass__(cls) -> None:
-        """Note whether it has a memory."""
+    def __init_subclass__(
+        cls, place: float, spreads: Mapping[str, str | float] = EMPTY, needs_load: bool = False, name: str = ""
+    ) -> None:
+        """Keep what the class says."""
+        cls.name = name or re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        cls.place, cls.spreads, cls.needs_load = place, spreads, needs_load
         cls.remembers = cls.carry is not Effect.carry
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Change the command's passage; ``memory`` is empty where it has none."""
+        """Change the command's passage, unless links are to bend (`flexure`); without a memory, that is empty."""
+        at.bends.append(self)
+
+    def flexure(self, at: Passage) -> Flexure:
+        """How the links bend; of effects that do nothing else."""
+        raise NotImplementedError(f"effect '{self.name}' has neither act nor flexure")
 
     def begin(self, at: Passage) -> Components:
         """Its memory at rest at a command, just switched on."""

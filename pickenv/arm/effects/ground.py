@@ -10,22 +10,27 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from types import ModuleType
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from pickenv.arm.effects.effect import BASE, JOINT, Components, Draws, Effect, Passage, Weight
+from pickenv.arm.effects.effect import BASE, JOINT, Components, Draws, Effect, Passage
 from pickenv.arm.effects.structure import turn_horizontally
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
-from pickenv.arm.kinematics.forward import Frame, Scalar
+from pickenv.arm.kinematics.forward import Scalar
 from pickenv.registry import register
 from pickenv.toml_tables import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Check, Unit, toml_table
 
 
 @register("effect", "base_tilt")
 @toml_table
-class BaseTilt(Effect):
+class BaseTilt(
+    Effect,
+    place=BASE,
+    spreads={"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"},
+    needs_load=True,
+):
     """Tilt and sinkage of the machine that carries the arm.
 
     Attributes:
@@ -36,9 +41,6 @@ class BaseTilt(Effect):
         time_constant: Time constant of creep and settlement, s.
     """
 
-    name, place, needs_load = "base_tilt", BASE, True
-    spreads: ClassVar = {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"}
-
     stiffness: Annotated[tuple[Scalar, Scalar], Unit("N_m_per_rad").positive]
     pivot: Annotated[tuple[float, float, float], MM]
     creep: Annotated[Scalar, NUMBER.not_negative]
@@ -46,8 +48,13 @@ class BaseTilt(Effect):
     time_constant: Annotated[Scalar, HOURS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Carry the tool along."""
-        at.frame = tilted_frame(self, immediate_tilt(self, at.weights), memory, at.frame)
+        """Carry the tool along by tilt, creep and settlement of the machine."""
+        (tilt_x, tilt_y), (creep_x, creep_y, settlement) = self._tilt(at), memory
+        x0, y0, z0 = self.pivot
+        *axes, px, py, pz = at.frame
+        vectors = (*axes, px - x0, py - y0, pz - z0)
+        turned = turn_horizontally(vectors, tilt_x + creep_x, tilt_y + creep_y, starts=(0, 3, 6, 9))
+        at.frame = (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
 
     def begin(self, at: Passage) -> Components:
         """Creep about x and y in rad, and settlement in m: none yet."""
@@ -56,53 +63,19 @@ class BaseTilt(Effect):
 
     def rest(self, at: Passage) -> Components:
         """What creeps in the long run."""
-        return long_run(self, immediate_tilt(self, at.weights))
+        return *(self.creep * tilt for tilt in self._tilt(at)), self.settlement
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """What has crept by then."""
-        return sunk(at.m, self, memory, immediate_tilt(self, at.weights), dt)
+        faded = exponential(at.m, -dt / self.time_constant)
+        return tuple(final + (part - final) * faded for final, part in zip(self.rest(at), memory, strict=True))
 
-
-def immediate_tilt(tilt: BaseTilt, weights: Sequence[Weight]) -> tuple[Scalar, Scalar]:
-    """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once.
-
-    Args:
-        tilt: The ground.
-        weights: What hangs on each link, from `pickenv.arm.effects.effect.weights_behind`.
-    """
-    x0, y0, _ = tilt.pivot
-    mass, moment_x, moment_y = weights[0]
-    about_x, about_y = tilt.stiffness
-    return -GRAVITY * (moment_y - mass * y0) / about_x, GRAVITY * (moment_x - mass * x0) / about_y
-
-
-def sunk(
-    m: ModuleType, tilt: BaseTilt, sinkage: Sequence[Scalar], immediate: tuple[Scalar, Scalar], dt: Scalar
-) -> tuple[Scalar, Scalar, Scalar]:
-    """Creep (x, y) in rad and settlement in m after the immediate tilt has lasted for ``dt`` seconds."""
-    creep_x, creep_y, settlement = sinkage
-    faded = exponential(m, -dt / tilt.time_constant)
-    final_x, final_y, final = long_run(tilt, immediate)
-    return (
-        final_x + (creep_x - final_x) * faded,
-        final_y + (creep_y - final_y) * faded,
-        final + (settlement - final) * faded,
-    )
-
-
-def long_run(tilt: BaseTilt, immediate: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
-    """Creep (x, y) in rad and settlement in m after a very long time."""
-    return tilt.creep * immediate[0], tilt.creep * immediate[1], tilt.settlement
-
-
-def tilted_frame(tilt: BaseTilt, immediate: tuple[Scalar, Scalar], sinkage: Sequence[Scalar], frame: Frame) -> Frame:
-    """A frame of the world carried along by tilt, creep and settlement of the machine."""
-    creep_x, creep_y, settlement = sinkage
-    x0, y0, z0 = tilt.pivot
-    *axes, px, py, pz = frame
-    vectors = (*axes, px - x0, py - y0, pz - z0)
-    turned = turn_horizontally(vectors, immediate[0] + creep_x, immediate[1] + creep_y, starts=(0, 3, 6, 9))
-    return (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
+    def _tilt(self, at: Passage) -> tuple[Scalar, Scalar]:
+        """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once."""
+        x0, y0, _ = self.pivot
+        mass, moment_x, moment_y = at.weights[0]
+        about_x, about_y = self.stiffness
+        return -GRAVITY * (moment_y - mass * y0) / about_x, GRAVITY * (moment_x - mass * x0) / about_y
 
 
 # Light arms swing after a move: each joint carries a lightly damped second-order mode that its acceleration excites.
@@ -122,7 +95,7 @@ LARGEST_DAMPING = 0.5
 
 @register("effect", "settling")
 @toml_table
-class Settling(Effect):
+class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "damping": "damping"}):
     """Vibration of the structure behind each joint.
 
     Attributes:
@@ -131,9 +104,6 @@ class Settling(Effect):
         participation: Share p of the joint's acceleration that reaches the mode.
         rise_time: Time constant of the motion profile, s: how smoothly commands are approached.
     """
-
-    name, place = "settling", JOINT + 0.4
-    spreads: ClassVar = {"frequency": "frequency", "damping": "damping"}
 
     frequency: Annotated[tuple[Scalar, ...], Unit("Hz").positive, PER_JOINT]
     damping: Annotated[tuple[Scalar, ...], NUMBER.not_negative, BELOW_ONE, PER_JOINT]

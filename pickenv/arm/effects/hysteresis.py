@@ -11,11 +11,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from pickenv.arm.effects.effect import BEND, GEAR, Components, Draws, Effect, Passage, Weight
 from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.joint_keys import BOOM, TRAVEL, ByJoint, numbers_per_joint
+from pickenv.arm.files.joint_keys import BOOM, TRAVEL, joint_table
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame
@@ -34,26 +34,9 @@ from pickenv.toml_tables import (
 )
 
 
-@toml_table
-class BacklashTable:
-    """[backlash] of a plant file; joints left out have no gap."""
-
-    joints: Annotated[
-        tuple[Any, ...], ByJoint(width=TRAVEL, preload=(NEWTON_METRE.not_negative, NEWTON.not_negative))
-    ] = ()
-
-
-@toml_table
-class StickBandTable:
-    """[stick_band] of a plant file; joints left out have no friction."""
-
-    joints: Annotated[tuple[Any, ...], ByJoint(forward=TRAVEL, backward=TRAVEL)] = ()
-    scatter: Annotated[float, NUMBER.not_negative] = 0.0
-
-
 @register("effect", "backlash")
 @dataclass(frozen=True)
-class Backlash(Effect):
+class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
     """Lost motion in each joint's gear.
 
     Attributes:
@@ -62,11 +45,9 @@ class Backlash(Effect):
             turns, N*m or N; below it, friction holds the joint and the gap is crossed on every reversal.
     """
 
-    name, place = "backlash", GEAR + 0.5
-    table = Annotated[
-        Any, Then(lambda table, at: Backlash(*numbers_per_joint(table, at, "width", "preload")), BacklashTable)
-    ]
-    spreads: ClassVar = {"width": "backlash"}
+    table = joint_table(
+        lambda *sizes: Backlash(*sizes), width=TRAVEL, preload=(NEWTON_METRE.not_negative, NEWTON.not_negative)
+    )
 
     width: tuple[Scalar, ...]
     preload: tuple[Scalar, ...]
@@ -86,7 +67,7 @@ class Backlash(Effect):
 
 @register("effect", "stick_band")
 @dataclass(frozen=True)
-class StickBand(Effect):
+class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": "friction"}):
     """Coulomb friction winds up the drive: a joint stops short of its command, on the side that it came from.
 
     Attributes:
@@ -96,15 +77,7 @@ class StickBand(Effect):
             it: whoever asks how well the arm repeats does (`one_stop`).
     """
 
-    name, place = "stick_band", GEAR
-    table = Annotated[
-        Any,
-        Then(
-            lambda table, at: StickBand(*numbers_per_joint(table, at, "forward", "backward"), table.scatter),
-            StickBandTable,
-        ),
-    ]
-    spreads: ClassVar = {"forward": "friction", "backward": "friction"}
+    table = joint_table(lambda *sizes: StickBand(*sizes), forward=TRAVEL, backward=TRAVEL, scatter=NUMBER.not_negative)
 
     forward: tuple[Scalar, ...]
     backward: tuple[Scalar, ...]
@@ -116,11 +89,13 @@ class StickBand(Effect):
 
     def begin(self, at: Passage) -> Components:
         """Joints in the middle of their bands."""
-        return tuple(joints_amid_friction(self, at.joints))
+        numbers = zip(at.joints, self.forward, self.backward, strict=True)
+        return tuple(entry + 0.5 * (backward - forward) for entry, forward, backward in numbers)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """Joints that the motors have pulled along."""
-        return tuple(joints_behind_friction(at.m, self, at.joints, memory))
+        numbers = zip(at.joints, memory, self.forward, self.backward, strict=True)
+        return tuple(play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers)
 
 
 def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]]) -> StickBand:
@@ -149,20 +124,6 @@ def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar
         lead: How far it may stay ahead.
     """
     return clipped(m, output, entry - lag, entry + lead)
-
-
-def joints_behind_friction(
-    m: ModuleType, band: StickBand, entries: Sequence[Scalar], outputs: Sequence[Scalar]
-) -> list[Scalar]:
-    """Joint displacements behind the friction, given the driven displacements and where the joints were."""
-    numbers = zip(entries, outputs, band.forward, band.backward, strict=True)
-    return [play(m, entry, output, forward, backward) for entry, output, forward, backward in numbers]
-
-
-def joints_amid_friction(band: StickBand, entries: Sequence[Scalar]) -> list[Scalar]:
-    """The history-free displacement: the middle of the band."""
-    numbers = zip(entries, band.forward, band.backward, strict=True)
-    return [entry + 0.5 * (backward - forward) for entry, forward, backward in numbers]
 
 
 def joints_behind_backlash(
@@ -202,7 +163,7 @@ def joints_behind_backlash(
 
 @register("effect", "boom_couple")
 @toml_table
-class BoomCouple(Effect):
+class BoomCouple(Effect, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural_rigidity"}, needs_load=True):
     """Masses that hang beside a boom's tip bend it by their couple: delta = M L^2 / 2EI, slope = M L / EI.
 
     Attributes:
@@ -211,21 +172,30 @@ class BoomCouple(Effect):
         flexural_rigidity: EI, N*m^2.
     """
 
-    name, place, needs_load = "boom_couple", BEND + 0.4, True
-    spreads: ClassVar = {"flexural_rigidity": "flexural_rigidity"}
-
     joint: Annotated[int, WHOLE, BOOM]
     length: Annotated[Scalar, MM.not_negative]
     flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
 
-    def act(self, at: Passage, memory: Components) -> None:
-        """Let the boom bend."""
-        at.bends.append(lambda: couple_flexure(at.m, self, at.weights, at.joints))
+    def flexure(self, at: Passage) -> Flexure:
+        """Bend the boom under the part across it of the moment about its tip."""
+        length = at.joints[self.joint] + self.length
+        turn = length / self.flexural_rigidity
+
+        def bend(i: int, frame: Frame) -> Frame:
+            if i != self.joint:
+                return frame
+            zx, zy, zz, px, py, _ = frame[6:]
+            mx, my = moment_about(at.weights[i + 1], px, py)
+            along = mx * zx + my * zy
+            wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
+            return displaced_frame(at.m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
+
+        return bend
 
 
 @register("effect", "boom_torsion")
 @toml_table
-class BoomTorsion(Effect):
+class BoomTorsion(Effect, place=BEND + 0.6, spreads={"torsional_rigidity": "flexural_rigidity"}, needs_load=True):
     """Masses that hang beside a boom twist it: angle = M L / GJ.
 
     Attributes:
@@ -234,16 +204,23 @@ class BoomTorsion(Effect):
         torsional_rigidity: GJ, N*m^2.
     """
 
-    name, place, needs_load = "boom_torsion", BEND + 0.6, True
-    spreads: ClassVar = {"torsional_rigidity": "flexural_rigidity"}
-
     joint: Annotated[int, WHOLE, BOOM]
     length: Annotated[Scalar, MM.not_negative]
     torsional_rigidity: Annotated[Scalar, Unit("N_m2").positive]
 
-    def act(self, at: Passage, memory: Components) -> None:
-        """Let the boom twist."""
-        at.bends.append(lambda: torsion_flexure(at.m, self, at.weights, at.joints))
+    def flexure(self, at: Passage) -> Flexure:
+        """Twist the boom under the part along it of the moment about its tip."""
+        turn = (at.joints[self.joint] + self.length) / self.torsional_rigidity
+
+        def twist(i: int, frame: Frame) -> Frame:
+            if i != self.joint:
+                return frame
+            zx, zy, zz, px, py, _ = frame[6:]
+            mx, my = moment_about(at.weights[i + 1], px, py)
+            angle = turn * (mx * zx + my * zy)
+            return displaced_frame(at.m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
+
+        return twist
 
 
 @toml_table
@@ -274,20 +251,36 @@ def _once(bearings: Any, _context: Any) -> Any:
 
 @register("effect", "slide_compliance")
 @toml_table
-class SlideCompliance(Effect):
+class SlideCompliance(Effect, place=BEND, needs_load=True):
     """Slides give way across their axis, and turn, in their bearings.
 
     Attributes:
         bearings: One entry per slide that yields.
     """
 
-    name, place, needs_load = "slide_compliance", BEND, True
-
     bearings: Annotated[tuple[Bearing, ...], Then(_once)]
 
-    def act(self, at: Passage, memory: Components) -> None:
-        """Let the slides give way."""
-        at.bends.append(lambda: slide_flexure(at.m, self, at.weights, at.joints))
+    def flexure(self, at: Passage) -> Flexure:
+        """Move and turn each slide in its bearings, under all that hangs on it."""
+        by_joint = {bearing.joint: bearing for bearing in self.bearings}
+
+        def give(i: int, frame: Frame) -> Frame:
+            bearing = by_joint.get(i)
+            if bearing is None:
+                return frame
+            zx, zy, zz, px, py, _ = frame[6:]
+            span, arm = bearing.span, 0.0
+            if bearing.overhang is not None:
+                span = span - at.joints[i]
+                arm = bearing.overhang + at.joints[i] + 0.5 * span
+            mx, my = moment_about(at.weights[i], px - arm * zx, py - arm * zy)
+            turn = 2.0 / (bearing.stiffness * span * span)
+            sunk = GRAVITY * at.weights[i][0] / (2.0 * bearing.stiffness)
+            # Gravity across z is (zx zz, zy zz, zz^2 - 1).
+            moved = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
+            return displaced_frame(at.m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), moved))
+
+        return give
 
     def fault(self, arm: Arm) -> str:
         """A span that the slide runs out of."""
@@ -306,60 +299,6 @@ class SlideCompliance(Effect):
         sizes = draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness")
         pairs = zip(self.bearings, sizes, strict=True)
         return SlideCompliance(tuple(replace(bearing, stiffness=size) for bearing, size in pairs))
-
-
-def couple_flexure(m: ModuleType, couple: BoomCouple, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that bends the boom under the part across it of the moment about its tip."""
-    length = q[couple.joint] + couple.length
-    turn = length / couple.flexural_rigidity
-
-    def bend(i: int, frame: Frame) -> Frame:
-        if i != couple.joint:
-            return frame
-        zx, zy, zz, px, py, _ = frame[6:]
-        mx, my = moment_about(weights[i + 1], px, py)
-        along = mx * zx + my * zy
-        wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
-        return displaced_frame(m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
-
-    return bend
-
-
-def torsion_flexure(m: ModuleType, torsion: BoomTorsion, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that twists the boom under the part along it of the moment about its tip."""
-    turn = (q[torsion.joint] + torsion.length) / torsion.torsional_rigidity
-
-    def twist(i: int, frame: Frame) -> Frame:
-        if i != torsion.joint:
-            return frame
-        zx, zy, zz, px, py, _ = frame[6:]
-        mx, my = moment_about(weights[i + 1], px, py)
-        angle = turn * (mx * zx + my * zy)
-        return displaced_frame(m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
-
-    return twist
-
-
-def slide_flexure(m: ModuleType, slides: SlideCompliance, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that moves and turns each slide in its bearings, under all that hangs on it."""
-    by_joint = {bearing.joint: bearing for bearing in slides.bearings}
-
-    def give(i: int, frame: Frame) -> Frame:
-        bearing = by_joint.get(i)
-        if bearing is None:
-            return frame
-        zx, zy, zz, px, py, _ = frame[6:]
-        span, arm = bearing.span, 0.0
-        if bearing.overhang is not None:
-            span = span - q[i]
-            arm = bearing.overhang + q[i] + 0.5 * span
-        mx, my = moment_about(weights[i], px - arm * zx, py - arm * zy)
-        turn = 2.0 / (bearing.stiffness * span * span)
-        sunk = GRAVITY * weights[i][0] / (2.0 * bearing.stiffness)  # gravity across z is (zx zz, zy zz, zz^2 - 1)
-        moved = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
-        return displaced_frame(m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), moved))
-
-    return give
 
 
 def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:

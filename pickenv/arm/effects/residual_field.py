@@ -81,7 +81,7 @@ class Features:
 
 @register("effect", "residual")
 @dataclass(frozen=True, eq=False)
-class ResidualField(Effect):
+class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
     """Displacement of the tool, of one arm or of many.
 
     Attributes:
@@ -90,8 +90,6 @@ class ResidualField(Effect):
         offset: Constant part of each output, O numbers.
         turn: Rotation of the frame in which it was learnt into the arm's own, row by row.
     """
-
-    name, place = "residual", TOOL + 0.5
 
     features: Features
     weight: Scalar
@@ -227,7 +225,7 @@ class WaveSpread:
 
 @register("effect", "drive_harmonics")
 @dataclass(frozen=True)
-class DriveHarmonics(Effect):
+class DriveHarmonics(Effect, place=DRIVE + 0.5):
     """Periodic errors of the drives that an arm has for itself.
 
     Attributes:
@@ -235,7 +233,6 @@ class DriveHarmonics(Effect):
         harmonics: Those of this arm.
     """
 
-    name, place = "drive_harmonics", DRIVE + 0.5
     table = Annotated[Any, Then(lambda table, _: drive_harmonics_of(table), WavesTable)]
 
     spread: tuple[WaveSpread, ...]
@@ -308,7 +305,7 @@ class StructureTable:
 
 @register("effect", "local_structure")
 @dataclass(frozen=True, eq=False)
-class LocalStructure(Effect):
+class LocalStructure(Effect, place=TOOL):
     """Displacement of the tool that changes over fractions of a degree, of one arm or of many.
 
     Attributes:
@@ -316,7 +313,6 @@ class LocalStructure(Effect):
         field: The waves with their weights.
     """
 
-    name, place = "local_structure", TOOL
     table = Annotated[Any, Then(lambda table, context: local_structure_of(table, context), StructureTable)]
 
     std: float

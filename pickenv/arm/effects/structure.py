@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 from pickenv.arm.effects.effect import BEND, DRIVE, JOINT, Components, Draws, Effect, Passage
 from pickenv.arm.files.arm import Arm
@@ -18,15 +18,12 @@ from pickenv.toml_tables import ARCMIN, DEG, GRAVITY, KG, KG_PER_M, MM, NUMBER, 
 
 @register("effect", "joint_compliance")
 @toml_table
-class JointCompliance(Effect):
+class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffness"}, needs_load=True):
     """Each joint yields under its gravity torque or force: dq = tau / k.
 
     Attributes:
         stiffness: N*m/rad for revolute joints, N/m for prismatic ones.
     """
-
-    name, place, needs_load = "joint_compliance", JOINT, True
-    spreads: ClassVar = {"stiffness": "joint_stiffness"}
 
     stiffness: Annotated[tuple[Scalar, ...], NUMBER.positive, PER_JOINT]
 
@@ -37,7 +34,7 @@ class JointCompliance(Effect):
 
 @register("effect", "boom_bending")
 @toml_table
-class BoomBending(Effect):
+class BoomBending(Effect, place=BEND + 0.2, spreads={"flexural_rigidity": "flexural_rigidity"}):
     """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
 
     Attributes:
@@ -48,23 +45,25 @@ class BoomBending(Effect):
         mass_per_length: Mass of the boom, kg/m.
     """
 
-    name, place = "boom_bending", BEND + 0.2
-    spreads: ClassVar = {"flexural_rigidity": "flexural_rigidity"}
-
     joint: Annotated[int, WHOLE, BOOM]
     length: Annotated[Scalar, MM.not_negative]
     flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
     end_mass: Annotated[Scalar, KG.not_negative]
     mass_per_length: Annotated[Scalar, KG_PER_M.not_negative]
 
-    def act(self, at: Passage, memory: Components) -> None:
-        """Let the boom sag."""
-        at.bends.append(lambda: boom_flexure(self, at.load.payload if at.load else 0.0, at.joints))
+    def flexure(self, at: Passage) -> Flexure:
+        """Lower and tilt the boom's tip under gravity; only the part across the boom bends it."""
+        length = at.joints[self.joint] + self.length
+        end, own = self.end_mass + (at.load.payload if at.load else 0.0), self.mass_per_length
+        stiffness = self.flexural_rigidity / GRAVITY
+        sag = length * length * length * (end / (3.0 * stiffness) + length * (own / (8.0 * stiffness)))
+        slope = length * length * (end / (2.0 * stiffness) + length * (own / (6.0 * stiffness)))
+        return lowered_tip(self.joint, sag, slope)
 
 
 @register("effect", "roller_play")
 @toml_table
-class RollerPlay(Effect):
+class RollerPlay(Effect, place=BEND + 0.8, spreads={"clearance": "roller_clearance"}):
     """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
 
     Attributes:
@@ -74,17 +73,15 @@ class RollerPlay(Effect):
         overlap: Length inside the rollers at zero displacement, m; the displacement is taken off it.
     """
 
-    name, place = "roller_play", BEND + 0.8
-    spreads: ClassVar = {"clearance": "roller_clearance"}
-
     joint: Annotated[int, WHOLE, BOOM]
     length: Annotated[Scalar, MM.not_negative]
     clearance: Annotated[Scalar, MM.not_negative]
     overlap: Annotated[Scalar, MM.positive]
 
-    def act(self, at: Passage, memory: Components) -> None:
-        """Let the boom tip."""
-        at.bends.append(lambda: roller_flexure(self, at.joints))
+    def flexure(self, at: Passage) -> Flexure:
+        """Let the boom tip down in its rollers: fully when level, less as it is raised."""
+        angle = self.clearance / (self.overlap - at.joints[self.joint])
+        return lowered_tip(self.joint, angle * (at.joints[self.joint] + self.length), angle)
 
     def fault(self, arm: Arm) -> str:
         """An overlap that the boom runs out of."""
@@ -123,15 +120,13 @@ HARMONICS = ByJoint(
 
 @register("effect", "transmission_error")
 @toml_table
-class TransmissionError(Effect):
+class TransmissionError(Effect, place=DRIVE):
     """Drives that do not deliver what the motor side shows: a lead error and periodic terms.
 
     Attributes:
         lead: Relative lead error of each joint (m/m or rad/rad).
         harmonics: The periodic terms.
     """
-
-    name, place = "transmission_error", DRIVE
 
     lead: Annotated[tuple[Scalar, ...], NUMBER, PER_JOINT]
     harmonics: Annotated[tuple[Harmonic, ...], Then(_harmonics, Annotated[tuple[Any, ...], HARMONICS])] = ()
@@ -178,21 +173,6 @@ def with_waves(
 def yielded_joints(compliance: JointCompliance, torques: Sequence[Scalar], q: Sequence[Scalar]) -> list[Scalar]:
     """Joint displacements after the joints have yielded under ``torques``."""
     return [value + torque / k for value, torque, k in zip(q, torques, compliance.stiffness, strict=True)]
-
-
-def boom_flexure(boom: BoomBending, payload: Scalar, q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that lowers and tilts the boom's tip under gravity; only the part across the boom bends it."""
-    length = q[boom.joint] + boom.length
-    end, own, stiffness = boom.end_mass + payload, boom.mass_per_length, boom.flexural_rigidity / GRAVITY
-    sag = length * length * length * (end / (3.0 * stiffness) + length * (own / (8.0 * stiffness)))
-    slope = length * length * (end / (2.0 * stiffness) + length * (own / (6.0 * stiffness)))
-    return lowered_tip(boom.joint, sag, slope)
-
-
-def roller_flexure(play: RollerPlay, q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that lets the boom tip down in its rollers: fully when level, less as it is raised."""
-    angle = play.clearance / (play.overlap - q[play.joint])
-    return lowered_tip(play.joint, angle * (q[play.joint] + play.length), angle)
 
 
 def lowered_tip(joint: int, sag: Scalar, slope: Scalar) -> Flexure:

@@ -5,7 +5,7 @@ What is checked against the arm finds it in the context that a plant file is rea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import make_dataclass
 from typing import Annotated, Any, cast
 
@@ -100,3 +100,21 @@ class ByJoint:
         union: Any = cast(Any, kinds[0]) | kinds[1]
         one = handler.generate_schema(Annotated[union, Kinds(lambda entry: kinds[getattr(entry, "slides", 0)])])
         return core.tuple_variable_schema(core.with_info_before_validator_function(placed, one))
+
+
+def joint_table(make: Callable[..., Any], **sizes: tuple[Unit, Unit] | Unit) -> Any:
+    """A table of sizes by joint, joints left out being zero, and of single ones, zero where they are left out.
+
+    Args:
+        make: Makes of it one tuple of numbers, one per joint, for each size by joint, and one number for each other.
+        sizes: Units of each size for revolute and prismatic joints; the one unit of a single number.
+    """
+    pairs = {name: unit for name, unit in sizes.items() if isinstance(unit, tuple)}
+    members: list[Any] = [("joints", Annotated[tuple[Any, ...], ByJoint(**pairs)], ())]
+    members += [(name, Annotated[float, unit], 0.0) for name, unit in sizes.items() if isinstance(unit, Unit)]
+    table = toml_table(make_dataclass("JointTable", members, frozen=True))
+
+    def made(found: Any, context: Any) -> Any:
+        return make(*numbers_per_joint(found, context, *pairs), *(getattr(found, one[0]) for one in members[1:]))
+
+    return Annotated[Any, Then(made, table)]

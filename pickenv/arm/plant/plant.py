@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv import registry
-from pickenv.arm.effects.effect import DRIVE, Components, Effect, Load, Passage
+from pickenv.arm.effects.effect import BESIDE, DRIVE, Components, Effect, Load, Passage
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Geometry, Pose
@@ -105,7 +105,8 @@ class Plant:
     @cached_property
     def _stages(self) -> tuple[tuple[Effect, ...], tuple[Effect, ...], tuple[Effect, ...]]:
         """The effects that act, in order: those before the last that remembers, that one, and those after it."""
-        acting = tuple(effect for effect in self.effects if self.load is not None or not effect.needs_load)
+        on_arm = [effect for effect in self.effects if effect.place < BESIDE]
+        acting = tuple(effect for effect in on_arm if self.load is not None or not effect.needs_load)
         end = max((i for i, effect in enumerate(acting, 1) if effect.remembers), default=0)
         return acting[: max(end - 1, 0)], acting[max(end - 1, 0) : end], acting[end:]
 

@@ -1,6 +1,7 @@
 """Each effect of a real arm against the closed form that a textbook gives."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from pickenv.arm.effects.structure import (
     Harmonic,
     JointCompliance,
     TransmissionError,
-    boom_flexure,
     driven_joints,
     turn_horizontally,
     yielded_joints,
@@ -25,7 +25,8 @@ BOOM = BoomBending(joint=2, length=0.4, flexural_rigidity=1.2e4, end_mass=2.0, m
 def bent(boom, payload, q, rotation, position=(0.0, 0.0, 0.0)):
     """Axes (rows x, y, z) and origin of the boom's tip frame after bending."""
     frame = (*(float(v) for v in rotation.T.ravel()), *position)
-    result = np.array(boom_flexure(boom, payload, q)(boom.joint, frame))
+    at = SimpleNamespace(joints=q, load=Load((), (), payload))
+    result = np.array(boom.flexure(at)(boom.joint, frame))
     return result[:9].reshape(3, 3), result[9:]
 
 

@@ -3,7 +3,7 @@
 import json
 import sys
 from dataclasses import replace
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import gymnasium as gym
 import numpy as np
@@ -29,7 +29,7 @@ MEDIUM = load_tolerances("medium")
 
 @pickenv.register("effect", "belt_creep")
 @toml_table
-class BeltCreep(Effect):
+class BeltCreep(Effect, place=GEAR + 0.7, spreads={"time": 0.3}):
     """Belts that follow a move in part at once, and the rest of it exponentially.
 
     Attributes:
@@ -37,9 +37,6 @@ class BeltCreep(Effect):
         time: Time constant, s.
         slack: Constant lag, rad or m.
     """
-
-    name, place = "belt_creep", GEAR + 0.7
-    spreads: ClassVar = {"time": 0.3}
 
     stretch: Annotated[tuple[Scalar, ...], PER_JOINT]
     time: Annotated[Scalar, SECONDS.positive]
@@ -62,10 +59,8 @@ class BeltCreep(Effect):
 
 @pickenv.register("effect", "tool_wobble")
 @toml_table
-class ToolWobble(Effect):
+class ToolWobble(Effect, place=TOOL + 0.2):
     """A tool that wobbles by NumPy's own functions, which neither torch nor a compiler can follow."""
-
-    name, place = "tool_wobble", TOOL + 0.2
 
     size: Annotated[Scalar, MM]
 
@@ -174,8 +169,7 @@ class Part:
     size: float
 
 @dataclass(frozen=True)
-class Sag(Effect):
-    name, place = "lab_sag", TOOL
+class LabSag(Effect, place=TOOL):
     part: Part
 
     def act(self, at, memory):
@@ -190,14 +184,14 @@ def test_a_run_s_file_names_the_package_whose_effect_it_needs(tmp_path, monkeypa
     info.mkdir(parents=True)
     (folder / "lab_sag_module.py").write_text(SAG)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: lab-effects\nVersion: 1.2\n")
-    (info / "entry_points.txt").write_text("[pickenv.effect]\nlab_sag = lab_sag_module:Sag\n")
+    (info / "entry_points.txt").write_text("[pickenv.effect]\nlab_sag = lab_sag_module:LabSag\n")
     (info / "top_level.txt").write_text("lab_sag_module\n")
     monkeypatch.setattr(registry, "_entries", {kind: dict(own) for kind, own in registry._entries.items()})
     with monkeypatch.context() as there:
         there.syspath_prepend(folder)
         import lab_sag_module
 
-        plant = load_plant("qiao2026").with_effect(lab_sag_module.Sag(lab_sag_module.Part(0.002)))
+        plant = load_plant("qiao2026").with_effect(lab_sag_module.LabSag(lab_sag_module.Part(0.002)))
         path = save_numbers(tmp_path / "run.npz", plant)
         back = load_numbers(path, Plant, "pickenv demo")
         assert back.effects == plant.effects and back.names[-1] == "lab_sag"

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -16,9 +17,6 @@ from pickenv.arm.effects.hysteresis import (
     BoomCouple,
     BoomTorsion,
     SlideCompliance,
-    couple_flexure,
-    slide_flexure,
-    torsion_flexure,
 )
 from pickenv.arm.effects.structure import BoomBending
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
@@ -206,11 +204,13 @@ def test_a_boom_and_a_slide_of_any_attitude_yield_by_the_vectors_of_moment_and_w
     give = 2.0 / (5e5 * span**2) * moment(2, place - arm_length * z)
     sunk = GRAVITY * masses[2] / (2 * 5e5) * (z[2] * z - [0.0, 0.0, 1.0])
     slides = SlideCompliance((Bearing(2, 5e5, 1.1, 0.2),))
-    for flexure, turn, moved in (
-        (couple_flexure(math, BoomCouple(2, 0.5, 7e3), weights, q), bend, np.cross(bend, length / 2 * z)),
-        (torsion_flexure(math, BoomTorsion(2, 0.5, 9e3), weights, q), length / 9e3 * along, np.zeros(3)),
-        (slide_flexure(math, slides, weights, q), give, sunk + np.cross(give, arm_length * z)),
+    at = SimpleNamespace(m=math, weights=weights, joints=q)
+    for effect, turn, moved in (
+        (BoomCouple(2, 0.5, 7e3), bend, np.cross(bend, length / 2 * z)),
+        (BoomTorsion(2, 0.5, 9e3), length / 9e3 * along, np.zeros(3)),
+        (slides, give, sunk + np.cross(give, arm_length * z)),
     ):
+        flexure = effect.flexure(at)
         assert flexure(1, frame) == frame
         found = flexure(2, frame)
         np.testing.assert_allclose(found[9:], place + moved, rtol=0, atol=1e-12)
