@@ -8,24 +8,16 @@ from types import ModuleType
 from typing import Annotated, Any
 
 from pickenv.arm.effects.effect import BESIDE, JOINT, MOTOR, Components, Draws, Effect, Passage
-from pickenv.arm.files.joint_keys import PER_JOINT, ByJoint, numbers_per_joint
+from pickenv.arm.files.joint_keys import PER_JOINT, joint_table
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
 from pickenv.arm.kinematics.forward import Frame, Scalar, frames
 from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.errors import InputError
 from pickenv.registry import register
-from pickenv.toml_tables import ARCSEC, DEG, HOURS, KELVIN, MILLISECONDS, MM, UM, Then, Unit, toml_table
+from pickenv.toml_tables import ARCSEC, DEG, HOURS, KELVIN, MILLISECONDS, MM, UM, Unit, toml_table
 
 
-@toml_table
-class EncoderTable:
-    """[encoder] of a plant file; every joint has an encoder."""
-
-    joints: Annotated[tuple[Any, ...], ByJoint(resolution=(ARCSEC.positive, UM.positive))]
-
-
-def _encoder(table: EncoderTable, context: Any) -> Encoder:
-    (resolution,) = numbers_per_joint(table, context, "resolution")
+def _encoder(resolution: tuple[float, ...]) -> Encoder:
     if 0.0 in resolution:
         raise InputError(f"joints of [encoder] does not name joint {resolution.index(0.0) + 1}; give each joint")
     return Encoder(resolution)
@@ -40,13 +32,14 @@ class Encoder(Effect, place=MOTOR):
         resolution: One count of each joint, seen at the joint, rad or m.
     """
 
-    table = Annotated[Any, Then(_encoder, EncoderTable)]
+    table = joint_table(_encoder, resolution=(ARCSEC.positive, UM.positive))
 
     resolution: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
         """Hold the motors at whole counts."""
-        at.turn(quantised(at.m, self, at.motor))
+        pairs = zip(at.motor, self.resolution, strict=True)
+        at.turn([nearest_whole(at.m, value / count) * count for value, count in pairs])
 
 
 @register("effect", "servo")
@@ -70,18 +63,8 @@ class Servo(Effect, place=MOTOR + 0.5):
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """Motors under way."""
-        return tuple(followed(at.m, self, memory, at.motor, dt))
-
-
-def quantised(m: ModuleType, encoder: Encoder, q: Sequence[Scalar]) -> list[Scalar]:
-    """Displacements in whole counts."""
-    return [nearest_whole(m, value / count) * count for value, count in zip(q, encoder.resolution, strict=True)]
-
-
-def followed(m: ModuleType, servo: Servo, motor: Sequence[Scalar], q: Sequence[Scalar], dt: Scalar) -> list[Scalar]:
-    """Motor positions after the command ``q`` has been held for ``dt`` seconds."""
-    numbers = zip(motor, q, servo.time_constant, strict=True)
-    return [target + (value - target) * exponential(m, -dt / constant) for value, target, constant in numbers]
+        numbers = zip(memory, at.motor, self.time_constant, strict=True)
+        return tuple(target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers)
 
 
 # Links grow with temperature, L (1 + alpha dT), and the arm warms up over the first hours: dT' = (final - dT) / tau.

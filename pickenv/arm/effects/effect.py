@@ -11,7 +11,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from types import MappingProxyType, ModuleType
+from types import ModuleType
 from typing import Annotated, Any, ClassVar, Self, cast
 
 import numpy as np
@@ -29,8 +29,6 @@ MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in
 """Where an effect acts, from the motors to the tool: on the motors (`Passage.turn`), in the drives (`Passage.drive`),
 in the gears and at the joints (``joints``, ``chain``), along the links (``bends``), under the base and at the tool
 (``frame``); what is beside the arm never moves it. Effects of one place act in the order of its fractions."""
-
-EMPTY: Mapping[str, str | float] = MappingProxyType({})
 
 Components = tuple[Scalar, ...]
 
@@ -111,7 +109,7 @@ class Passage:
         if self._frame is None:
             bends = [effect.flexure(self) for effect in self.bends]
             both = (
-                bends[0] if len(bends) == 1 else lambda i, frame: reduce(lambda bent, bend: bend(i, bent), bends, frame)
+                bends[0] if len(bends) == 1 else lambda i, frame: reduce(lambda bent, one: one(i, bent), bends, frame)
             )
             self._frame = tool_frame(self.m, self.chain, self.joints, both if bends else None)
         return self._frame
@@ -179,11 +177,11 @@ class Effect:
     table: ClassVar[Any] = None
 
     def __init_subclass__(
-        cls, place: float, spreads: Mapping[str, str | float] = EMPTY, needs_load: bool = False, name: str = ""
+        cls, place: float, spreads: Mapping[str, str | float] | None = None, needs_load: bool = False, name: str = ""
     ) -> None:
         """Keep what the class says."""
         cls.name = name or re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
-        cls.place, cls.spreads, cls.needs_load = place, spreads, needs_load
+        cls.place, cls.spreads, cls.needs_load = place, spreads or {}, needs_load
         cls.remembers = cls.carry is not Effect.carry
 
     def act(self, at: Passage, memory: Components) -> None:

@@ -22,15 +22,12 @@ from pickenv.arm.kinematics.forward import Scalar
 from pickenv.registry import register
 from pickenv.toml_tables import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Check, Unit, toml_table
 
+GIVING_WAY = {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"}
+
 
 @register("effect", "base_tilt")
 @toml_table
-class BaseTilt(
-    Effect,
-    place=BASE,
-    spreads={"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"},
-    needs_load=True,
-):
+class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
     """Tilt and sinkage of the machine that carries the arm.
 
     Attributes:

@@ -20,18 +20,9 @@ from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.registry import register
-from pickenv.toml_tables import (
-    GRAVITY,
-    MM,
-    NEWTON,
-    NEWTON_METRE,
-    NUMBER,
-    WHOLE,
-    Then,
-    Unit,
-    fault,
-    toml_table,
-)
+from pickenv.toml_tables import GRAVITY, MM, NEWTON, NEWTON_METRE, NUMBER, WHOLE, Then, Unit, fault, toml_table
+
+PRELOAD = (NEWTON_METRE.not_negative, NEWTON.not_negative)
 
 
 @register("effect", "backlash")
@@ -45,9 +36,7 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
             turns, N*m or N; below it, friction holds the joint and the gap is crossed on every reversal.
     """
 
-    table = joint_table(
-        lambda *sizes: Backlash(*sizes), width=TRAVEL, preload=(NEWTON_METRE.not_negative, NEWTON.not_negative)
-    )
+    table = joint_table(lambda *sizes: Backlash(*sizes), width=TRAVEL, preload=PRELOAD)
 
     width: tuple[Scalar, ...]
     preload: tuple[Scalar, ...]
@@ -62,7 +51,17 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """Joints that the motors have pushed along."""
-        return tuple(joints_behind_backlash(at.m, self, at.torques if at.load else None, at.joints, memory))
+        behind, torques = [], at.torques if at.load else None
+        for i, (entry, output, width, preload) in enumerate(
+            zip(at.joints, memory, self.width, self.preload, strict=True)
+        ):
+            half = 0.5 * width
+            low, high = entry - half, entry + half
+            free = clipped(at.m, output, low, high)
+            if torques is not None:
+                free = chosen(at.m, torques[i] > preload, high, chosen(at.m, torques[i] < -preload, low, free))
+            behind.append(free)
+        return tuple(behind)
 
 
 @register("effect", "stick_band")
@@ -124,35 +123,6 @@ def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar
         lead: How far it may stay ahead.
     """
     return clipped(m, output, entry - lag, entry + lead)
-
-
-def joints_behind_backlash(
-    m: ModuleType,
-    backlash: Backlash,
-    torques: Sequence[Scalar] | None,
-    entries: Sequence[Scalar],
-    outputs: Sequence[Scalar],
-) -> list[Scalar]:
-    """Joint displacements behind the gaps, given the displacements before them and where the joints were.
-
-    Args:
-        m: ``math``, ``numpy`` or ``torch``.
-        backlash: The gaps.
-        torques: Gravity torques on the joints, or None where nothing has mass.
-        entries: Displacements on the motor's side of the gap.
-        outputs: Displacements behind the gap so far. History-free ones are got by passing ``entries``.
-    """
-    behind = []
-    for i, (entry, output, width, preload) in enumerate(
-        zip(entries, outputs, backlash.width, backlash.preload, strict=True)
-    ):
-        half = 0.5 * width
-        low, high = entry - half, entry + half
-        free = clipped(m, output, low, high)
-        if torques is not None:
-            free = chosen(m, torques[i] > preload, high, chosen(m, torques[i] < -preload, low, free))
-        behind.append(free)
-    return behind
 
 
 # What yields where an arm slides: the boom under a couple beside its tip, its twist, carriages in their guides. All

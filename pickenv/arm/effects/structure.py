@@ -29,7 +29,8 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
 
     def act(self, at: Passage, memory: Components) -> None:
         """Let the joints yield."""
-        at.joints = yielded_joints(self, at.torques, at.joints)
+        numbers = zip(at.joints, at.torques, self.stiffness, strict=True)
+        at.joints = [value + torque / k for value, torque, k in numbers]
 
 
 @register("effect", "boom_bending")
@@ -168,11 +169,6 @@ def with_waves(
         angle = q[term.joint] * (math.tau / term.period) + term.phase
         found[term.joint] = found[term.joint] + term.amplitude * m.sin(angle)
     return found
-
-
-def yielded_joints(compliance: JointCompliance, torques: Sequence[Scalar], q: Sequence[Scalar]) -> list[Scalar]:
-    """Joint displacements after the joints have yielded under ``torques``."""
-    return [value + torque / k for value, torque, k in zip(q, torques, compliance.stiffness, strict=True)]
 
 
 def lowered_tip(joint: int, sag: Scalar, slope: Scalar) -> Flexure:
