@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at
-from pickenv.arm.plant.plant import EFFECTS
+from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.calibration.pipeline.fitting import fit
 
@@ -16,6 +16,8 @@ sys.path.insert(0, str(ROOT / "scripts/studies"))
 
 from remainder import spectrum  # noqa: E402
 from residual_gains import gains, table_of  # noqa: E402
+
+EFFECTS = shipped_effects()
 
 MODELS = ("gravity", "harmonics", "terms", "BPNN", "GP")
 
