@@ -23,6 +23,7 @@ if _TYPE_CHECKING:
     from pickenv.arm import Arm, Plant, load_arm, load_plant
     from pickenv.calibration import Calibration, Choices, Result, calibrate
     from pickenv.inspect import film
+    from pickenv.registry import register
 
 __all__ = ["Arm", "Calibration", "Choices", "InputError", "Plant", "Result", "__version__", "agents", "arm"]
 __all__ += [
@@ -38,7 +39,7 @@ __all__ += [
     "load_plant",
     "load_policy",
 ]
-__all__ += ["orchard", "run_reaches", "wrappers"]
+__all__ += ["orchard", "register", "run_reaches", "wrappers"]
 
 __getattr__ = _offered(__name__)[0]
 

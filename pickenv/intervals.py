@@ -295,6 +295,12 @@ class Estimate:
         """The interval as JSON has it."""
         return None if self.ci95 is None else list(self.ci95)
 
+    @property
+    def exponential(self) -> Estimate:
+        """The exponential of a logarithm, with the interval's ends."""
+        ends = [None if end is None else float(np.exp(end)) for end in self.ci95 or ()]
+        return Estimate(float(np.exp(self.value)), (ends[0], ends[1]) if ends else None, self.missing)
+
     def verdict(self, margin: float = MARGIN_MM) -> str:
         """What a difference says: "carries over" inside the margin, "differs" beyond zero, else "not settled"."""
         if self.ci95 is not None and None not in self.ci95:
@@ -320,13 +326,15 @@ def estimate(
         value: The column that the numbers are of; several for a function of them.
         by: Columns that name a number; one number for each combination of theirs, in the order of the rows.
         over: One or two columns of what was drawn, which the intervals are over; rows that agree in these are averaged.
-        of: "mean"; "share" of chances or successes; a probability, for that quantile over units; or a function of
-            the units' means ``(units, values)``, for a number such as a ratio.
+        of: "mean"; "share" of chances or successes, or of what two columns took and tried; "ratio" of two columns'
+            sums; "removed", the share of the mean at the levels of ``against`` that is gone; a probability, for that
+            quantile over units; or a function of the units' means ``(units, values)``.
         against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
         least: Fewest units for an interval of a mean.
 
     Returns:
-        For each combination the columns of ``by`` and "estimate", an `Estimate`.
+        For each combination the columns of ``by``; "estimate", an `Estimate`; and "units", the mean of each unit's
+        values ``(units,)``, which say how units differ, or None for a function of several columns.
 
     Raises:
         ValueError: If not every unit was measured equally often at a combination, or ``over`` names none or more than
@@ -344,11 +352,16 @@ def estimate(
     found = []
     for key, cube in cubes.items():
         base = key if against is None else tuple(against.get(n, own) for n, own in zip(by, key, strict=True))
-        if against is None or (base != key and base in cubes):
-            if cube.shape != cubes[base].shape and (*cube.shape[:2], 1, cube.shape[3]) != cubes[base].shape:
+        if against is not None and (base == key or base not in cubes):
+            continue
+        if against is not None:  # unit by unit, whatever the number of rows of each
+            cube, other = (each.mean(axis=3, keepdims=True) for each in (cube, cubes[base]))
+            if cube.shape != other.shape and (*cube.shape[:2], 1, 1) != other.shape:
                 raise ValueError(f"{key} and {base} were not measured on the same {' and '.join(over)}")
-            difference = cube if against is None else cube - cubes[base]
-            found.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(difference, of, least)})
+            both = [np.broadcast_to(other, cube.shape), cube]
+            cube = np.concatenate(both) if of == "removed" else cube - other
+        units = cube[0].mean(axis=(1, 2)) if len(cube) == 1 else None
+        found.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(cube, of, least), "units": units})
     return found
 
 
@@ -369,13 +382,29 @@ def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequenc
 def _estimated(
     cube: NDArray[np.float64], of: str | float | Callable[[NDArray[np.float64]], Any], least: int
 ) -> Estimate:
-    if callable(of):
+    if callable(of) or len(cube) > 1:
         table = cube.mean(axis=(2, 3)).T
-        return Estimate(float(of(table)), statistic_interval(table, of), f"needs {LEAST} arms, or they are equal")
+        if of == "share":  # what was taken, of what was tried, with other numbers tried of each unit
+            taken, tried = table.T
+            return _with_reason(_ratio(table), clustered_share_interval(taken, tried), table)
+        function = of if callable(of) else _removed if of == "removed" else _ratio
+        return _with_reason(float(function(table)), statistic_interval(table, function), table)
     (values,) = cube
     if of == "share":
         return share_estimate(values)
     return mean_estimate(values, least) if of == "mean" else quantile_estimate(values, float(of))
+
+
+def _ratio(table: NDArray[np.float64]) -> float:
+    """The ratio of the sums of two columns ``(units, 2)``."""
+    over, under = table.sum(axis=0)
+    return float(over / max(under, 1e-12))
+
+
+def _removed(table: NDArray[np.float64]) -> float:
+    """The share of the first column's mean that the second has no more ``(units, 2)``."""
+    before, after = table.mean(axis=0)
+    return float(1.0 - after / before)
 
 
 def mean_estimate(values: NDArray[np.float64], least: int = LEAST) -> Estimate:

@@ -14,11 +14,13 @@ from pathlib import Path
 import numpy as np
 
 import pickenv
+from pickenv import registry
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Versions of what computed the numbers: pickenv, NumPy, Python, and those of the named packages that are there."""
+    """Versions of what computed numbers: pickenv, NumPy, Python, packages that extend it, and named ones if there."""
     found = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    found |= registry.packages()
     for name in packages:
         with suppress(PackageNotFoundError):
             found[name] = version(name)

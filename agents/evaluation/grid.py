@@ -33,7 +33,7 @@ class GridSettings:
     """What is compared.
 
     Attributes:
-        policies: Names of kinds (`compared_policies.KINDS`) or of shipped baselines, policy files, or folders of one
+        policies: Names of registered policies or of shipped baselines, policy files, or folders of one
             training with several seeds.
         compensations: Of `pickenv.agents.evaluation.calibrated.COMPENSATIONS`.
         feedback: "encoders" (open loop) and "camera".

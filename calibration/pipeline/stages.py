@@ -58,8 +58,8 @@ from pickenv.calibration.pipeline.given import (
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.pipeline.verification import near_rows
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import GateReport, gate_residuals, position_rms
-from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS, require_residual
+from pickenv.calibration.residuals.gate import AUTO, GateReport, gate_residuals, position_rms
+from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
 from pickenv.errors import InputError
 
 GATE_ROWS = 3000
@@ -371,7 +371,7 @@ def _learn(draft: Draft) -> Draft:
         return draft
     selected: str | None = None
     if pose_count(train.joints) >= ENOUGH_FOR_BLOCKS:
-        names = tuple(FITTERS) if choices.residual == "auto" else (choices.residual,)
+        names = AUTO if choices.residual == "auto" else (choices.residual,)
         draft = replace(draft, gate=_verdicts(draft, train, names))
         selected = draft.gate.selected if draft.gate else None
     if choices.force and choices.residual != "auto":

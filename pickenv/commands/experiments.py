@@ -19,6 +19,10 @@ def experiment(
     ],
     quick: Annotated[bool, typer.Option("--quick", help="The file's own small sizes: minutes.")] = False,
     seed: Annotated[int | None, typer.Option(help="Seed of everything random; the file's if left out.", min=0)] = None,
+    seeds: Annotated[
+        int,
+        typer.Option(help="Seeds to run at; how often intervals of one hold the numbers of another is said.", min=1),
+    ] = 1,
     change: Annotated[
         list[str] | None,
         typer.Option("--set", help='A unit, factor or setting: arm=20, method=["raw"]; may be repeated.'),
@@ -34,14 +38,22 @@ def experiment(
 ) -> None:
     """Measure units at every combination of factors, and print the numbers that the file asks for."""
     from pickenv.experiments.engine import RECORD, run, write_rows
-    from pickenv.experiments.experiment_file import load_experiment, plain_estimates, table_of
+    from pickenv.experiments.experiment_file import held_by_seeds, load_experiment, plain_estimates, table_of
 
-    found = load_experiment(file, quick=quick, seed=seed, changes=dict(map(_change, change or [])))
+    changes = dict(map(_change, change or []))
+    found = load_experiment(file, quick=quick, seed=seed, changes=changes)
     folder = out or Path("runs") / file.stem
     separate({"FILE": file}, {"--out": folder / RECORD, "--json": json_file, "--table": table})
+    first = found.experiment.seed
+    others: list[list[dict[str, Any]]] = []
     with progress_bars() as report:
+        for further in range(first + seeds - 1, first, -1):  # the first comes last, so that the folder's rows are its
+            other = load_experiment(file, quick=quick, seed=further, changes=changes)
+            others.insert(0, other.estimates(run(other.experiment, folder, backend=executor, workers=workers)))
+            report("seeds", len(others), seeds)
         rows = run(found.experiment, folder, backend=executor, workers=workers, progress=report)
     tables = found.estimates(rows)
+    held = held_by_seeds([tables, *others])
     content = {
         "title": found.title,
         "experiment": file.stem,
@@ -49,18 +61,33 @@ def experiment(
         "quick": quick,
         "rows": len(rows),
         "tables": plain_estimates(tables),
+        "other_seeds": [plain_estimates(other) for other in others],
+        "held": [{"title": title, "held": count, "of": of} for title, count, of in held if of],
     }
 
     def show() -> None:
         print(found.title)
         for number, made in zip(found.numbers, tables, strict=True):
+            if not made["rows"]:
+                continue
             heads, cells = table_of(number, made["rows"])
             print_table(made["title"], heads, cells, words=number.by)
+        for title, count, of in held:
+            if of:
+                print(f"{title}: {count} of {of} intervals hold another seed's number; about 83 % are due")
 
     def draw(place: Path) -> list[Path]:
+        from pickenv.inspect.figures.plot_estimates import estimates_figure
         from pickenv.inspect.figures.style import save_figure
 
-        return [save_figure(function(rows), place / f"{name}.png") for name, function in found.figures.items()]
+        drawn = {name: function(rows) for name, function in found.figures.items()}
+        for number, made in zip(found.numbers, tables, strict=True):
+            if number.figure is not None:
+                axes: Any = {"x": number.x, "colour": None if number.x else number.across, "panels": number.panels}
+                drawn[number.figure] = estimates_figure(
+                    made["rows"], number.title, number.by, **axes, log=number.log, scale=number.scale
+                )
+        return [save_figure(figure, place / f"{name}.png") for name, figure in drawn.items()]
 
     saves: list[Any] = [
         (json_file, lambda path: write_json(path, content)),

@@ -148,13 +148,15 @@ def evaluate(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="Policy, baseline, policy file, or folder of one training with several seeds; may be repeated."
+            help="{policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated."
         ),
     ] = None,
     compensation: Annotated[list[str] | None, typer.Option(help="raw, ls, ls_bpnn, best; may be repeated.")] = None,
     feedback: Annotated[list[str] | None, typer.Option(help="encoders, camera; may be repeated.")] = None,
     plant: Annotated[list[str] | None, typer.Option(help="Plant preset; may be repeated.")] = None,
-    gripper: Annotated[list[str] | None, typer.Option(help="Gripper preset; may be repeated.")] = None,
+    gripper: Annotated[
+        list[str] | None, typer.Option(help="Gripper, by name or as a file of a {gripper}; may be repeated.")
+    ] = None,
     arms: Annotated[int, typer.Option(help="Arms drawn for each plant.", min=1)] = 64,
     episodes: Annotated[int, typer.Option(help="Fruits per arm.", min=1)] = 32,
     tolerances: Annotated[str, typer.Option(help="Tolerance class of the arms.")] = "coarse",

@@ -38,7 +38,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.harvester.trees import Lab, TreesTable
     from pickenv.harvester.zones import Grid
     from pickenv.orchard.camera import CameraFile
-    from pickenv.orchard.gripper import GripperFile
+    from pickenv.orchard.gripper import gripper_file
     from pickenv.orchard.occlusion import Station
     from pickenv.toml_tables import toml_table
 
@@ -55,7 +55,7 @@ def kinds() -> dict[str, Any]:
         "detachment": orchard.Detachment,
         "fruit": orchard.FruitMap,
         "fruit_size": orchard.FruitSize,
-        "gripper": GripperFile,
+        "gripper": gripper_file(),
         "look": orchard.Look,
         "station": Station,
         "vision": orchard.StereoCamera,

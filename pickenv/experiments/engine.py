@@ -56,6 +56,8 @@ Columns = Mapping[str, NDArray[Any]]
 Progress = Callable[[str, int, int], None]
 """Called with (name of the experiment, pieces done, pieces in all)."""
 
+Refused = Callable[[Levels, InputError], None]
+
 
 @dataclass(frozen=True)
 class Rows:
@@ -78,13 +80,14 @@ class Rows:
     def where(self, **levels: Any) -> Rows:
         """The rows at these levels; a tuple of levels takes the rows at any of them."""
         taken = np.ones(len(self), dtype=np.bool_)
-        for name, level in levels.items():
+        for name, level in levels.items() if self.columns else ():
             taken &= np.isin(self.columns[name], level if isinstance(level, tuple) else (level,))
         return Rows({name: values[taken] for name, values in self.columns.items()})
 
     def levels(self, *names: str) -> list[tuple[Any, ...]]:
         """The combinations of levels of these columns, each once, in the order of their first rows."""
-        return list(dict.fromkeys(zip(*(self.columns[name].tolist() for name in names), strict=True)))
+        columns = [self.columns[name].tolist() for name in names] if self.columns else []
+        return list(dict.fromkeys(zip(*columns, strict=True)))
 
     def dicts(self) -> list[dict[str, Any]]:
         """The rows one by one, as plain values."""
@@ -155,7 +158,8 @@ class Experiment:
             for each. ``rng`` is the unit's own, and the same at every level of the factors. It must be a function of a
             module, or a `functools.partial` of one, where other processes are to call it.
         seed: Seed of everything random.
-        inputs: What the rows depend on beside levels, seed and code: settings, plants, hashes of files.
+        inputs: What the rows depend on beside levels, seed and code: settings, plants, hashes of files; or a function
+            of the levels that gives it.
         fits: Which combinations are measured, by the same names; all when left out.
     """
 
@@ -164,7 +168,7 @@ class Experiment:
     factors: Mapping[str, Sequence[Any]]
     measure: Callable[..., Columns | Rows | Sequence[Mapping[str, Any]]] = field(compare=False)
     seed: int = 0
-    inputs: tuple[Any, ...] = ()
+    inputs: tuple[Any, ...] | Callable[..., tuple[Any, ...]] = ()
     fits: Callable[..., bool] | None = field(default=None, compare=False)
 
     def pieces(self) -> list[Piece]:
@@ -188,7 +192,8 @@ class Experiment:
 
     def key(self, piece: Piece) -> str:
         """The hash of all that a piece's rows depend on."""
-        return content_sha256(self.name, self.seed, self.inputs, dict(piece.levels), piece.place, code_fingerprint())
+        inputs = self.inputs(**piece.levels) if callable(self.inputs) else self.inputs
+        return content_sha256(self.name, self.seed, inputs, dict(piece.levels), piece.place, code_fingerprint())
 
 
 @dataclass(frozen=True)
@@ -217,6 +222,7 @@ def run(
     workers: int | None = None,
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
+    refused: Refused | None = None,
 ) -> Rows:
     """Measure what is not measured yet, and give all rows in the order of the pieces.
 
@@ -227,16 +233,19 @@ def run(
         workers: Processes; as many as there are cores when None.
         progress: Told how many pieces are done.
         warn: Told of damaged files, which are made anew.
+        refused: Told the levels of pieces that cannot be measured, and why; they have no rows, and are tried again by
+            the next run. The first of them ends the run when None.
 
     Raises:
-        InputError: If the backend is unknown or not installed, the folder is being worked in, or processes keep dying.
+        InputError: If the backend is unknown or not installed, the folder is being worked in, processes keep dying, or
+            a piece cannot be measured and ``refused`` is None.
     """
     if folder is not None:
-        keep(experiment, folder, backend=backend, workers=workers, progress=progress, warn=warn)
+        keep(experiment, folder, backend=backend, workers=workers, progress=progress, warn=warn, refused=refused)
         return kept_rows(folder)
     pieces, parts = experiment.pieces(), {}
     for number, rows in spread(partial(_measured, experiment, pieces), range(len(pieces)), backend, workers):
-        parts[number] = rows
+        parts[number] = rows if isinstance(rows, Rows) else _refuse(pieces[number], rows, refused)
         if progress is not None:
             progress(experiment.name, len(parts), len(pieces))
     return joined([parts[number] for number in range(len(pieces))])
@@ -250,6 +259,7 @@ def keep(
     workers: int | None = None,
     progress: Progress | None = None,
     warn: Callable[[str], None] | None = None,
+    refused: Refused | None = None,
 ) -> list[Path]:
     """Measure what a folder does not hold yet, and give the pieces' files in their order; arguments as of `run`.
 
@@ -275,16 +285,34 @@ def keep(
         done = len(pieces) - len(todo)
         if progress is not None:
             progress(experiment.name, done, len(pieces))
+        kept = dict.fromkeys(range(len(pieces)))
         for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
-            _write_piece(files[number], rows, experiment.name, keys[number])
+            if isinstance(rows, Rows):
+                _write_piece(files[number], rows, experiment.name, keys[number])
+            else:
+                _refuse(pieces[number], rows, refused)
+                kept.pop(number)
             done += 1
             if progress is not None:
                 progress(experiment.name, done, len(pieces))
-    return files
+        if len(kept) < len(pieces):
+            _write_record(folder, {files[number].name: keys[number] for number in kept}, warn)
+    return [files[number] for number in kept]
 
 
-def _measured(experiment: Experiment, pieces: Sequence[Piece], number: int) -> Rows:
-    return experiment.measured(pieces[number])
+def _measured(experiment: Experiment, pieces: Sequence[Piece], number: int) -> Rows | InputError:
+    try:
+        return experiment.measured(pieces[number])
+    except InputError as error:
+        return error
+
+
+def _refuse(piece: Piece, error: InputError, refused: Refused | None) -> Rows:
+    """No rows, where somebody wants to be told why; else the error itself."""
+    if refused is None:
+        raise error
+    refused(piece.levels, error)
+    return Rows({})
 
 
 # A folder of pieces.

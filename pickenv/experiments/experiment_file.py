@@ -21,6 +21,7 @@ over = ["arm"]
 from __future__ import annotations
 
 import inspect
+import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -28,6 +29,7 @@ from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from importlib import import_module, metadata
 from importlib.util import module_from_spec, spec_from_file_location
+from itertools import permutations
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -36,7 +38,7 @@ from pickenv.experiments.engine import Experiment, Rows
 from pickenv.intervals import LEAST, Estimate, estimate
 from pickenv.provenance import file_sha256
 from pickenv.texts import listed
-from pickenv.toml_tables import WHOLE, Check, made, toml_of, toml_table
+from pickenv.toml_tables import WHOLE, Check, Unit, made, toml_of, toml_table
 
 WORD = Check(lambda value: isinstance(value, str) and value != "", "a text")
 NAMES = Check(
@@ -47,9 +49,14 @@ LEVELS = Check(
     lambda value: isinstance(value, dict) and all(isinstance(each, int | list) for each in value.values()),
     "a table of names, each with a list of levels, or with a number for 0, 1, … below it",
 )
+STATISTICS = ("mean", "share", "ratio", "removed")
 STATISTIC = Check(
-    lambda value: value in ("mean", "share") or _is_named(value) or (isinstance(value, float) and 0.0 < value < 1.0),
-    'of as "mean", "share", a probability for that quantile over units, or "file.py:function" of the units\' means',
+    lambda value: (
+        value in ("mean", "share", "ratio", "removed")
+        or _is_named(value)
+        or (isinstance(value, float) and 0.0 < value < 1.0)
+    ),
+    f'one of {", ".join(STATISTICS)}, a probability for that quantile over units, or "file.py:function" of their means',
 )
 
 
@@ -69,13 +76,20 @@ class Number:
         value: The column that they are of; several for a function of them.
         by: Columns that name a number.
         over: One or two columns of units, which the intervals are over.
-        of: "mean", "share", a probability, or a function.
+        of: As `pickenv.intervals.estimate` takes it; a function is named.
         against: Levels that the others are compared with, pair by pair.
         where: Levels of the rows that count.
         across: The column of ``by`` whose levels stand side by side; all in lines when left out.
+        margin: Differences whose whole interval lies within it "carry over"; a verdict stands beside each where given.
         least: Fewest units for an interval of a mean, where they are runs whose means are nearly normal.
+        spread: Whether the standard deviation and the range of the units' means are shown beside each number.
         digits: After the point.
         scale: Factor on what is shown, such as 100 for percent.
+        exp: Whether what is shown is the exponential, of a function that gives a logarithm.
+        figure: Name of its figure; none when left out.
+        x: The column of ``by`` that lines are drawn along in the figure; whiskers when left out.
+        panels: The column of ``by`` whose levels have a panel each.
+        log: Whether the figure's axis of numbers is logarithmic.
     """
 
     _: KW_ONLY
@@ -88,8 +102,15 @@ class Number:
     where: Annotated[dict[str, Any], TABLE] | None = None
     across: Annotated[str, WORD] | None = None
     least: Annotated[int, WHOLE.at_least(2)] = LEAST
+    spread: bool = False
+    margin: Annotated[float, Unit().positive] | None = None
     digits: Annotated[int, WHOLE.within(0, 9)] = 2
     scale: float = 1.0
+    exp: bool = False
+    figure: Annotated[str, WORD] | None = None
+    x: Annotated[str, WORD] | None = None
+    panels: Annotated[str, WORD] | None = None
+    log: bool = False
 
 
 @toml_table
@@ -146,6 +167,8 @@ class ExperimentFile:
                 raise InputError(f"{self.path}: no column {error} for '{number.title}'; there are {columns}") from error
             except ValueError as error:
                 raise InputError(f"{self.path}: '{number.title}': {error}") from error
+            if number.exp:
+                made_of = [row | {"estimate": row["estimate"].exponential} for row in made_of]
             found.append({"title": number.title, "rows": made_of})
         return found
 
@@ -181,6 +204,9 @@ def load_experiment(
     functions = {word: _function(path, word) for word in named if word is not None}
     measure = functions[asked.measure]
     taken = inspect.signature(measure).parameters
+    seed = asked.seed if seed is None else seed
+    if "seed" in taken and not any("seed" in part for part in parts.values()):
+        parts["settings"]["seed"] = seed
     for name in ("rng", *parts["units"], *parts["factors"], *parts["settings"]):
         if name not in taken and not any(each.kind is each.VAR_KEYWORD for each in taken.values()):
             raise InputError(f"{path}: {asked.measure} takes no argument '{name}'; it takes {listed(taken)}")
@@ -189,7 +215,7 @@ def load_experiment(
         {name: _levels(value) for name, value in parts["units"].items()},
         {name: _levels(value) for name, value in parts["factors"].items()},
         partial(measure, **parts["settings"]) if parts["settings"] else measure,
-        asked.seed if seed is None else seed,
+        seed,
         (asked.measure, parts["settings"], [_origin(functions[word]) for word in sorted(functions)]),
         None if asked.fits is None else functions[asked.fits],
     )
@@ -205,10 +231,7 @@ def _function(path: Path, word: str) -> Callable[..., Any]:
     """The function that a file names."""
     place, name = word.split(":")
     try:
-        if place.endswith(".py"):
-            module = _beside(path.parent / place)
-        else:
-            module = import_module(place)
+        module = _beside(path.parent / place) if place.endswith(".py") else import_module(place)
         function = getattr(module, name)
     except (ImportError, OSError, AttributeError) as error:
         raise InputError(f"{path} names '{word}', which cannot be loaded: {error}; give {FUNCTION.wanted}") from error
@@ -252,32 +275,70 @@ def _origin(function: Callable[..., Any]) -> str:
 
 
 def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The tables of `ExperimentFile.estimates` as JSON has them: "value", "ci95" and "no_interval" in each row."""
+    """The tables of `ExperimentFile.estimates` as JSON has them: "value", "ci95", "no_interval", "std" and "range"."""
 
     def plain(row: Mapping[str, Any]) -> dict[str, Any]:
-        number: Estimate = row["estimate"]
-        levels = {name: value for name, value in row.items() if name != "estimate"}
-        return levels | {"value": number.value, "ci95": number.ends, "no_interval": number.missing}
+        number, units = row["estimate"], row["units"]
+        levels = {name: value for name, value in row.items() if name not in ("estimate", "units")}
+        levels |= {"value": number.value, "ci95": number.ends, "no_interval": number.missing}
+        if units is not None and len(units) > 1:
+            levels |= {"std": float(units.std(ddof=1)), "range": [float(units.min()), float(units.max())]}
+        return levels
 
     return [{"title": table["title"], "rows": [plain(row) for row in table["rows"]]} for table in tables]
 
 
+def held_by_seeds(by_seed: Sequence[Sequence[Mapping[str, Any]]]) -> list[tuple[str, int, int]]:
+    """How often the intervals of one seed hold the number of another, over all pairs of seeds.
+
+    Two estimates differ by sqrt(2) of what one varies by, so that about 83 % of 95 % intervals are due.
+
+    Args:
+        by_seed: The tables of `ExperimentFile.estimates` at each seed.
+
+    Returns:
+        For each table its title, how many intervals hold, and of how many.
+    """
+    counts = []
+    for tables in zip(*by_seed, strict=True):
+        held = tried = 0
+        for one, other in permutations(tables, 2):
+            numbers = {_levels_of(row): row["estimate"].value for row in other["rows"]}
+            for row in one["rows"]:
+                ends, value = row["estimate"].ci95, numbers.get(_levels_of(row))
+                if ends is not None and value is not None:
+                    low, high = (-math.inf if ends[0] is None else ends[0], math.inf if ends[1] is None else ends[1])
+                    held, tried = held + (low <= value <= high), tried + 1
+        counts.append((tables[0]["title"], held, tried))
+    return counts
+
+
+def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(value for name, value in row.items() if name not in ("estimate", "units"))
+
+
 def table_of(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Heads and cells of one table of numbers; levels of ``across`` stand side by side."""
+    form = f"{'+' if number.against and number.of != 'removed' else ''}.{number.digits}f"
 
     def said(found: Estimate) -> str:
-        sign = "+" if number.against else ""
-        text = f"{number.scale * found.value:{sign}.{number.digits}f}"
+        text = f"{number.scale * found.value:{form}}"
         if found.ci95 is None:
             return text
-        ends = ("open" if e is None else f"{number.scale * e:{sign}.{number.digits}f}" for e in found.ci95)
-        return f"{text} ({' to '.join(ends)})"
+        ends = ("open" if end is None else f"{number.scale * end:{form}}" for end in found.ci95)
+        verdict = "" if number.margin is None else f": {found.verdict(number.margin)}"
+        return f"{text} ({' to '.join(ends)}){verdict}"
 
     names = [name for name in number.by if name != number.across]
     if number.across is None:
-        return [*names, "95 % interval in brackets"], [
-            [*(str(row[name]) for name in names), said(row["estimate"])] for row in rows
-        ]
+        heads, cells = [*names, "number (95 % interval)"], []
+        for row in rows:
+            cells.append([*(str(row[name]) for name in names), said(row["estimate"])])
+            if number.spread and row["units"] is not None:
+                of_units = number.scale * row["units"]
+                deviation = of_units.std(ddof=1) if len(of_units) > 1 else 0.0
+                cells[-1] += [f"{deviation:{form}}", f"{of_units.min():{form}} to {of_units.max():{form}}"]
+        return [*heads, *(["standard deviation", "range"] if number.spread else [])], cells
     columns = list(dict.fromkeys(row[number.across] for row in rows))
     lines: dict[tuple[str, ...], dict[Any, str]] = {}
     for row in rows:

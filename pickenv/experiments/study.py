@@ -38,17 +38,17 @@ from pickenv.calibration.model.measurements import (
     random_joints,
     tracked,
 )
-from pickenv.calibration.residuals.residual_models import FITTERS
 from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.errors import InputError
 from pickenv.limits import LIMITS
+from pickenv.registry import names
 from pickenv.toml_tables import ONCE, SHARE, WHOLE, Check, Key, Unit, made, toml_of, toml_table
 
 VERSION = 3
 """Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""
 
 RAW, LS = "raw", "ls"
-METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in FITTERS))
+METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
 """No calibration; least squares; least squares and a learnt residual of that kind."""
 
 

@@ -121,11 +121,6 @@ def once(training: int, place: str, policy: str) -> bool:
     return policy != "scripted" or training == 0
 
 
-def per_hour(table: Array) -> float:
-    """Fruit per hour, of the means of fruit and hours of each canopy."""
-    return float(table[:, 0].sum() / table[:, 1].sum())
-
-
 def curves(rows: Rows) -> Any:
     """Fruit per held-out canopy on the way, a panel for each place that has a way, beside the script."""
     (place, *_) = rows.columns

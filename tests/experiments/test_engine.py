@@ -103,6 +103,39 @@ def test_another_code_makes_pieces_anew(tmp_path, monkeypatch):
     assert not set(first) & set(keep(experiment(), tmp_path))
 
 
+def sometimes(rng, arm, method):
+    """Nothing of the second arm's can be measured."""
+    if arm == 1:
+        raise InputError(f"arm {arm} does not move")
+    return measure(rng, arm, method)
+
+
+@pytest.mark.parametrize("backend", ["serial", "loky"])
+@pytest.mark.parametrize("kept", [True, False])
+def test_pieces_that_cannot_be_measured_have_no_rows_and_are_tried_again(backend, kept, tmp_path):
+    folder, said = tmp_path if kept else None, []
+    with pytest.raises(InputError, match="arm 1 does not move"):
+        run(experiment(measure=sometimes), folder, backend=backend, workers=2)
+    for _ in range(2):
+        rows = run(
+            experiment(measure=sometimes), folder, backend=backend, workers=2,
+            refused=lambda levels, error: said.append((levels["method"], levels["arm"], str(error))),
+        )  # fmt: skip
+        assert_same(rows, run(experiment()).where(arm=(0, 2)))
+    assert sorted(said[:2]) == sorted(said[2:]) == [(method, 1, "arm 1 does not move") for method in ("ls", "raw")]
+    assert not kept or all(reason is None for _, reason in check_experiment(tmp_path))
+    none = run(experiment(measure=sometimes, units={"arm": (1,)}), folder, refused=lambda *_: None)
+    assert len(none) == len(none.where(arm=1)) == 0 and none.levels("arm") == []
+
+
+def test_inputs_of_a_level_change_its_own_pieces_alone(tmp_path):
+    def inputs(changed):
+        return lambda arm, method: (method if method == changed else "as ever",)
+
+    first, second = (keep(experiment(inputs=inputs(changed)), tmp_path) for changed in ("", "ls"))
+    assert first[:3] == second[:3] and not set(first[3:]) & set(second[3:])
+
+
 def damaged(path, how):
     content = path.read_bytes()
     if how == "removed":

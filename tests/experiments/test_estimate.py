@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pickenv.experiments import Rows, estimate
-from pickenv.intervals import crossed_interval, mean_interval
+from pickenv.intervals import clustered_share_interval, crossed_interval, mean_interval
 
 ARMS, FRUIT = 12, 5
 
@@ -74,6 +74,18 @@ def test_a_function_of_several_columns_takes_one_row_per_arm():
     assert first["estimate"].value == pytest.approx(0.5)
 
 
+def test_shares_and_ratios_of_two_columns_weigh_units_by_what_they_tried():
+    rng = np.random.default_rng(0)
+    tried = rng.integers(5, 40, 14)
+    columns = {"arm": np.arange(14), "taken": rng.binomial(tried, 0.7), "tried": tried}
+    (share,) = estimate(columns, ("taken", "tried"), of="share")
+    (ratio,) = estimate(columns, ("taken", "tried"), of="ratio")
+    assert share["estimate"].value == ratio["estimate"].value == columns["taken"].sum() / tried.sum()
+    assert share["estimate"].ci95 == clustered_share_interval(columns["taken"], tried)
+    low, high = ratio["estimate"].ci95
+    assert low < ratio["estimate"].value < high
+
+
 def test_shares_and_quantiles_stay_within_what_can_be():
     columns, _ = errors()
     for row in estimate(columns, "taken", by=("method",), of="share"):
@@ -95,4 +107,6 @@ def test_arms_that_were_not_measured_alike_are_refused():
 
 def test_rows_of_an_experiment_are_columns():
     columns, _ = errors()
-    assert estimate(Rows(columns).columns, "error_mm") == estimate(columns, "error_mm")
+    (one,), (other,) = (estimate(some, "error_mm") for some in (Rows(columns).columns, columns))
+    assert one["estimate"] == other["estimate"]
+    assert one["units"].mean() == pytest.approx(one["estimate"].value)

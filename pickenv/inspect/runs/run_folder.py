@@ -70,7 +70,7 @@ KINDS: Mapping[str, RunKind] = {
     "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.agents.evaluation.grid_tables"),
     "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
     "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
-    "harvest": RunKind("python scripts/reproduce_li2016.py --out RUN", "pickenv.inspect.reports.harvest_report"),
+    "harvest": RunKind("python -m papers.li2016 --out RUN", "pickenv.inspect.reports.harvest_report"),
     "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.experiments.study_report"),
 }
 TakePicture: TypeAlias = Callable[[Path], bytes | None]

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_figures import grid_drawings
-from pickenv.bench.real_sets import SETS, learnable
 from pickenv.calibration import Choices, calibrate
 from pickenv.commands.calibrate import write_run
+from pickenv.experiments.robots import SETS, learnable
 from pickenv.experiments.study import load_study
 from pickenv.experiments.study_report import write_outputs
 from pickenv.experiments.study_rows import run_study
@@ -26,8 +26,8 @@ from pickenv.inspect.reports import report_svg
 from pickenv.inspect.reports.run_pages import drawings_of
 from pickenv.inspect.runs.run_folder import Run, read_run
 from tests.agents.synthetic import FRUIT, grid_of
+from tests.experiments.conftest import SMALL
 from tests.inspect.figures.test_figures import PLOTS
-from tests.study.conftest import SMALL
 
 CSS = Path(report_svg.__file__).parent / "templates/report.css"
 RAW, LS, GREY = "#e69f00", "#0072b2", "#96969e"
