@@ -61,7 +61,6 @@ ROOMS = {
     "pickenv.envs": "Environments",
     "pickenv.wrappers": "Wrappers",
     "pickenv.agents": "Policies, training, evaluation",
-    "pickenv.experiments": "Experiments",
     "pickenv.inspect": "Recordings, figures, reports",
     "pickenv.experiments": "Experiments and tolerance studies",
     "pickenv.orchard": "Fruit, canopy, camera, gripper",

@@ -122,7 +122,6 @@ def policies(
         leaderboard_tables,
         run_leaderboard,
     )
-    from pickenv.experiments.engine import spread
     from pickenv.extras import require
     from pickenv.inspect.runs.run_folder import listed_files
 

@@ -180,6 +180,7 @@ def evaluate(
     """
     from pickenv.agents.evaluation.compared_policies import kind_of
     from pickenv.experiments import policy_tables as tables
+    from pickenv.experiments.engine import write_rows
     from pickenv.experiments.methods import CalibrationPlan, residual_of
     from pickenv.experiments.policies import PolicySettings, run_policies
     from pickenv.extras import require
@@ -217,7 +218,7 @@ def evaluate(
     deliver(
         [
             (json_file, lambda path: write_json(path, content)),
-            (table, lambda path: tables.write_rows(path, content["rows"])),
+            (table, lambda path: write_rows(path, tables.flat_rows(content["rows"]))),
             (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
             (figures, lambda folder: write_drawings(tables.evaluation_drawings(rows), folder)),
         ],

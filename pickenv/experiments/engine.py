@@ -404,6 +404,11 @@ def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
     write_whole(path, lambda temporary: temporary.write_bytes(content))
 
 
+def read_piece(path: Path, key: str) -> Rows:
+    """The rows that `write_piece` wrote; raises `InputError` if the file is missing, damaged or another."""
+    return Rows.of_arrow(_piece_table(path, key))
+
+
 def _piece_table(path: Path, key: str) -> pa.Table:
     """The rows of one piece as a table.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,8 +21,7 @@ from pickenv.errors import InputError
 from pickenv.experiments.engine import Rows, read_piece, write_piece
 from pickenv.experiments.methods import CalibrationPlan
 from pickenv.experiments.policies import PolicySettings, population_seed, run_policies
-from pickenv.extras import require
-from pickenv.files import write_json, write_whole
+from pickenv.files import write_json
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
@@ -165,37 +163,18 @@ def with_interval(
     return f"{scale * value:.{digits}f}{unit}" + (f" ({words})" if words else "")
 
 
-# Files: CSV, Parquet, run folders.
+# Files: tables and run folders.
 
 
-def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
-    """Write an evaluation's table as .csv or .parquet, whole or not at all; intervals get columns of their own.
-
-    Raises:
-        InputError: If the suffix is another.
-    """
-    flat: list[dict[str, Any]] = [{} for _ in rows]
-    for line, (key, value) in ((line, cell) for line, row in zip(flat, rows, strict=True) for cell in row.items()):
-        if key.endswith("ci95"):
-            line[f"{key}_low"], line[f"{key}_high"] = value or (None, None)
-        else:
-            line[key] = " ".join(map(str, value)) if key == "seeds" else value
-    if path.suffix == ".csv":
-
-        def write(temporary: Path) -> None:
-            with temporary.open("w", newline="", encoding="utf-8") as file:
-                writer = csv.DictWriter(file, list(flat[0]) if flat else [])
-                writer.writeheader()
-                writer.writerows(flat)
-
-        return write_whole(path, write)
-    if path.suffix != ".parquet":
-        raise InputError(f"cannot write {path}: give a file name that ends in .csv or .parquet")
-    require("pyarrow")
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    return write_whole(path, lambda temporary: pq.write_table(pa.Table.from_pylist(flat), temporary))
+def flat_rows(rows: Sequence[Mapping[str, Any]]) -> Rows:
+    """An evaluation's table with intervals in columns of their own, for `pickenv.experiments.engine.write_rows`."""
+    lines = []
+    for row in rows:
+        ends = {key: value or (None, None) for key, value in row.items() if key.endswith("ci95")}
+        flat = {key: [(f"{key}_low", ends[key][0]), (f"{key}_high", ends[key][1])] for key in ends}
+        flat |= {"seeds": [("seeds", " ".join(map(str, row["seeds"])))]}
+        lines.append(dict(pair for key, value in row.items() for pair in flat.get(key, [(key, value)])))
+    return Rows.of(lines)
 
 
 def write_evaluation(settings: PolicySettings, rows: Rows, folder: Path) -> list[Path]:

@@ -134,6 +134,8 @@ def test_inputs_of_a_level_change_its_own_pieces_alone(tmp_path):
 
     first, second = (keep(experiment(inputs=inputs(changed)), tmp_path) for changed in ("", "ls"))
     assert first[:3] == second[:3] and not set(first[3:]) & set(second[3:])
+
+
 def longer(rng, arm, method):
     """As many steps as the arm's number; one method knows a word more."""
     return {"way_mm": np.full((2, arm), float(arm))} | ({"word": np.array(["some", "more"])} if method == "ls" else {})

@@ -26,15 +26,16 @@ from pickenv.experiments import (
     evaluation_rows,
     run_policies,
 )
+from pickenv.experiments.engine import write_rows
 from pickenv.experiments.methods import METHODS, compensators
 from pickenv.experiments.policies import reaches_in
 from pickenv.experiments.policy_tables import (
     cells_of,
     evaluation_content,
     evaluation_drawings,
+    flat_rows,
     read_episodes,
     write_evaluation,
-    write_rows,
 )
 from pickenv.inspect.figures.run_drawings import write_drawings
 from pickenv.inspect.runs.run_folder import read_run
@@ -261,7 +262,7 @@ def test_few_arms_and_few_trainings_have_numbers_but_no_interval(tmp_path):
         assert row["no_interval"].startswith(reason)
         assert line["ci95"] is None and line["significant"] is None
         assert f"none: {row['no_interval']}" in cells_of(row)
-        with write_rows(tmp_path / "rows.csv", [row]).open(encoding="utf-8") as file:
+        with write_rows(tmp_path / "rows.csv", flat_rows([row])).open(encoding="utf-8") as file:
             (flat,) = csv.DictReader(file)
         assert flat["ci95_low"] == flat["ci95_high"] == ""
         assert json.loads(json.dumps(row))["ci95"] is None
@@ -312,16 +313,16 @@ def test_the_command_says_every_setting(tmp_path):
 
 def test_rows_are_written_and_read(table, tmp_path):
     rows = table
-    with write_rows(tmp_path / "rows.csv", rows).open(encoding="utf-8") as file:
+    with write_rows(tmp_path / "rows.csv", flat_rows(rows)).open(encoding="utf-8") as file:
         read = list(csv.DictReader(file))
     assert [float(row["mean_mm"]) for row in read] == [row["mean_mm"] for row in rows]
     assert [float(row["ci95_high"]) for row in read] == [row["ci95"][1] for row in rows]
     assert {row["p95_arm_ci95_high"] for row in read} == {""}  # an open end
     parquet = pytest.importorskip("pyarrow.parquet")
-    written = parquet.read_table(write_rows(tmp_path / "rows.parquet", rows))
+    written = parquet.read_table(write_rows(tmp_path / "rows.parquet", flat_rows(rows)))
     assert written.column("mean_mm").to_pylist() == [row["mean_mm"] for row in rows]
     with pytest.raises(InputError, match=r"ends in \.csv or \.parquet"):
-        write_rows(tmp_path / "rows.xls", rows)
+        write_rows(tmp_path / "rows.xls", flat_rows(rows))
 
 
 def test_figures_are_drawn_from_the_run_folder_to_the_bit(episodes, tmp_path):
