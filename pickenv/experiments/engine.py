@@ -405,7 +405,7 @@ def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
 
 
 def read_piece(path: Path, key: str) -> Rows:
-    """The rows that `write_piece` wrote; raises `InputError` if the file is missing, damaged or another."""
+    """The rows of one piece, to the bit; raises `InputError` where its file is missing, damaged, or another piece's."""
     return Rows.of_arrow(_piece_table(path, key))
 
 
@@ -481,8 +481,8 @@ def _array_of(column: Any) -> NDArray[Any]:
     return values
 
 
-def write_rows(path: Path, rows: Rows) -> Path:
-    """Write rows as .csv or .parquet, whole or not at all.
+def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
+    """Write rows as .csv or .parquet, whole or not at all; None is an empty cell.
 
     Raises:
         InputError: If the suffix is another.
@@ -490,7 +490,9 @@ def write_rows(path: Path, rows: Rows) -> Path:
     if path.suffix not in (".csv", ".parquet"):
         raise InputError(f"cannot write {path}: give a file name that ends in .csv or .parquet")
     require("pandas", *(["pyarrow"] if path.suffix == ".parquet" else []))
-    table = rows.pandas()
+    import pandas as pd
+
+    table = rows.pandas() if isinstance(rows, Rows) else pd.DataFrame(list(rows), dtype=object)
     write = partial(table.to_csv, index=False) if path.suffix == ".csv" else partial(table.to_parquet, index=False)
     return write_whole(path, write)
 

@@ -163,18 +163,18 @@ def with_interval(
     return f"{scale * value:.{digits}f}{unit}" + (f" ({words})" if words else "")
 
 
-# Files: tables and run folders.
+# Files: CSV, Parquet, run folders.
 
 
-def flat_rows(rows: Sequence[Mapping[str, Any]]) -> Rows:
-    """An evaluation's table with intervals in columns of their own, for `pickenv.experiments.engine.write_rows`."""
-    lines = []
-    for row in rows:
-        ends = {key: value or (None, None) for key, value in row.items() if key.endswith("ci95")}
-        flat = {key: [(f"{key}_low", ends[key][0]), (f"{key}_high", ends[key][1])] for key in ends}
-        flat |= {"seeds": [("seeds", " ".join(map(str, row["seeds"])))]}
-        lines.append(dict(pair for key, value in row.items() for pair in flat.get(key, [(key, value)])))
-    return Rows.of(lines)
+def flat_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows of an evaluation's table with intervals and seeds in columns of their own."""
+    flat: list[dict[str, Any]] = [{} for _ in rows]
+    for line, (key, value) in ((line, cell) for line, row in zip(flat, rows, strict=True) for cell in row.items()):
+        if key.endswith("ci95"):
+            line[f"{key}_low"], line[f"{key}_high"] = value or (None, None)
+        else:
+            line[key] = " ".join(map(str, value)) if key == "seeds" else value
+    return flat
 
 
 def write_evaluation(settings: PolicySettings, rows: Rows, folder: Path) -> list[Path]:

@@ -64,12 +64,12 @@ def judged(name: str, policy: str, out: Path, compensations: tuple[str, ...]) ->
         grippers=("li_cup",),
     )
     rows = run_policies(settings, cache=out / "calibrations", backend="loky")
-    table = []
+    found = []
     for row in evaluation_rows(settings, rows):
-        cell = rows.where(compensation=row["compensation"])
-        by_seed = [float(cell.where(training=number)["error_mm"].mean()) for (number,) in cell.levels("training")]
-        table.append(row | {"by_seed": by_seed, "attitude_deg": float(cell["attitude_deg"].mean())})
-    return table
+        some = rows.where(compensation=row["compensation"])
+        by_seed = [float(some.where(training=number)["error_mm"].mean()) for (number,) in some.levels("training")]
+        found.append(row | {"by_seed": by_seed, "attitude_deg": float(some["attitude_deg"].mean())})
+    return found
 
 
 def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[str, Any]]) -> str:
