@@ -29,7 +29,7 @@ from pickenv.study.design.config import load_study
 from pickenv.study.running.run_study import run_study
 from pickenv.study.running.runners import Crew
 
-from pickenv.experiments.peers import last_words
+from pickenv.experiments.robots import last_words
 from pickenv.files import write_json, write_text
 
 SCRIPTS = Path(__file__).parent

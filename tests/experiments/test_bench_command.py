@@ -11,11 +11,23 @@ import pytest
 
 from pickenv.arm import Pose, rotation_matrix
 from pickenv.errors import InputError
-from pickenv.experiments import check_experiment, peers, robots
+from pickenv.experiments import check_experiment, robots
 from pickenv.experiments.gains import MEASURED, NOMINAL
-from pickenv.experiments.peers import PEERS, Peer, homogeneous, judged_peer, last_words, peer_python
 from pickenv.experiments.robot_tables import bench_json, blocked_json
-from pickenv.experiments.robots import BEFORE, GAINS, QUICK, ROWS, BenchSettings, run_bench
+from pickenv.experiments.robots import (
+    BEFORE,
+    GAINS,
+    PEERS,
+    QUICK,
+    ROWS,
+    BenchSettings,
+    Peer,
+    homogeneous,
+    judged_peer,
+    last_words,
+    peer_python,
+    run_bench,
+)
 
 KEYS = {
     *("robot", "split", "model", "nominal_mm", "held_out_mm", "published_mm"),
@@ -173,8 +185,8 @@ def test_a_peer_is_given_the_rows_and_answers_for_those_held_out(
         "answer['ours'] = [name for name in os.environ if name.startswith('PYTHON')]\n"
         "json.dump(answer, open(sys.argv[2], 'w'))\n"
     )
-    monkeypatch.setattr(peers, "WORKERS", workers)
-    monkeypatch.setattr(peers, "peer_python", lambda peer, folder, install: Path(sys.executable))
+    monkeypatch.setattr(robots, "WORKERS", workers)
+    monkeypatch.setattr(robots, "peer_python", lambda peer, folder, install: Path(sys.executable))
     found = judged_peer(Peer("none", "1", "it does nothing", poses=50), data_folder, tmp_path)
     assert found["n"] == {"joints": 50, "held_out_joints": 200, "random_joints": 20}
     assert found["at_home"] and found["ours"] == [] and found["note"] == "it does nothing; nor more"
