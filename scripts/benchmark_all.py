@@ -25,11 +25,10 @@ from typing import Annotated, Any
 
 import typer
 from measuring import JsonFile, NoPeers, figure, machine, machine_words, markdown_table
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
-from pickenv.study.running.runners import Crew
 
 from pickenv.experiments.robots import last_words
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_rows import run_study
 from pickenv.files import write_json, write_text
 
 SCRIPTS = Path(__file__).parent
@@ -85,11 +84,11 @@ def time_case(case: Case) -> dict[str, Any]:
         methods=(case.method,),
         poses=(POSES,),
     )
-    config, crew = replace(config, noise=config.noise[:1]), Crew(case.workers)
+    config, workers = replace(config, noise=config.noise[:1]), case.workers
     with tempfile.TemporaryDirectory() as folder:
-        run_study(replace(config, arms=4, chunk=2), Path(folder) / "warm", executor=case.executor, crew=crew)
+        run_study(replace(config, arms=4, chunk=2), Path(folder) / "warm", executor=case.executor, workers=workers)
         cpu = time.process_time()
-        summary = run_study(config, Path(folder) / "study", executor=case.executor, crew=crew)
+        summary = run_study(config, Path(folder) / "study", executor=case.executor, workers=workers)
         cpu = time.process_time() - cpu
     kib = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return asdict(case) | {

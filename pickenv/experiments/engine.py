@@ -16,6 +16,7 @@ import logging
 import os
 import re
 import secrets
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -554,6 +555,8 @@ def _working_on(backend: str, workers: int | None) -> Iterator[tuple[type[Except
             ray.shutdown()
 
 
+STARTS = 3
+"""How often a local cluster is started before the work is given up: Ray waits 30 s, which a busy machine may pass."""
 ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_AUTH_MODE": "token"}
 """Environment of a cluster of one's own: on loopback (on Linux, too, Ray takes it then), and with a token for work."""
 
@@ -563,6 +566,8 @@ def _joined_ray(workers: int | None) -> Any:
     require("ray")
     address, options = os.environ.get("RAY_ADDRESS"), dict[str, Any]()
     os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    if address is not None and ":" in address:
+        _check_answers(address)
     if address is None:
         os.environ.update(ALONE | {"RAY_AUTH_TOKEN": secrets.token_hex(32)})  # read as Ray is imported
         options = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
@@ -570,17 +575,33 @@ def _joined_ray(workers: int | None) -> Any:
     from ray.util.joblib import register_ray
 
     register_ray()  # type: ignore[no-untyped-call]
-    try:
-        if not ray.is_initialized():
-            ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
-    except Exception as error:  # Ray raises many kinds here, the bare one among them
-        ray.shutdown()
-        reason = (str(error).strip().splitlines() or [type(error).__name__])[0].partition(". ")[0].rstrip(".")
-        raise InputError(
-            f"Ray cannot be used at {address or 'this machine'}: {reason}; RAY_ADDRESS must name a cluster that runs "
-            "Ray and Python of these versions, RAY_AUTH_MODE must be as on it, and the machine not too busy"
-        ) from error
+    for again in reversed(range(STARTS if address is None else 1)):
+        try:
+            if not ray.is_initialized():
+                ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+            break
+        except Exception as error:  # Ray raises many kinds here, the bare one among them
+            ray.shutdown()
+            if again:
+                continue
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0].partition(". ")[0].rstrip(".")
+            raise InputError(
+                f"Ray cannot be used at {address or 'this machine'}: {reason}; RAY_ADDRESS must name a cluster of this "
+                "version of Ray and Python, RAY_AUTH_MODE must be as on it, and the machine not too busy"
+            ) from error
     return ray
+
+
+def _check_answers(address: str) -> None:
+    """Refuse an address where nothing answers; Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), 5.0).close()
+    except (OSError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"no Ray cluster answers at {address}: {error}; start one with `ray start --head`, or leave RAY_ADDRESS "
+            "out for one on this machine"
+        ) from error
 
 
 def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any]:

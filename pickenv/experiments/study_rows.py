@@ -192,9 +192,10 @@ def study_of(folder: str | Path) -> StudyConfig:
 
 def _chunks(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
     """The rows in order, a chunk at a time, each verified: memory does not grow with the number of arms."""
-    name, rows = _name(study_of(folder)), Path(folder) / ROWS
+    rows = Path(folder) / ROWS
     if not (rows / RECORD).is_file():
         raise InputError(f"{rows} holds no results; run `pickenv study` first")
+    name = _name(study_of(folder))
     for path, table in kept_tables(rows):
         if not path.name.startswith(f"{name}_"):
             raise InputError(f"{path} belongs to another study than {name}; take the rows away and run the study again")

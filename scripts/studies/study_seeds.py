@@ -25,10 +25,9 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from pickenv.experiments.study import StudyConfig, load_study
+from pickenv.experiments.study_rows import read_rows, run_study
 from pickenv.intervals import mean_interval
-from pickenv.study.design.config import StudyConfig, load_study
-from pickenv.study.results.study_folder import read_rows
-from pickenv.study.running.run_study import run_study
 
 AXES = ("it_grade", "poses")
 """Numbers whose order is compared."""

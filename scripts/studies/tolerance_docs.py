@@ -16,15 +16,14 @@ from typing import Any
 from study_seeds import agreement, in_groups, sentence, sentence_of_groups
 
 from pickenv.errors import InputError
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_figures import yield_curves
+from pickenv.experiments.study_findings import Findings, gather, setting_label, specified
+from pickenv.experiments.study_rows import read_summary
+from pickenv.experiments.study_variance import SAMPLES, sobol_of
 from pickenv.files import write_text
 from pickenv.inspect.figures.style import save_figure
 from pickenv.inspect.reports.report_words import estimated, percent
-from pickenv.study.analysis.sobol import SAMPLES, sobol_of
-from pickenv.study.analysis.study_drawings import Findings, gather
-from pickenv.study.analysis.study_figures import setting_label, yield_curves
-from pickenv.study.analysis.study_verdict import specified
-from pickenv.study.design.config import load_study
-from pickenv.study.results.study_folder import read_summary
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tolerance-studies.md"

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pickenv.study.design.config import load_study
 from typer.main import get_command
 
 from pickenv.arm import Geometry, Plant, Pose, forward, load_arm
@@ -23,6 +22,7 @@ from pickenv.arm.plant.named_plants import draw_arms
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration import Calibration
 from pickenv.cli import app
+from pickenv.experiments.study import load_study
 from tests.calibration.camera.conftest import render
 from tests.journeys.test_camera import BOARD, DIM, LENS, after, back, call, set_up, views_of
 

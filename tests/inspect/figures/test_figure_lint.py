@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from pickenv.study.analysis.study_report import write_outputs
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
 
 from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.evaluation.grid_figures import grid_drawings
 from pickenv.calibration import Choices, calibrate
 from pickenv.commands.calibrate import write_run
 from pickenv.experiments.robots import SETS, learnable
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_report import write_outputs
+from pickenv.experiments.study_rows import run_study
 from pickenv.inspect.figures import plot_calibration, style
 from pickenv.inspect.figures.figure_lint import contrast_of, figure_faults, linting
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
@@ -26,8 +26,8 @@ from pickenv.inspect.reports import report_svg
 from pickenv.inspect.reports.run_pages import drawings_of
 from pickenv.inspect.runs.run_folder import Run, read_run
 from tests.agents.synthetic import FRUIT, grid_of
+from tests.experiments.conftest import SMALL
 from tests.inspect.figures.test_figures import PLOTS
-from tests.study.conftest import SMALL
 
 CSS = Path(report_svg.__file__).parent / "templates/report.css"
 RAW, LS, GREY = "#e69f00", "#0072b2", "#96969e"

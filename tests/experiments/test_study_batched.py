@@ -6,18 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from pickenv.study.design.config import Noise, load_study
-from pickenv.study.design.protocol import prepared_study
-from pickenv.study.results.row_table import OK
-from pickenv.study.running.arm_by_arm import evaluate_arm, evaluate_chunk
-from pickenv.study.running.batched import evaluate_batch, judge_batch
-from pickenv.study.running.run_study import run_study
-from pickenv.study.running.runners import Crew
 
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.errors import InputError
-from pickenv.study.running import batched, batched_identification
+from pickenv.experiments import study_batched
+from pickenv.experiments.study import Noise, load_study, prepared_study
+from pickenv.experiments.study_arms import OK, evaluate_arm, evaluate_chunk
+from pickenv.experiments.study_batched import evaluate_batch, judge_batch
+from pickenv.experiments.study_rows import run_study
 
 AGREEMENT = 1e-9
 """Relative; what rounding leaves is about 1e-12."""
@@ -31,7 +28,7 @@ def compare(config, agreement=AGREEMENT):
     """Both executors' rows; they must agree. Returns the reference's."""
     protocol = prepared_study(config)
     for chunk in config.chunks():
-        one, other = evaluate_chunk(protocol, chunk), evaluate_batch(protocol, chunk)
+        one, other = evaluate_chunk(protocol, chunk).arrow(), evaluate_batch(protocol, chunk).arrow()
         assert one.schema == other.schema and one.num_rows == other.num_rows
         for name in one.column_names:
             expected, found = one[name].to_numpy(), other[name].to_numpy()
@@ -64,7 +61,7 @@ def test_ordinary_arms_are_finished_in_the_batch(study_file, monkeypatch):
     """Handing an arm over mends whatever the batch did wrong, at twenty times its cost; here none may need it."""
     protocol = prepared_study(load_study(study_file()))
     handed: list[object] = []
-    monkeypatch.setattr(batched, "evaluate_arm", lambda *given: handed.append(given) or evaluate_arm(*given))
+    monkeypatch.setattr(study_batched, "evaluate_arm", lambda *given: handed.append(given) or evaluate_arm(*given))
     for setting in protocol.settings:
         if setting.method == "ls":
             given = [protocol.circumstances(number) for number in range(8)]
@@ -81,7 +78,7 @@ def test_what_most_arms_identify_is_kept_and_who_they_are_is_known(rows):
     matrices = rng.normal(size=(7, rows, 6))
     matrices[:, :, 3] = matrices[:, :, 0] - 2.0 * matrices[:, :, 1]
     matrices[2, :, 3], matrices[2, :, 4] = rng.normal(size=rows), 3.0 * matrices[2, :, 1]
-    kept, usual = batched_identification._usual_parameters(torch.as_tensor(matrices))
+    kept, usual = study_batched._usual_parameters(torch.as_tensor(matrices))
     rank = [0, *(np.linalg.matrix_rank(matrices[0, :, : k + 1]) for k in range(6))]
     np.testing.assert_array_equal(kept, [k for k in range(6) if rank[k + 1] > rank[k]])
     np.testing.assert_array_equal(usual, np.arange(7) != 2)
@@ -96,7 +93,7 @@ def test_no_tracker_enters_where_none_errs(study_file, monkeypatch):
     arms = protocol.draw(setting, range(6))
     expected = judge_batch(protocol, setting, arms, perfect).position
     assert not np.allclose(judge_batch(protocol, setting, arms, given).position, expected, rtol=1e-6)
-    monkeypatch.setattr(batched_identification, "STEPS", 1)  # nobody converges: all are handed over
+    monkeypatch.setattr(study_batched, "STEPS", 1)  # nobody converges: all are handed over
     np.testing.assert_allclose(judge_batch(protocol, setting, arms, perfect).position, expected, rtol=AGREEMENT)
 
 
@@ -105,7 +102,7 @@ def test_arms_that_go_through_in_several_blocks_keep_their_order(study_file, mon
     setting, arms = protocol.settings[0], protocol.draw(protocol.settings[0], range(5))
     given = [protocol.circumstances(number) for number in range(5)]
     whole = judge_batch(protocol, setting, arms, given).position
-    monkeypatch.setattr(batched, "_block_size", lambda *_: 2)
+    monkeypatch.setattr(study_batched, "_block_size", lambda *_: 2)
     np.testing.assert_allclose(judge_batch(protocol, setting, arms, given).position, whole, rtol=AGREEMENT)
 
 
@@ -159,15 +156,15 @@ def test_arms_far_from_their_design_have_the_same_status(study_file, tmp_path, d
 
 def test_an_arm_is_handed_over_rather_than_left_unconverged(study_file, monkeypatch):
     """With two steps allowed no arm is finished in the batch, and all rows still agree."""
-    monkeypatch.setattr(batched_identification, "STEPS", 2)
+    monkeypatch.setattr(study_batched, "STEPS", 2)
     compare(replace(load_study(study_file()), arms=4, it_grades=(12,), poses=(20,), methods=("ls",)))
 
 
 def test_blocks_change_nothing_but_rounding(study_file, monkeypatch):
     protocol = prepared_study(replace(load_study(study_file()), chunk=12, it_grades=(12,)))
-    whole = evaluate_batch(protocol, 0)
-    monkeypatch.setitem(batched.BLOCKS, "cpu", 50)  # two arms at a time
-    parts = evaluate_batch(protocol, 0)
+    whole = evaluate_batch(protocol, 0).arrow()
+    monkeypatch.setitem(study_batched.BLOCKS, "cpu", 50)  # two arms at a time
+    parts = evaluate_batch(protocol, 0).arrow()
     assert parts.column_names == whole.column_names
     np.testing.assert_array_equal(parts["arm"], whole["arm"])
     np.testing.assert_allclose(parts["error_mean_mm"], whole["error_mean_mm"], rtol=AGREEMENT)
@@ -186,7 +183,7 @@ def test_what_the_batch_cannot_do_is_refused(study_file, tmp_path):
 def test_batches_in_several_processes_give_the_same_table(study_file, tmp_path):
     config = load_study(study_file())
     alone = run_study(config, tmp_path / "one", executor="batched")
-    shared = run_study(config, tmp_path / "two", executor="batched", crew=Crew(2))
+    shared = run_study(config, tmp_path / "two", executor="batched", workers=2)
     assert shared["table_sha256"] == alone["table_sha256"]
 
 
@@ -206,8 +203,8 @@ def peak_memory(study_file, out: Path, arms: int) -> float:
     code = f"""
 import resource, sys
 from pathlib import Path
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_rows import run_study
 run_study(load_study({str(path)!r}), Path({str(out)!r}), executor="batched")
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """

@@ -4,12 +4,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
-from pickenv.study.analysis.sensitivity import _interval, sensitivities_of, tolerance_kind
-from pickenv.study.analysis.sobol import sobol_indices
-from pickenv.study.results.quantiles import variance_indices
 from scipy import stats
 
 from pickenv.errors import InputError
+from pickenv.experiments.study_variance import (
+    _interval,
+    sensitivities_of,
+    sobol_indices,
+    tolerance_kind,
+    variance_indices,
+)
 
 
 def rows_of(columns, squared_error, arm=None):

@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from pickenv.study.design.config import load_study
-from pickenv.study.results.row_table import chunk_path
-from pickenv.study.results.study_folder import check_folder, missing_chunks, read_rows, study_at, study_of, table_sha256
-from pickenv.study.running.run_study import run_study
 
 from pickenv.errors import InputError
+from pickenv.experiments.engine import check_experiment
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_rows import check_folder, read_rows, run_study, study_of, table_sha256
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-c", "from pickenv.cli import main; main()", "study"]
@@ -33,7 +32,7 @@ def folder(tmp_path):
     return tmp_path / "out"
 
 
-def test_a_study_killed_half_way_ends_with_the_same_table(study_file, tmp_path):
+def test_a_study_killed_half_way_ends_with_the_same_table(study_file, tmp_path, chunk_file):
     changes = [("arms = 12", "arms = 16"), ("chunk = 5", "chunk = 1"), ("[8, 14]", "[12]"), ("[0.0, 0.5]", "[0.0]")]
     path = study_file(*changes, ("[12, 20]", "[20]"))
     config, folder = load_study(path), tmp_path / "killed"
@@ -42,15 +41,15 @@ def test_a_study_killed_half_way_ends_with_the_same_table(study_file, tmp_path):
         [*COMMAND, str(path), "--executor", "serial", "--no-report", "--out", str(folder)],
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, env=environment,
     ) as study:  # fmt: skip
-        while study.poll() is None and not chunk_path(folder, 2).exists():
+        while study.poll() is None and not chunk_file(folder, 2).exists():
             time.sleep(0.01)
         assert study.poll() is None, study.stderr.read()
         os.kill(study.pid, signal.SIGKILL)
-    left, damaged = missing_chunks(folder, study_at(folder))
-    assert 0 < len(left) < len(config.chunks()) and not damaged
+    kept = chunks_of(folder)
+    assert 0 < len(kept) < len(config.chunks())
     assert not (folder / "summary.json").exists()
     resumed = run_study(config, folder, executor="serial")
-    assert resumed["chunks_reused"] == len(config.chunks()) - len(left)
+    assert resumed["chunks_reused"] == len(kept)
     whole = run_study(config, tmp_path / "whole", executor="joblib")
     assert resumed["table_sha256"] == whole["table_sha256"]
     rows = read_rows(folder).to_table(columns=["arm", "setting"]).to_pylist()
@@ -78,7 +77,8 @@ def test_a_study_killed_again_and_again_at_any_moment_ends_with_the_same_table(s
         now = chunks_of(folder)
         assert now >= kept
         kept = now
-        assert missing_chunks(folder, study_at(folder))[1] == []
+        faults = {path.name: reason for path, reason in check_experiment(folder / "rows")}
+        assert all(faults[name] is None for name in kept)
     resumed = run_study(config, folder, executor="serial")
     assert resumed["chunks_reused"] >= len(kept)
     assert resumed["table_sha256"] == run_study(config, tmp_path / "whole", executor="serial")["table_sha256"]
@@ -86,12 +86,12 @@ def test_a_study_killed_again_and_again_at_any_moment_ends_with_the_same_table(s
 
 
 def chunks_of(folder: Path) -> set[str]:
-    return {path.name for path in (folder / "rows").glob("chunk-*.parquet")}
+    return {path.name for path in (folder / "rows").glob("study-*.parquet")}
 
 
 def test_a_finished_study_is_not_computed_again(config, folder):
     first = run_study(config, folder, executor="serial")
-    times = {path: path.stat().st_mtime_ns for path in (folder / "rows").iterdir()}
+    times = {path: path.stat().st_mtime_ns for path in (folder / "rows").glob("*.parquet")}
     done = []
     again = run_study(config, folder, executor="serial", progress=lambda *arms: done.append(arms))
     assert again["table_sha256"] == first["table_sha256"] and done == [(5, 5)]
@@ -122,12 +122,12 @@ def shortened(path: Path) -> None:
 
 
 @pytest.mark.parametrize("damage", [truncated, emptied, altered, shortened])
-def test_a_damaged_chunk_is_named_and_computed_again(config, folder, damage):
+def test_a_damaged_chunk_is_named_and_computed_again(config, folder, damage, chunk_file):
     first = run_study(config, folder, executor="serial")
-    damage(chunk_path(folder, 1))
-    said = []
+    path, said = chunk_file(folder, 1), []
+    damage(path)
     again = run_study(config, folder, executor="serial", warn=said.append)
-    assert len(said) == 1 and "chunk-00001.parquet is damaged" in said[0]
+    assert len(said) == 1 and f"{path} is damaged" in said[0]
     assert again["chunks_reused"] == len(config.chunks()) - 1
     assert again["table_sha256"] == first["table_sha256"]
 

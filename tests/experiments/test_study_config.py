@@ -6,11 +6,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from pickenv.study.design.config import Noise, load_study
 
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.errors import InputError
+from pickenv.experiments.study import Noise, load_study
 
 ROOT = Path(__file__).parents[2]
 

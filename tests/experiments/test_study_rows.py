@@ -4,22 +4,29 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pickenv.study.design.config import Noise, load_study
-from pickenv.study.design.protocol import carrying, prepared_study
-from pickenv.study.results.outcomes import NOT_FINITE, Outcomes, chunk_table, figures, reach_status
-from pickenv.study.results.row_table import FIGURES, OK
-from pickenv.study.running.arm_by_arm import evaluate_arm, evaluate_chunk
 
 from pickenv.arm import forward, load_plant, pose_error
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
 from pickenv.errors import InputError
+from pickenv.experiments.study import Noise, carrying, load_study, prepared_study
+from pickenv.experiments.study_arms import (
+    FIGURES,
+    NOT_FINITE,
+    OK,
+    Outcomes,
+    chunk_rows,
+    evaluate_arm,
+    evaluate_chunk,
+    figures,
+    reach_status,
+)
 
 
 def rows(config):
     """All rows of a study, as columns."""
     protocol = prepared_study(config)
-    tables = [evaluate_chunk(protocol, chunk) for chunk in config.chunks()]
+    tables = [evaluate_chunk(protocol, chunk).arrow() for chunk in config.chunks()]
     return {name: np.concatenate([table[name].to_numpy() for table in tables]) for name in tables[0].column_names}
 
 
@@ -281,7 +288,7 @@ def test_an_arm_without_a_finite_pose_is_not_judged_and_an_earlier_reason_stays(
     position = np.full((3, config.fruit), 5e-4)
     position[1:, 0] = np.nan
     outcomes = Outcomes(setting, (OK, OK, "lost"), (4, 4, 4), position, np.zeros_like(position))
-    table = chunk_table(protocol, arms, [(protocol.draw(setting, arms), [outcomes])])
+    table = chunk_rows(protocol, arms, [(protocol.draw(setting, arms), [outcomes])]).arrow()
     assert table["status"].to_pylist() == [OK, NOT_FINITE, "lost"]
     np.testing.assert_allclose(table["error_mean_mm"].to_numpy(), [0.5, np.nan, np.nan])
     np.testing.assert_allclose(table["share_within"].to_numpy(), [1.0, np.nan, np.nan])

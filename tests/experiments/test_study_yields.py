@@ -4,9 +4,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
-from pickenv.study.results.quantiles import yields_of
-from pickenv.study.results.row_table import SETTING
 
+from pickenv.experiments.study_rows import SETTING, yields_of
 from pickenv.intervals import share_interval
 
 REQUIRED = 0.95

@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pickenv.study.design.config import Noise, Setting
-from pickenv.study.results.outcomes import NOT_FINITE, Outcomes, _columns, figures, reach_status
-from pickenv.study.results.row_table import OK
+
+from pickenv.experiments.study import Noise, Setting
+from pickenv.experiments.study_arms import NOT_FINITE, OK, Outcomes, _columns, figures, reach_status
 
 
 def test_every_column_is_its_statistic_in_mm_and_degrees():
@@ -42,7 +42,7 @@ def test_only_arms_with_finite_errors_and_no_complaint_are_judged():
     position, attitude = np.full((4, 3), 1e-3), np.full((4, 3), 1e-3)
     position[1, 2], attitude[2, 0] = np.nan, np.inf
     outcomes = Outcomes(setting, [OK, OK, OK, "did not converge"], [3, 4, 5, 6], position, attitude)
-    columns = _columns(SimpleNamespace(config=SimpleNamespace(radius_mm=1.0)), range(10, 14), outcomes)
+    columns = _columns(range(10, 14), outcomes, 1.0)
     assert columns["status"].tolist() == [OK, NOT_FINITE, NOT_FINITE, "did not converge"]
     assert columns["arm"].tolist() == [10, 11, 12, 13] and columns["iterations"].tolist() == [3, 4, 5, 6]
     assert np.isfinite(columns["error_mean_mm"]).tolist() == [True, False, False, False]

@@ -11,25 +11,21 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pytest
-from pickenv.study.analysis.single_arms import place, ranked
-from pickenv.study.analysis.sobol import read_sobol, sobol_of, tolerance_groups, write_sobol
-from pickenv.study.analysis.study_drawings import gather, study_drawings
-from pickenv.study.analysis.study_recording import arms_compared, record_study
-from pickenv.study.analysis.study_report import _failures, page, study_page, write_outputs
-from pickenv.study.analysis.study_verdict import specified, study_verdict
-from pickenv.study.design.config import load_study
-from pickenv.study.design.protocol import prepared_study
-from pickenv.study.results.study_folder import read_rows, study_at, study_of, write_record
-from pickenv.study.running.run_study import run_study
 
 from pickenv.arm import forward, pose_error
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import random_columns
 from pickenv.errors import InputError
+from pickenv.experiments import study_findings
+from pickenv.experiments.study import load_study, prepared_study
+from pickenv.experiments.study_figures import study_drawings
+from pickenv.experiments.study_findings import gather, place, ranked, specified, study_verdict
+from pickenv.experiments.study_report import _failures, arms_compared, page, record_study, study_page, write_outputs
+from pickenv.experiments.study_rows import read_rows, read_sobol, run_study, study_of, write_record, write_sobol
+from pickenv.experiments.study_variance import sobol_of, tolerance_groups
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.run_folder import read_run
 from pickenv.intervals import share_interval
-from pickenv.study.analysis import single_arms
 
 STUDY = """
 plant = "qiao2026"
@@ -107,11 +103,11 @@ def test_the_page_is_whole_and_needs_nothing_from_outside(html):
 
 def test_the_verdict_comes_first_and_every_yield_is_in_the_table(html, found):
     text = Parsed(html).text
-    rows = found.yields.to_pylist()
+    rows = found.yields
     assert html.index('class="verdict') < html.index("<table")
     for row in rows:
         assert f"{100 * row['yield_low']:.1f} to {100 * row['yield_high']:.1f}" in text
-    assert study_verdict(found.config, rows).headline in text
+    assert study_verdict(found.protocol.config, rows).headline in text
 
 
 def test_the_page_names_seed_hashes_and_versions(html, folder):
@@ -134,29 +130,29 @@ def rows_with(within, arms=400, **changes):
 
 def test_the_verdict_names_the_least_demanding_way_that_suffices(found):
     rows = [rows_with(398), rows_with(396, it_grade=12, setting=1), rows_with(300, it_grade=14, setting=2)]
-    said = study_verdict(found.config, rows)
+    said = study_verdict(found.protocol.config, rows)
     assert said.tone == "good" and said.headline.startswith("IT12 (medium) and 30 poses")
-    assert "99.0 %" in said.text and specified(found.config) in said.text
+    assert "99.0 %" in said.text and specified(found.protocol.config) in said.text
 
 
 def test_a_way_must_suffice_at_every_payload_and_the_headline_names_it(found):
     rows = [rows_with(398), rows_with(200, payload_kg=0.25, setting=1)]
-    said = study_verdict(found.config, rows)
+    said = study_verdict(found.protocol.config, rows)
     assert said.tone == "bad" and said.headline.endswith("gives a yield of 95 %, carrying 0.25 kg")
     assert "50.0 %" in said.text and "Without payload the best is IT9 (medium)" in said.text and "99.5 %" in said.text
-    unloaded = study_verdict(found.config, rows[:1])
+    unloaded = study_verdict(found.protocol.config, rows[:1])
     assert unloaded.tone == "good" and "payload" not in unloaded.headline + unloaded.text
-    both = study_verdict(found.config, [rows_with(398), rows_with(396, payload_kg=0.25, setting=1)])
+    both = study_verdict(found.protocol.config, [rows_with(398), rows_with(396, payload_kg=0.25, setting=1)])
     assert both.headline.endswith("is enough for a yield of 95 % at every payload")
     assert "Without payload it is 99.5 %" in both.text and "carrying 0.25 kg" in both.text
 
 
 def test_too_few_arms_to_tell_is_said(found):
-    said = study_verdict(replace(found.config, arms=20), [rows_with(19, arms=20)])
+    said = study_verdict(replace(found.protocol.config, arms=20), [rows_with(19, arms=20)])
     assert said.tone == "care" and "too few arms to tell" in said.headline
     low, high = share_interval(10, 20)
     assert f"within about ± {50 * (high - low):.0f} points only" in said.text
-    assert "points only" not in study_verdict(found.config, [rows_with(398)]).text
+    assert "points only" not in study_verdict(found.protocol.config, [rows_with(398)]).text
 
 
 def test_the_page_says_what_the_differences_come_from(html, folder):
@@ -189,7 +185,7 @@ def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
     """Before calibration the drawn geometry explains most; after it, what least squares cannot identify."""
     kinds = {"angles", "lengths", "joint stiffness", "transmission error"}
     for table, chief in zip(found.sensitivities.values(), ("angles", "joint stiffness"), strict=True):
-        share = {row["parameter"]: row for row in table.to_pylist()}
+        share = {row["parameter"]: row for row in table}
         assert all(share[chief]["share_low"] > share[kind]["share_high"] for kind in kinds - {chief})
 
 
@@ -197,7 +193,7 @@ def test_each_share_of_the_page_is_named_for_what_it_is_of(folder, found):
     """Kinds of tolerance as a whole first, in order of size; then single parameters, the largest."""
     words = " ".join(re.sub(r"<[^>]+>", " ", study_page(folder, found)).split())
     for table in found.sensitivities.values():
-        every = table.to_pylist()
+        every = table
         for level, before in (("kind", "all "), ("parameter", "")):
             row = next(row for row in every if row["level"] == level)
             ends = f"{100 * row['share_low']:.1f} to {100 * row['share_high']:.1f}"
@@ -208,7 +204,7 @@ def test_each_share_of_the_page_is_named_for_what_it_is_of(folder, found):
 
 def test_arms_without_a_result_are_counted_by_reason(found):
     status = ["ok"] * 5 + ["too few poses"] * 2 + ["did not converge"] * 3
-    told = pa.table({"status": pa.array(status).dictionary_encode()})
+    told = pa.table({"status": status})
     (table,) = [_failures(replace(found, rows=ds.dataset(told)))]
     assert list(table.rows) == [("did not converge", "3"), ("too few poses", "2")]
     whole = _failures(replace(found, rows=ds.dataset(told.slice(0, 5))))
@@ -221,8 +217,8 @@ def test_an_arm_of_a_method_that_learns_is_placed_among_twenty(monkeypatch):
     for method, most in (("ls+bpnn", 20), ("ls", 1000), ("raw", 1000)):
         asked.clear()
         protocol = SimpleNamespace(config=SimpleNamespace(arms=5000), circumstances=asked.append)
-        monkeypatch.setattr(single_arms, "evaluate_arm", lambda *given: [None])
-        monkeypatch.setattr(single_arms, "gathered", lambda parts: SimpleNamespace(status=["lost"] * len(parts)))
+        monkeypatch.setattr(study_findings, "evaluate_arm", lambda *given: [None])
+        monkeypatch.setattr(study_findings, "gathered", lambda parts: SimpleNamespace(status=["lost"] * len(parts)))
         with pytest.raises(InputError, match="it has no place in setting 3: lost"):
             place(protocol, None, SimpleNamespace(method=method, number=3), None, "it")
         assert asked == list(range(most))
@@ -230,11 +226,11 @@ def test_an_arm_of_a_method_that_learns_is_placed_among_twenty(monkeypatch):
 
 def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
     """Beside each arm of the population, at that arm's own fruit."""
-    protocol, rows = prepared_study(found.config), read_rows(folder)
+    protocol, rows = prepared_study(found.protocol.config), read_rows(folder)
     setting = protocol.settings[4]  # the coarser grade, not the first of the table
     placement = place(protocol, rows, setting, protocol.design, "itself")
     own = []
-    for arm in range(found.config.arms):
+    for arm in range(found.protocol.config.arms):
         fruit = protocol.circumstances(arm).fruit
         tool = protocol.design.tool_pose(fruit).position
         own.append(1e3 * np.linalg.norm(tool - forward(protocol.nominal, fruit).position, axis=1).mean())
@@ -246,7 +242,7 @@ def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
 
 def test_a_bad_arm_stands_high_and_a_good_one_low_whatever_their_fruit(folder, found):
     """With eight fruit each the worst arm owes part of its rank to its fruit, and is not the worst everywhere."""
-    protocol, rows = prepared_study(found.config), read_rows(folder)
+    protocol, rows = prepared_study(found.protocol.config), read_rows(folder)
     places = ranked(rows, 0)
     worst, best = (
         place(
@@ -263,7 +259,7 @@ def test_a_bad_arm_stands_high_and_a_good_one_low_whatever_their_fruit(folder, f
 
 def test_an_arm_is_placed_among_the_first_arms_that_there_is_time_for(folder, monkeypatch):
     """Each arm is compared in its own circumstances: a raw arm's error is asked anew for every one of them."""
-    monkeypatch.setitem(single_arms.MOST, "raw", 6)
+    monkeypatch.setitem(study_findings.MOST, "raw", 6)
     rows, protocol = read_rows(folder), prepared_study(study_of(folder))
     arm = plant_at(protocol.draw(protocol.settings[0], range(40, 41)), 0)
     found = place(protocol, rows, protocol.settings[0], arm, "the fortieth")
@@ -293,7 +289,7 @@ def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):
 
 def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path):
     """Angles explain the raw arms, stiffness the calibrated ones, whichever way it is found."""
-    protocol, settings = prepared_study(found.config), list(found.sensitivities)
+    protocol, settings = prepared_study(found.protocol.config), list(found.sensitivities)
     path = write_sobol(folder, settings, 256)
     try:
         raw, calibrated = read_sobol(folder).values()
@@ -305,7 +301,7 @@ def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, fou
     for rows, number, chief in ((raw, settings[0], "angles"), (calibrated, settings[1], "joint stiffness")):
         total = {row["group"]: row for row in rows}
         assert max(total, key=lambda name: total[name]["total"]) == chief
-        (regressed,) = (row for row in found.sensitivities[number].to_pylist() if row["parameter"] == chief)
+        (regressed,) = (row for row in found.sensitivities[number] if row["parameter"] == chief)
         assert regressed["share_low"] < total[chief]["total_high"]
         assert all(row["total"] >= row["first_order"] for row in rows)
     assert "Sobol indices, medium, IT8, raw" in text and f"{100 * raw[0]['total']:.1f}" in text
@@ -314,19 +310,19 @@ def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, fou
 
 
 def test_groups_name_each_random_number_of_the_effects_that_are_on(found):
-    groups = tolerance_groups(prepared_study(found.config).design)
-    columns = random_columns(prepared_study(found.config).design)
+    groups = tolerance_groups(prepared_study(found.protocol.config).design)
+    columns = random_columns(prepared_study(found.protocol.config).design)
     used = ("geometry", "joint_stiffness", "flexural_rigidity", "lead", "transmission_error", "phase")
     assert sorted(i for group in groups.values() for i in group) == sorted(i for key in used for i in columns[key])
 
 
 def test_a_damaged_edited_or_foreign_file_of_indices_is_named(folder, tmp_path):
     (tmp_path / "study.toml").write_bytes((folder / "study.toml").read_bytes())
-    path, study = tmp_path / "sobol.json", study_at(folder)
+    path, sha256 = tmp_path / "sobol.json", study_of(folder).sha256()
     path.write_text("[1, 2", encoding="utf-8")
     with pytest.raises(InputError, match=r"sobol\.json is missing or damaged; .*with --sobol again"):
         read_sobol(tmp_path)
-    write_record(path, {"config_sha256": study.sha256, "indices": {"0": [{"total": 0.5}]}})
+    write_record(path, {"config_sha256": sha256, "indices": {"0": [{"total": 0.5}]}})
     assert read_sobol(tmp_path) == {0: [{"total": 0.5}]}
     path.write_text(path.read_text(encoding="utf-8").replace("0.5", "0.6"), encoding="utf-8")
     with pytest.raises(InputError, match=r"sobol\.json was edited or damaged after it was written"):

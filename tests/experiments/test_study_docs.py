@@ -7,11 +7,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from pickenv.study.running.run_study import BATCHED
-from pickenv.study.running.runners import EXECUTORS
 from typer.main import get_command
 
 from pickenv.cli import app
+from pickenv.experiments.study_rows import EXECUTORS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/tolerance-studies.md").read_text(encoding="utf-8")
@@ -28,10 +27,10 @@ def test_every_file_that_is_named_exists():
 
 def test_every_executor_and_option_is_named_and_exists():
     named = set(re.findall(r"^\| `(\w+)`(?: \(default\))? \|", PAGE, re.MULTILINE))
-    assert named == {*EXECUTORS, BATCHED}
+    assert named == set(EXECUTORS)
     options = {option for parameter in get_command(app).commands["study"].params for option in parameter.opts}
     used = set(re.findall(r"(?<![\w-])--[a-z]+", PAGE))
-    assert used <= options and {"--address", "--sobol", "--device"} <= used
+    assert used <= options and {"--sobol", "--device"} <= used
 
 
 @pytest.mark.slow

@@ -3,9 +3,9 @@
 import numpy as np
 import pyarrow.dataset as ds
 import pytest
-from pickenv.study.results.quantiles import PROBABILITIES, quantiles_of
-from pickenv.study.results.row_table import FIGURES
 
+from pickenv.experiments.study_arms import FIGURES
+from pickenv.experiments.study_rows import PROBABILITIES, quantiles_of
 from pickenv.intervals import quantile_interval
 
 
