@@ -67,7 +67,7 @@ class RealSet:
     published: float | None = None
     twinned: bool = False
 
-    def found(self, data: Path) -> tuple[list[Path], list[Path]]:
+    def paths(self, data: Path) -> tuple[list[Path], list[Path]]:
         """Files of the rows, and of the other poses.
 
         Raises:
@@ -88,7 +88,7 @@ class RealSet:
         arm = load_arm(self.arm.format(data))
         rows, poses = (
             read_observations(files, arm.nominal, self.columns).observations if files else None
-            for files in self.found(data)
+            for files in self.paths(data)
         )
         assert rows is not None
         return arm, rows, poses
@@ -142,14 +142,14 @@ def fold_errors(
     """Squared errors of the rows held out of one fold, by model: measured ("drawn" is 0), and of each arm drawn."""
     name, split = GAINS[row]
     arm, rows, _ = SETS[name].load(data)
-    chosen = learnable(arm, rows, settings.rows)
+    used = learnable(arm, rows, settings.rows)
     place = (list(SETS).index(name), SPLITS.index(split))
     shuffle, *seeds = np.random.SeedSequence(settings.seed, spawn_key=place).spawn(1 + settings.folds)
-    folds = folds_of(same_poses(chosen.joints), split, settings.folds, np.random.default_rng(shuffle))
-    arms, refused = judged_fold(arm, chosen, folds[fold], settings.draws, seeds[fold])
+    folds = folds_of(same_poses(used.joints), split, settings.folds, np.random.default_rng(shuffle))
+    arms, refused = judged_fold(arm, used, folds[fold], settings.draws, seeds[fold])
     columns = {"drawn": np.repeat(np.arange(len(arms)), len(folds[fold][1])), "at": np.tile(folds[fold][1], len(arms))}
     columns |= {model: np.concatenate([squares[model] for squares in arms]) for model in arms[0]}
-    counts = {"refused": refused, "rows": len(chosen), "rows_in_file": len(rows.joints)}
+    counts = {"refused": refused, "rows": len(used), "rows_in_file": len(rows.joints)}
     return columns | {count: np.full(len(columns["at"]), value) for count, value in counts.items()}
 
 
@@ -161,8 +161,8 @@ def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
     """
     if not isinstance(rows, Measurements):
         raise InputError(f"{rows.source} holds {rows.kind}: only of poses and positions a twin is made")
-    some = rows.select(equally_spaced(len(rows), most)) if len(rows) > most else rows
-    return checked_rows(arm, some, some.select(np.arange(0)), known=some.frames == "known", robust=True)[0]
+    few = rows.select(equally_spaced(len(rows), most)) if len(rows) > most else rows
+    return checked_rows(arm, few, few.select(np.arange(0)), known=few.frames == "known", robust=True)[0]
 
 
 def folds_of(
@@ -356,12 +356,12 @@ def peer_problem(task: PeerTask, start: Geometry, runs: int) -> dict[str, Any]:
     names = tuple(f"joint_{i + 1}" for i in range(start.joints))
     descriptions = [urdf_text(replace(arm, joint_names=names), "arm") for arm in (start, task.nominal)]
     rows = {"": task.train, "held_out_": task.held_out, "random_": task.random}
-    found: dict[str, Any] = {name: getattr(start, name).tolist() for name in ("alpha", "a", "theta", "d")}
-    found |= {"base": homogeneous(start.base), "tool": homogeneous(start.tool), "runs": runs}
-    found |= dict(zip(("urdf", "nominal_urdf"), descriptions, strict=True))
+    problem: dict[str, Any] = {name: getattr(start, name).tolist() for name in ("alpha", "a", "theta", "d")}
+    problem |= {"base": homogeneous(start.base), "tool": homogeneous(start.tool), "runs": runs}
+    problem |= dict(zip(("urdf", "nominal_urdf"), descriptions, strict=True))
     for prefix, part in rows.items():
-        found |= {f"{prefix}joints": part.joints.tolist(), f"{prefix}position": part.position.tolist()}
-    return found
+        problem |= {f"{prefix}joints": part.joints.tolist(), f"{prefix}position": part.position.tolist()}
+    return problem
 
 
 def homogeneous(pose: Pose) -> list[list[float]]:
@@ -411,9 +411,9 @@ def run_peer(
     """
     python = peer_python(peer, folder, install)
     with tempfile.TemporaryDirectory() as scratch:
-        given, answer = Path(scratch) / "problem.json", Path(scratch) / "result.json"
-        given.write_text(json.dumps(peer_problem(task, start, peer.runs)), encoding="utf-8")
-        command = [python, WORKERS / f"run_{peer.name}.py", given, answer]
+        problem, answer = Path(scratch) / "problem.json", Path(scratch) / "result.json"
+        problem.write_text(json.dumps(peer_problem(task, start, peer.runs)), encoding="utf-8")
+        command = [python, WORKERS / f"run_{peer.name}.py", problem, answer]
         clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
         try:
             ended = subprocess.run(command, capture_output=True, text=True, timeout=limit, cwd=scratch, env=clean)
@@ -520,7 +520,7 @@ def run_bench(
         if name not in ROWS:
             raise InputError(f"unknown row '{name}'; give some of {', '.join(ROWS)}")
         try:
-            _set_of(name).found(data)
+            _set_of(name).paths(data)
         except InputError as error:
             skipped[name] = str(error)
     if len(skipped) == len(rows):
@@ -548,7 +548,7 @@ def _set_of(row: str) -> RealSet:
 
 def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[Any, ...]:
     """What a row's figures depend on beside the code."""
-    files = [file_sha256(path) for paths in _set_of(row).found(data) for path in paths]
+    files = [file_sha256(path) for paths in _set_of(row).paths(data) for path in paths]
     return (settings, _set_of(row), SPREAD.get(row), files)
 
 
@@ -619,8 +619,7 @@ def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
         before: Sums that the step before leaves.
     """
     folds, draws = after.shape
-    every = 1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))
-    gain = float(every.mean())
+    gain = float(np.mean(1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))))
     if draws < 2:
         return gain, None
     from scipy.special import stdtrit
