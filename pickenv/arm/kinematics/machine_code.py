@@ -410,7 +410,8 @@ class _Body:
         if operation.name == "constant":
             return self._constant(operation)
         if operation.name == "input":
-            return self._load(*operation.detail, operation.kind)
+            array, row = operation.detail
+            return self._load(array, row, operation.kind)
         values = [self._values[i] for i in operation.operands]
         return self._computed(operation.name, self._operations[operation.operands[0]].kind, operation.kind, values)
 
