@@ -64,7 +64,7 @@ class Servo(Effect, place=MOTOR + 0.5):
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """Motors under way."""
         numbers = zip(memory, at.motor, self.time_constant, strict=True)
-        return tuple(target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers)
+        return tuple([target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers])
 
 
 # Links grow with temperature, L (1 + alpha dT), and the arm warms up over the first hours: dT' = (final - dT) / tau.

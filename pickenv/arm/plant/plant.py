@@ -9,7 +9,7 @@ that run on floats, arrays and tensors. Numbers may be arrays: one entry per arm
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
@@ -127,11 +127,11 @@ class Plant:
         It is the settled, history-free pose: where the tool ends when ``q`` is held for ever. Gaps that gravity does
         not close, and the friction band, are in their middle.
         """
-        return self._ended(*self._passage(m, q, lambda effect, at, _: effect.rest(at)))
+        return self._ended(*self._passage(m, q, "rest"))
 
     def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
         """State at rest at the command ``q``, just switched on: cold, and not yet sunk. See `advance`."""
-        return self._passage(m, q, lambda effect, at, _: effect.begin(at))[0]
+        return self._passage(m, q, "begin")[0]
 
     def advance(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> tuple[PlantState, Frame]:
         """Hold the joint command ``q`` for ``dt`` seconds.
@@ -148,28 +148,27 @@ class Plant:
         Returns:
             The new state, and the true tool frame at the end; with no effect that has a state, that is `tool_frame`.
         """
-        new, at = self._passage(m, q, lambda effect, at, i: effect.carry(at, state[i], dt))
+        new, at = self._passage(m, q, "carry", state, dt)
         return new, self._ended(new, at)
 
     def carried(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> PlantState:
         """The state of `advance`, where nobody asks for the tool."""
-        return self._passage(m, q, lambda effect, at, i: effect.carry(at, state[i], dt))[0]
+        return self._passage(m, q, "carry", state, dt)[0]
 
     def _passage(
-        self, m: ModuleType, q: Sequence[Scalar], remember: Callable[[Effect, Passage, int], Components]
+        self, m: ModuleType, q: Sequence[Scalar], how: str, state: PlantState = (), dt: Scalar = 0.0
     ) -> tuple[PlantState, Passage]:
-        """What the effects remember, and the command's passage up to the last effect that does."""
-        at, state = Passage(m, self.chain, self.load, q), list[Components]()
+        """What the effects remember (`Effect.carry`, ...), and the passage up to where the last that does will act."""
+        at, memories = Passage(m, self.chain, self.load, q), list[Components]()
         before, last, _ = self._stages
-        for effect in before:
+        for effect in (*before, *last):
             memory: Components = ()
             if effect.remembers:
-                memory = remember(effect, at, len(state))
-                state.append(memory)
-            effect.act(at, memory)
-        for effect in last:
-            state.append(remember(effect, at, len(state)))
-        return tuple(state), at
+                memory = effect.carry(at, state[len(memories)], dt) if how == "carry" else getattr(effect, how)(at)
+                memories.append(memory)
+            if effect is not last[0]:
+                effect.act(at, memory)
+        return tuple(memories), at
 
     def _ended(self, state: PlantState, at: Passage) -> Frame:
         """The tool at the end of a passage."""
