@@ -92,8 +92,8 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
         """Let a and d of every link grow, and what a slide has run out with its rack; angles stay."""
         factors = [1.0 + alpha * memory[0] for alpha in self.expansion]
         pairs = zip(at.chain.links, factors, strict=True)
-        links = tuple(link._replace(a=link.a * factor, d=link.d * factor) for link, factor in pairs)
-        at.chain = at.chain._replace(links=links)
+        links = [link._replace(a=link.a * factor, d=link.d * factor) for link, factor in pairs]
+        at.chain = at.chain._replace(links=tuple(links))
         numbers = zip(links, at.joints, factors, strict=True)
         at.joints = [value * factor if link.prismatic else value for link, value, factor in numbers]
 

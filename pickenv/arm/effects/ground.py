@@ -65,8 +65,8 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """What has crept by then."""
-        faded = exponential(at.m, -dt / self.time_constant)
-        return tuple(final + (part - final) * faded for final, part in zip(self.rest(at), memory, strict=True))
+        faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
+        return tuple([final + (part - final) * faded for final, part in pairs])
 
     def _tilt(self, at: Passage) -> tuple[Scalar, Scalar]:
         """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once."""
