@@ -28,9 +28,17 @@ KINDS = (
 SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         **dict.fromkeys(KINDS, ()),
+        "arm_format": ("pickenv.arm.files.load", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
+        "backend": ("pickenv.envs.reaching.vector",),
         "effect": tuple(
             f"pickenv.arm.effects.{name}" for name in ("structure", "hysteresis", "drives", "ground", "residual_field")
         ),
+        "exporter": ("pickenv.calibration.delivery.export",),
+        "gripper": ("pickenv.orchard.gripper",),
+        "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
+        "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),
+        "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
+        "report": ("pickenv.inspect.runs.run_folder",),
         "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
     }
 )
@@ -144,6 +152,23 @@ def origin(kind: str, name: str) -> Origin:
         return _origin_of_entry_point(offers[0])
     get(kind, name)
     return _entries[kind][name].origin
+
+
+def load_all(kind: str) -> dict[str, Any]:
+    """Everything of a kind by name; what another package cannot give is left aside with a warning."""
+    things = {}
+    for name in names(kind):
+        try:
+            things[name] = get(kind, name)
+        except InputError as error:
+            warnings.warn(str(error), stacklevel=2)
+    return things
+
+
+def packages() -> dict[str, str]:
+    """Name the packages of others of which something was taken, and their versions: results may depend on them."""
+    sources = [entry.origin for entries in _entries.values() for entry in entries.values()]
+    return {source.package: source.version for source in sources if source.package not in ("", "pickenv")}
 
 
 def _check_kind(kind: str) -> None:

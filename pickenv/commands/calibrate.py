@@ -33,7 +33,7 @@ def calibrate(
     arm: Annotated[
         str | None,
         typer.Option(
-            help="Arm name or file: .toml, .urdf#link, .xml#body (MJCF), UR .yaml; not for finished poses.",
+            help="Arm name, or file ({arm_format}; .urdf#link, .xml#body); not for finished poses.",
             show_default=False,
         ),
     ] = None,
