@@ -63,7 +63,7 @@ from pickenv.calibration.residuals.gate import GateReport, gate_residuals, posit
 from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS, require_residual
 from pickenv.errors import InputError
 
-GATE_ROWS = 1500
+GATE_ROWS = 3000
 """Residual models are judged on so many training rows at most, taken evenly."""
 
 ENOUGH_FOR_BLOCKS = 40
@@ -173,11 +173,11 @@ def calibrate(
     known = choices.frames == "known"
     train, floor = given_rows(arm, data, columns, stations, known=known)
     rng = rng or np.random.default_rng(choices.seed)
-    if train.views is not None and choices.lens is not None:
+    if choices.lens is not None and train.views is not None:
         train = with_lens(train.views, choices.lens)
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
-    few = train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
+    few = test is test_rows is None and train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
