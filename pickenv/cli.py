@@ -19,6 +19,7 @@ from pickenv.commands.check import check
 from pickenv.commands.comparing import SeveralValues, compare, film
 from pickenv.commands.conditions import conditions
 from pickenv.commands.examples import examples, pages_address
+from pickenv.commands.experiments import experiment
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
 from pickenv.commands.showing import WIDTH, CommandOfNames, print_table, progress_bars
@@ -156,6 +157,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         learning.datasets,
         compare,
         study,
+        experiment,
     ),
     "Look at what came out": (inspection.inspect, film, reports.figures, reports.report),
 }

@@ -45,7 +45,15 @@ FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
     (("pickenv.calibration",), ("pickenv.harvester",), ("pickenv.pictures",)),
     (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",), ("pickenv.zoo",)),
     (("pickenv.agents",),),
-    (("pickenv.cli", "pickenv.demo", "pickenv.commands", "pickenv.study", "pickenv.bench", "pickenv.__main__"),),
+    (
+        (
+            "pickenv.cli",
+            "pickenv.demo",
+            "pickenv.commands",
+            "pickenv.experiments",
+            "pickenv.__main__",
+        ),
+    ),
 )
 # Shelves of a room, from the bottom; those of one line stand side by side. A shelf imports from shelves below it only.
 SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -59,7 +67,6 @@ SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
     "pickenv.arm": (("kinematics",), ("files",), ("effects",), ("plant",)),
     "pickenv.envs": (("shared",), ("reaching",), ("picking", "harvesting")),
     "pickenv.inspect": (("runs",), ("figures",), ("recordings", "reports", "films")),
-    "pickenv.study": (("design",), ("results",), ("running",), ("analysis",)),
     "pickenv.agents": (("policies",), ("evaluation",), ("training",)),
 }
 BELOW = ("pickenv.errors", "pickenv.extras", *GROUND)
@@ -338,7 +345,7 @@ def test_what_only_tests_call_does_not_stand_in_the_house() -> None:
     used: Counter[str] = Counter()
     for path in modules(ROOT).values():
         used += words_of(path)
-    for path in (ROOT / "scripts").rglob("*.py"):
+    for path in (path for folder in ("scripts", "papers") for path in (ROOT / folder).rglob("*.py")):
         used += words_of(path)
     prose = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
     idle = [

@@ -168,6 +168,11 @@ class PixelObservations(OneGroup):
         return Stated(LENS_NAMES, self.camera.values, self.lens_std, SCALES)
 
     @property
+    def views(self) -> PixelObservations:
+        """Themselves."""
+        return self
+
+    @property
     def rows_of_misses(self) -> Rows:
         """One miss per corner found."""
         return np.nonzero(self.seen)[0]

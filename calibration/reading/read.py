@@ -83,9 +83,10 @@ def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path 
         InputError: Names the file, row, column or unit at fault.
     """
     rows = read_observations([path], geometry, columns).observations
-    if not isinstance(rows, Measurements):
+    poses: Measurements | None = rows.poses
+    if poses is None:
         raise InputError(f"{path}: holds {rows.kind}, not poses or positions; use read_observations")
-    return rows
+    return poses
 
 
 def read_observations(

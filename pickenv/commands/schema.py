@@ -30,6 +30,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.calibration.camera.boards import Board
     from pickenv.calibration.reading.description import description_file
     from pickenv.envs.harvesting.harvest_task import Rules
+    from pickenv.experiments.study import StudyConfig
     from pickenv.harvester.machine import MachineFile
     from pickenv.harvester.optimiser import Effort
     from pickenv.harvester.pick_point import Search
@@ -40,7 +41,6 @@ def kinds() -> dict[str, Any]:
     from pickenv.orchard.gripper import gripper_file
     from pickenv.orchard.occlusion import Station
     from pickenv.registry import load_all
-    from pickenv.study.design.config import StudyConfig
     from pickenv.toml_tables import toml_table
 
     return {

@@ -104,7 +104,7 @@ def harvest(tmp_path: Path) -> Run:
         curves=JointCurves(time, {"master d2": time}, ()),
         tree_count=12,
     )
-    with recorded_run(tmp_path / "harvest", "harvest", "python scripts/reproduce_li2016.py --quick", 2016) as run:
+    with recorded_run(tmp_path / "harvest", "harvest", "python -m papers.li2016 --quick", 2016) as run:
         save_part(run.folder, trace, 2016)
     return run
 

@@ -64,7 +64,7 @@ class Servo(Effect, place=MOTOR + 0.5):
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """Motors under way."""
         numbers = zip(memory, at.motor, self.time_constant, strict=True)
-        return tuple(target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers)
+        return tuple([target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers])
 
 
 # Links grow with temperature, L (1 + alpha dT), and the arm warms up over the first hours: dT' = (final - dT) / tau.
@@ -92,8 +92,8 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
         """Let a and d of every link grow, and what a slide has run out with its rack; angles stay."""
         factors = [1.0 + alpha * memory[0] for alpha in self.expansion]
         pairs = zip(at.chain.links, factors, strict=True)
-        links = tuple(link._replace(a=link.a * factor, d=link.d * factor) for link, factor in pairs)
-        at.chain = at.chain._replace(links=links)
+        links = [link._replace(a=link.a * factor, d=link.d * factor) for link, factor in pairs]
+        at.chain = at.chain._replace(links=tuple(links))
         numbers = zip(links, at.joints, factors, strict=True)
         at.joints = [value * factor if link.prismatic else value for link, value, factor in numbers]
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from types import ModuleType
-from typing import Annotated, Any, ClassVar, Self, cast
+from typing import Annotated, Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 from scipy.special import ndtri
@@ -51,6 +51,18 @@ class Load:
     payload: Annotated[Scalar, KG.not_negative] = 0.0
 
 
+class Loads(NamedTuple):
+    """What gravity does.
+
+    Attributes:
+        weights: What hangs on each link: itself and all behind it; last what the tool holds.
+        torques: Torques and forces on the joints, N*m or N.
+    """
+
+    weights: list[Weight]
+    torques: list[Scalar]
+
+
 class Passage:
     """A joint command on its way to the tool; the effects change it, one after the other.
 
@@ -66,14 +78,14 @@ class Passage:
         bends: What bends the links, asked for its `Effect.flexure` when all joints are known.
     """
 
+    __slots__ = ("_frame", "_loads", "bends", "chain", "cold", "command", "driven", "joints", "load", "m", "motor")
+
     def __init__(self, m: ModuleType, chain: Chain, load: Load | None, command: Sequence[Scalar]) -> None:
         self.m, self.command, self.load = m, command, load
         self.motor = self.driven = self.joints = command
         self.cold = self.chain = chain
         self.bends: list[Effect] = []
-        self._straight: list[Frame] | None = None
-        self._weights: list[Weight] | None = None
-        self._torques: list[Scalar] | None = None
+        self._loads: Loads | None = None
         self._frame: Frame | None = None
 
     def turn(self, motor: Sequence[Scalar]) -> None:
@@ -85,23 +97,13 @@ class Passage:
         self.driven = self.joints = driven
 
     @property
-    def weights(self) -> list[Weight]:
-        """What hangs on each link: itself and all behind it; last what the tool holds. It needs a load.
-
-        Loads are taken at the driven joints of the straight, cold arm: what is left out is of second order.
-        """
-        if self._weights is None:
-            self._straight = frames(self.m, self.cold, self.driven)
-            self._weights = weights_behind(self.cold, self._straight, cast(Load, self.load))
-        return self._weights
-
-    @property
-    def torques(self) -> list[Scalar]:
-        """Gravity's torques and forces on the joints, N*m or N. They need a load."""
-        if self._torques is None:
-            weights = self.weights
-            self._torques = weights_torques(self.cold, cast(list[Frame], self._straight), weights)
-        return self._torques
+    def loads(self) -> Loads:
+        """Loads at the driven joints of the straight, cold arm, which needs masses: the rest is of second order."""
+        if self._loads is None:
+            straight = frames(self.m, self.cold, self.driven)  # not kept: NumPy uses its memory again
+            weights = weights_behind(self.cold, straight, cast(Load, self.load))
+            self._loads = Loads(weights, weights_torques(self.cold, straight, weights))
+        return self._loads
 
     @property
     def frame(self) -> Frame:

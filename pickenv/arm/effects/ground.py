@@ -60,17 +60,18 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
 
     def rest(self, at: Passage) -> Components:
         """What creeps in the long run."""
-        return *(self.creep * tilt for tilt in self._tilt(at)), self.settlement
+        x, y = self._tilt(at)
+        return self.creep * x, self.creep * y, self.settlement
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """What has crept by then."""
-        faded = exponential(at.m, -dt / self.time_constant)
-        return tuple(final + (part - final) * faded for final, part in zip(self.rest(at), memory, strict=True))
+        faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
+        return tuple([final + (part - final) * faded for final, part in pairs])
 
     def _tilt(self, at: Passage) -> tuple[Scalar, Scalar]:
         """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once."""
         x0, y0, _ = self.pivot
-        mass, moment_x, moment_y = at.weights[0]
+        mass, moment_x, moment_y = at.loads.weights[0]
         about_x, about_y = self.stiffness
         return -GRAVITY * (moment_y - mass * y0) / about_x, GRAVITY * (moment_x - mass * x0) / about_y
 
@@ -110,7 +111,8 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
     def act(self, at: Passage, memory: Components) -> None:
         """Swing the joints."""
         if memory:
-            at.joints = [value + swing.vibration for value, swing in zip(at.joints, _swings(memory), strict=True)]
+            n = len(at.joints)
+            at.joints = [value + swing for value, swing in zip(at.joints, memory[n : 2 * n], strict=True)]
 
     def begin(self, at: Passage) -> Components:
         """Profiles of all joints, then vibrations, then rates: nothing swings."""
@@ -122,7 +124,9 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """How all swing then."""
-        return _components(swung(at.m, self, _swings(memory), at.command, dt))
+        n = len(at.command)
+        before = zip(memory[:n], memory[n : 2 * n], memory[2 * n :], strict=True)
+        return _components(swung(at.m, self, [Swing(*parts) for parts in before], at.command, dt))
 
     def drawn(self, draws: Draws) -> Settling:
         """Modes of which none is damped more than any structure."""
@@ -145,13 +149,9 @@ class Swing(NamedTuple):
     rate: Scalar
 
 
-def _swings(memory: Components) -> list[Swing]:
-    n = len(memory) // 3
-    return [Swing(*parts) for parts in zip(memory[:n], memory[n : 2 * n], memory[2 * n :], strict=True)]
-
-
 def _components(swings: Sequence[Swing]) -> Components:
-    return tuple(part for parts in zip(*swings, strict=True) for part in parts)
+    profiles, vibrations, rates = zip(*swings, strict=True)
+    return *profiles, *vibrations, *rates
 
 
 def at_rest(q: Sequence[Scalar]) -> list[Swing]:

@@ -51,7 +51,7 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """Joints that the motors have pushed along."""
-        behind, torques = [], at.torques if at.load else None
+        behind, torques = [], at.loads.torques if at.load else None
         for i, (entry, output, width, preload) in enumerate(
             zip(at.joints, memory, self.width, self.preload, strict=True)
         ):
@@ -89,12 +89,12 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
     def begin(self, at: Passage) -> Components:
         """Joints in the middle of their bands."""
         numbers = zip(at.joints, self.forward, self.backward, strict=True)
-        return tuple(entry + 0.5 * (backward - forward) for entry, forward, backward in numbers)
+        return tuple([entry + 0.5 * (backward - forward) for entry, forward, backward in numbers])
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """Joints that the motors have pulled along."""
         numbers = zip(at.joints, memory, self.forward, self.backward, strict=True)
-        return tuple(play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers)
+        return tuple([play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers])
 
 
 def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]]) -> StickBand:
@@ -148,14 +148,14 @@ class BoomCouple(Effect, place=BEND + 0.4, spreads={"flexural_rigidity": "flexur
 
     def flexure(self, at: Passage) -> Flexure:
         """Bend the boom under the part across it of the moment about its tip."""
-        length = at.joints[self.joint] + self.length
+        weights, length = at.loads.weights, at.joints[self.joint] + self.length
         turn = length / self.flexural_rigidity
 
         def bend(i: int, frame: Frame) -> Frame:
             if i != self.joint:
                 return frame
             zx, zy, zz, px, py, _ = frame[6:]
-            mx, my = moment_about(at.weights[i + 1], px, py)
+            mx, my = moment_about(weights[i + 1], px, py)
             along = mx * zx + my * zy
             wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
             return displaced_frame(at.m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
@@ -180,13 +180,13 @@ class BoomTorsion(Effect, place=BEND + 0.6, spreads={"torsional_rigidity": "flex
 
     def flexure(self, at: Passage) -> Flexure:
         """Twist the boom under the part along it of the moment about its tip."""
-        turn = (at.joints[self.joint] + self.length) / self.torsional_rigidity
+        weights, turn = at.loads.weights, (at.joints[self.joint] + self.length) / self.torsional_rigidity
 
         def twist(i: int, frame: Frame) -> Frame:
             if i != self.joint:
                 return frame
             zx, zy, zz, px, py, _ = frame[6:]
-            mx, my = moment_about(at.weights[i + 1], px, py)
+            mx, my = moment_about(weights[i + 1], px, py)
             angle = turn * (mx * zx + my * zy)
             return displaced_frame(at.m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
 
@@ -232,7 +232,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
 
     def flexure(self, at: Passage) -> Flexure:
         """Move and turn each slide in its bearings, under all that hangs on it."""
-        by_joint = {bearing.joint: bearing for bearing in self.bearings}
+        weights, by_joint = at.loads.weights, {bearing.joint: bearing for bearing in self.bearings}
 
         def give(i: int, frame: Frame) -> Frame:
             bearing = by_joint.get(i)
@@ -243,9 +243,9 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
             if bearing.overhang is not None:
                 span = span - at.joints[i]
                 arm = bearing.overhang + at.joints[i] + 0.5 * span
-            mx, my = moment_about(at.weights[i], px - arm * zx, py - arm * zy)
+            mx, my = moment_about(weights[i], px - arm * zx, py - arm * zy)
             turn = 2.0 / (bearing.stiffness * span * span)
-            sunk = GRAVITY * at.weights[i][0] / (2.0 * bearing.stiffness)
+            sunk = GRAVITY * weights[i][0] / (2.0 * bearing.stiffness)
             # Gravity across z is (zx zz, zy zz, zz^2 - 1).
             moved = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
             return displaced_frame(at.m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), moved))

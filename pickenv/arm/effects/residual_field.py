@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from pickenv.arm.effects.effect import DRIVE, TOOL, Components, Draws, Effect, Passage, standard_normal_of
 from pickenv.arm.effects.structure import Harmonic, with_waves
 from pickenv.arm.files.joint_keys import ByJoint, numbers_per_joint
+from pickenv.arm.kinematics.backend import outside
 from pickenv.arm.kinematics.forward import Frame, Scalar
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.arm.kinematics.tracing import outside
 from pickenv.errors import InputError
 from pickenv.registry import register
 from pickenv.toml_tables import ARCMIN, DEG, MM, NUMBER, WHOLE, Then, toml_table
@@ -124,7 +124,7 @@ def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[S
     if m.__name__ == "torch":
         return _tensor_outputs(m, field, q)
     given = features.inputs(m, q)
-    noted = outside(partial(_fill, field), given, features.outputs)
+    noted = outside(m, partial(_fill, field), given, features.outputs)
     if noted is not None:
         return list(noted)
     inputs = np.stack(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in given)))
@@ -135,14 +135,13 @@ def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[S
     ones = (1,) * (1 + len(shape) - inputs.ndim)  # one pose, many arms
     inputs = np.broadcast_to(inputs.reshape(len(inputs), *ones, *inputs.shape[1:]), (len(inputs), *shape))
     found = np.empty((features.outputs, *shape))
-    _fill(field, inputs, found, slice(None))
+    _fill(field, inputs, found)
     return list(found)
 
 
-def _fill(field: ResidualField, inputs: Array, found: Array, part: slice) -> None:
-    """Write outputs ``(O, ...)`` at inputs ``(F, ...)``, those of the arms ``part`` where each has its own weights."""
-    weight = field.weight if field.weight.ndim == 3 else field.weight[part]
-    weight = np.broadcast_to(weight, (found.shape[-1], *weight.shape[-3:]))
+def _fill(field: ResidualField, inputs: Array, found: Array) -> None:
+    """Write outputs ``(O, ...)`` at inputs ``(F, ...)``."""
+    weight = np.broadcast_to(field.weight, (found.shape[-1], *field.weight.shape[-3:]))
     for first in range(0, found.shape[-1], CHUNK):
         some = slice(first, first + CHUNK)
         found[..., some] = np.moveaxis(_weighed(field.features, inputs[..., some], weight[some]), -1, 0)

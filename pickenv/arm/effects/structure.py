@@ -29,7 +29,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
 
     def act(self, at: Passage, memory: Components) -> None:
         """Let the joints yield."""
-        numbers = zip(at.joints, at.torques, self.stiffness, strict=True)
+        numbers = zip(at.joints, at.loads.torques, self.stiffness, strict=True)
         at.joints = [value + torque / k for value, torque, k in numbers]
 
 

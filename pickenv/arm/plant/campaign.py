@@ -279,13 +279,13 @@ def measured_poses(plant: Plant, joints: Array, instrument: Instrument, draws: N
 GEOMETRY = "geometry"
 
 
-def rows_of(plant: Plant) -> tuple[str, ...]:
+def causes_of(plant: Plant) -> tuple[str, ...]:
     """The rows of a plant's table: its geometry, and its effects but for those that never move the arm."""
     return (GEOMETRY, *(name for name in plant.names if plant.effect(name).place < BESIDE))
 
 
 def alone(plant: Plant, *names: str) -> Plant:
-    """The plant with nothing but these of its `rows_of` on; without its geometry it has the nominal one."""
+    """The plant with nothing but these of its `causes_of` on; without its geometry it has the nominal one."""
     geometry = plant.geometry if GEOMETRY in names else plant.arm.nominal
     return replace(plant, geometry=geometry, effects=tuple(effect for effect in plant.effects if effect.name in names))
 
@@ -379,7 +379,7 @@ def effect_shares(
     joints = np.asarray(joints, dtype=float)
     if joints.ndim != 2 or len(joints) < 2:
         raise ValueError(f"joints have shape {joints.shape}; give at least two rows of joint commands")
-    on, believed = rows_of(plant), forward(plant.arm.nominal, joints).position
+    on, believed = causes_of(plant), forward(plant.arm.nominal, joints).position
 
     def share(*names: str) -> Share:
         return _share(_reached(alone(plant, *names), joints, running_time, pace) - believed)

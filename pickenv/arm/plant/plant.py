@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,6 +34,13 @@ class Ready(NamedTuple):
 
     geometry: Geometry
     chain: Chain
+
+
+_Step: TypeAlias = tuple[tuple[Callable[..., Components], ...], Callable[[Passage, Components], None]]
+"""What an effect has for its memory (`Effect.begin`, `rest`, `carry`; nothing where it has none), and its `Effect.act`:
+looked up once, for in steps of one arm that costs as much as they do."""
+
+BEGIN, REST, CARRY = range(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,12 +110,13 @@ class Plant:
         return replace(self, effects=tuple(effect for effect in self.effects if effect.name not in off))
 
     @cached_property
-    def _stages(self) -> tuple[tuple[Effect, ...], tuple[Effect, ...], tuple[Effect, ...]]:
+    def _steps(self) -> tuple[list[_Step], list[_Step], list[_Step]]:
         """The effects that act, in order: those before the last that remembers, that one, and those after it."""
         on_arm = [effect for effect in self.effects if effect.place < BESIDE]
-        acting = tuple(effect for effect in on_arm if self.load is not None or not effect.needs_load)
-        end = max((i for i, effect in enumerate(acting, 1) if effect.remembers), default=0)
-        return acting[: max(end - 1, 0)], acting[max(end - 1, 0) : end], acting[end:]
+        acting = [effect for effect in on_arm if self.load is not None or not effect.needs_load]
+        steps: list[_Step] = [((own.begin, own.rest, own.carry) if own.remembers else (), own.act) for own in acting]
+        end = max((i for i, (memory, _) in enumerate(steps, 1) if memory), default=0)
+        return steps[: max(end - 1, 0)], steps[max(end - 1, 0) : end], steps[end:]
 
     @cached_property
     def _motors(self) -> list[tuple[Effect, int]]:
@@ -119,7 +127,7 @@ class Plant:
     @cached_property
     def has_state(self) -> bool:
         """Whether where the tool stands depends on more than the present command."""
-        return bool(self._stages[1])
+        return bool(self._steps[1])
 
     def tool_frame(self, m: ModuleType, q: Sequence[Scalar]) -> Frame:
         """True tool frame in components, for the joint command ``q``; ``m`` is math, numpy or torch.
@@ -127,11 +135,11 @@ class Plant:
         It is the settled, history-free pose: where the tool ends when ``q`` is held for ever. Gaps that gravity does
         not close, and the friction band, are in their middle.
         """
-        return self._ended(*self._passage(m, q, lambda effect, at, _: effect.rest(at)))
+        return self._ended(*self._passage(m, q, REST))
 
     def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
         """State at rest at the command ``q``, just switched on: cold, and not yet sunk. See `advance`."""
-        return self._passage(m, q, lambda effect, at, _: effect.begin(at))[0]
+        return self._passage(m, q, BEGIN)[0]
 
     def advance(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> tuple[PlantState, Frame]:
         """Hold the joint command ``q`` for ``dt`` seconds.
@@ -148,36 +156,36 @@ class Plant:
         Returns:
             The new state, and the true tool frame at the end; with no effect that has a state, that is `tool_frame`.
         """
-        new, at = self._passage(m, q, lambda effect, at, i: effect.carry(at, state[i], dt))
+        new, at = self._passage(m, q, CARRY, state, dt)
         return new, self._ended(new, at)
 
     def carried(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> PlantState:
         """The state of `advance`, where nobody asks for the tool."""
-        return self._passage(m, q, lambda effect, at, i: effect.carry(at, state[i], dt))[0]
+        return self._passage(m, q, CARRY, state, dt)[0]
 
     def _passage(
-        self, m: ModuleType, q: Sequence[Scalar], remember: Callable[[Effect, Passage, int], Components]
+        self, m: ModuleType, q: Sequence[Scalar], how: int, state: PlantState = (), dt: Scalar = 0.0
     ) -> tuple[PlantState, Passage]:
-        """What the effects remember, and the command's passage up to the last effect that does."""
-        at, state = Passage(m, self.chain, self.load, q), list[Components]()
-        before, last, _ = self._stages
-        for effect in before:
+        """What the effects remember (`Effect.carry`, ...), and the passage up to where the last that does will act."""
+        at, memories = Passage(m, self.chain, self.load, q), list[Components]()
+        before, last, _ = self._steps
+        for ways, act in before:
             memory: Components = ()
-            if effect.remembers:
-                memory = remember(effect, at, len(state))
-                state.append(memory)
-            effect.act(at, memory)
-        for effect in last:
-            state.append(remember(effect, at, len(state)))
-        return tuple(state), at
+            if ways:
+                memory = ways[how](at, state[len(memories)], dt) if how == CARRY else ways[how](at)
+                memories.append(memory)
+            act(at, memory)
+        for ways, _ in last:
+            memories.append(ways[how](at, state[len(memories)], dt) if how == CARRY else ways[how](at))
+        return tuple(memories), at
 
     def _ended(self, state: PlantState, at: Passage) -> Frame:
         """The tool at the end of a passage."""
-        _, last, after = self._stages
-        for effect in last:
-            effect.act(at, state[-1])
-        for effect in after:
-            effect.act(at, ())
+        _, last, after = self._steps
+        for _, act in last:
+            act(at, state[-1])
+        for _, act in after:
+            act(at, ())
         return at.frame
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:

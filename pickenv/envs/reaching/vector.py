@@ -56,8 +56,8 @@ class ReachVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: An `AutoresetMode` or its name, see the table.
         executor: "numpy"; "compiled", the same on arrays with the step as machine code (0.1 s, once; half a second from
-            1024 environments on), with the same bits; "auto" (default): compiled where llvmlite is installed, of the
-            extra `pickenv[compiled]`; or "torch" for tensors in and out.
+            1024 environments on), up to roundings (1e-12); "auto" (default): compiled where llvmlite is installed, of
+            the extra `pickenv[compiled]`; or "torch" for tensors in and out.
         compiled: torch only: whether the step is compiled (half a minute, once) or run eagerly.
         device: torch only: "cpu", "cuda", "cuda:1".
         dtype: torch only: "float64" or "float32" (positions then hold to 1 um).

@@ -69,11 +69,11 @@ _KINDS: Mapping[str, RunKind] = {
     "demo": RunKind("pickenv demo --out RUN", "pickenv.inspect.reports.demo_report"),
     "calibration": RunKind("pickenv calibrate FILE --arm ARM --run RUN", "pickenv.inspect.reports.calibration_report"),
     "comparison": RunKind("pickenv compare POLICY POLICY --out RUN", "pickenv.inspect.reports.comparison_report"),
-    "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.agents.evaluation.grid_tables"),
+    "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.experiments.policy_tables"),
     "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
     "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
-    "harvest": RunKind("python scripts/reproduce_li2016.py --out RUN", "pickenv.inspect.reports.harvest_report"),
-    "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.study.analysis.study_report"),
+    "harvest": RunKind("python -m papers.li2016 --out RUN", "pickenv.inspect.reports.harvest_report"),
+    "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.experiments.study_report"),
 }
 for _name, _run_kind in _KINDS.items():
     register("report", _name)(lambda run_kind=_run_kind: run_kind)

@@ -8,6 +8,8 @@ from typing import Annotated
 import gymnasium as gym
 import numpy as np
 import pytest
+from pickenv.study.analysis.sobol import tolerance_groups
+from pickenv.study.design.config import deviations
 
 import pickenv
 from pickenv import registry
@@ -20,8 +22,6 @@ from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.commands.plants import effects as effects_command
 from pickenv.errors import InputError
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
-from pickenv.study.analysis.sobol import tolerance_groups
-from pickenv.study.design.config import deviations
 from pickenv.toml_tables import ARCMIN, MM, SECONDS, toml_table
 
 MEDIUM = load_tolerances("medium")

@@ -11,7 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at, rotation_matrix
-from pickenv.arm.effects.effect import GRAVITY, Load
+from pickenv.arm.effects.effect import GRAVITY, Load, Loads
 from pickenv.arm.effects.hysteresis import (
     Bearing,
     BoomCouple,
@@ -204,7 +204,7 @@ def test_a_boom_and_a_slide_of_any_attitude_yield_by_the_vectors_of_moment_and_w
     give = 2.0 / (5e5 * span**2) * moment(2, place - arm_length * z)
     sunk = GRAVITY * masses[2] / (2 * 5e5) * (z[2] * z - [0.0, 0.0, 1.0])
     slides = SlideCompliance((Bearing(2, 5e5, 1.1, 0.2),))
-    at = SimpleNamespace(m=math, weights=weights, joints=q)
+    at = SimpleNamespace(m=math, loads=Loads(weights, []), joints=q)
     for effect, turn, moved in (
         (BoomCouple(2, 0.5, 7e3), bend, np.cross(bend, length / 2 * z)),
         (BoomTorsion(2, 0.5, 9e3), length / 9e3 * along, np.zeros(3)),

@@ -30,7 +30,7 @@ def test_every_shipped_arm_runs_with_default_arguments(kind: str, arm: str) -> N
 
 @pytest.mark.parametrize("plant", ["ideal:panda", "coarse:ur5e", "medium:li2016_master"])
 def test_native_and_single_environments_are_equal_to_the_bit(plant: str) -> None:
-    many = gym.make_vec("pickenv/Reach-v0", num_envs=3, plant=plant)
+    many = gym.make_vec("pickenv/Reach-v0", num_envs=3, plant=plant, executor="numpy")
     singles = [gym.make("pickenv/Reach-v0", plant=plant, executor="numpy") for _ in range(3)]
     seen = many.reset(seed=4)[0]
     for i, env in enumerate(singles):

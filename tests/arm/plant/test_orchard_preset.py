@@ -9,7 +9,7 @@ import torch
 
 from pickenv.arm import forward, load_plant
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares, rows_of
+from pickenv.arm.plant.campaign import Pace, causes_of, draw_reaches, effect_shares
 from pickenv.arm.plant.plant_file import PLANTS, shipped_effects
 from pickenv.errors import InputError
 
@@ -160,7 +160,7 @@ def test_the_shares_are_of_the_size_that_the_field_reports(shares):
         "encoder": (0.0, 0.1),
         "servo": (0.0, 0.1),
     }
-    assert tuple(shares.alone) == tuple(shares.without) == rows_of(load_plant("orchard"))
+    assert tuple(shares.alone) == tuple(shares.without) == causes_of(load_plant("orchard"))
     assert set(shares.alone) == set(bands)
     for name, (low, high) in bands.items():
         assert low <= shares.alone[name].mean <= high, name
