@@ -16,6 +16,8 @@ from pickenv.registry import Origin, get, names, origin, register
 @pytest.fixture(autouse=True)
 def door(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """What a test registers or imports is forgotten afterwards."""
+    for kind in registry.KINDS:
+        names(kind)  # what ships registers itself once, when it is imported
     modules = set(sys.modules)
     monkeypatch.setattr(registry, "_entries", {kind: dict(entries) for kind, entries in registry._entries.items()})
     yield
