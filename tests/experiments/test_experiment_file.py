@@ -10,7 +10,7 @@ import pytest
 from pickenv.cli import app
 from pickenv.errors import InputError
 from pickenv.experiments import run
-from pickenv.experiments.experiment_file import load_experiment, plain_estimates, number_table
+from pickenv.experiments.experiment_file import load_experiment, number_table, plain_estimates
 
 ROOT = Path(__file__).parents[2]
 STUDIES = sorted(path for path in (ROOT / "scripts/studies").glob("*.toml"))

@@ -9,7 +9,7 @@ import torch
 
 from pickenv.arm import forward, load_plant
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares, causes_of
+from pickenv.arm.plant.campaign import Pace, causes_of, draw_reaches, effect_shares
 from pickenv.arm.plant.plant_file import PLANTS, shipped_effects
 from pickenv.errors import InputError
 
