@@ -154,6 +154,17 @@ def origin(kind: str, name: str) -> Origin:
     return _entries[kind][name].origin
 
 
+def registered_as(thing: Any) -> tuple[str, str] | None:
+    """Say by which kind and name a class or function is registered, or an installed package offers it; None if not."""
+    for kind, entries in _entries.items():
+        for name, entry in entries.items():
+            if entry.thing is thing:
+                return kind, name
+    place = f"{thing.__module__}:{thing.__qualname__}"
+    points = (point for point in _installed(tuple(sys.path)) if point.value == place)
+    return next(((point.group.removeprefix("pickenv."), point.name) for point in points), None)
+
+
 def load_all(kind: str) -> dict[str, Any]:
     """Everything of a kind by name; what another package cannot give is left aside with a warning."""
     things = {}

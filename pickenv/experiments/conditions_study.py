@@ -142,15 +142,15 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
     """What a tracker sees of the plant in these states, each pose reached from another, payload and heat recorded."""
     nominal, count = plant.arm.nominal, len(state.payload)
     joints, before = random_joints(nominal, count, rng), random_joints(nominal, count, rng)
-    there = under(plant, state)
-    at_rest = there.initial_state(np, split_joints(nominal.joints, before))
-    _, frame = there.advance(np, at_rest, split_joints(nominal.joints, joints), HELD)
+    machine = under(plant, state)
+    at_rest = machine.initial_state(np, split_joints(nominal.joints, before))
+    _, frame = machine.advance(np, at_rest, split_joints(nominal.joints, joints), HELD)
     spread = np.repeat([POSITION_STD, ATTITUDE_STD], 3) if plant.effect("measurement_noise") else np.zeros(6)
-    seen = displace_pose(pose_of(frame), rng.normal(size=(count, 6)) * spread)
+    pose = displace_pose(pose_of(frame), rng.normal(size=(count, 6)) * spread)
     return Measurements(
         joints,
-        seen.position,
-        seen.rotation,
+        pose.position,
+        pose.rotation,
         nominal.prismatic,
         source=f"simulated tracker on plant {plant.name}",
         conditions=Conditions(payload=state.payload, temperature=rises(plant, state)),
@@ -174,10 +174,10 @@ class Believed:
 
     def errors_mm(self, data: Measurements, state: State) -> Array:
         """What is left of the position at each pose ``(N,)``, mm."""
-        left = data.difference(self.model)[:, :3]
+        errors = data.difference(self.model)[:, :3]
         if self.learnt is not None:
-            left = left - self.learnt.predict(data.joints, told(data, state) if self.told else None)[:, :3]
-        return np.asarray(1e3 * np.linalg.norm(left, axis=1))
+            errors = errors - self.learnt.predict(data.joints, told(data, state) if self.told else None)[:, :3]
+        return np.asarray(1e3 * np.linalg.norm(errors, axis=1))
 
 
 def told(data: Measurements, state: State) -> Array:
@@ -198,8 +198,8 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
     knowing = identify_terms(terms, bare, varied, known=True).arm_model
 
     def learnt(believed: ArmModel, data: Measurements, inputs: Array | None = None) -> LearntResidual:
-        left = data.difference(believed)
-        return fit_residual(settings.residual, data.joints, left, data.prismatic, rng, conditions=inputs)
+        errors = data.difference(believed)
+        return fit_residual(settings.residual, data.joints, errors, data.prismatic, rng, conditions=inputs)
 
     inputs = told(varied, apart)
     return {

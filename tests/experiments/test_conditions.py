@@ -287,7 +287,7 @@ def test_an_interval_is_that_of_the_arms_means() -> None:
     [
         (["geometry_only"], "plant 'geometry_only' has no link masses, so a payload changes nothing; give --payload 0"),
         (["nowhere"], "nowhere"),
-        (["qiao2026", "--residual", "magic"], "unknown residual model 'magic'; give one of "),
+        (["qiao2026", "--residual", "magic"], "there is no residual 'magic'; give one of bpnn, rbf, gp"),
         (["qiao2026", "--weather", "1e9"], "--weather is 1000000000.0; give 0 to 60"),
         (["qiao2026", "--payload", "inf"], "--payload is inf; give 0 to 300"),
         (["nowhere.npz"], r"nowhere\.npz"),

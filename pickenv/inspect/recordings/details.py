@@ -18,7 +18,7 @@ import rerun as rr
 from pickenv.arm import forward, noncompensable_error
 from pickenv.arm.files.urdf import write_urdf
 from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.arm.plant.campaign import alone, rows_of
+from pickenv.arm.plant.campaign import alone, causes_of
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
 from pickenv.inspect.recordings.field_day import Day, day_of
 from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, send_voxels
@@ -154,7 +154,7 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
     plant, joints = comparison.plant, comparison.field_joints
     believed = forward(comparison.nominal, joints).position
     fields = {}
-    for name in rows_of(plant):
+    for name in causes_of(plant):
         field = alone(plant, name).tool_pose(joints).position - believed
         if np.abs(field).max(initial=0.0) > NO_FIELD:
             fields[name] = field

@@ -26,6 +26,7 @@ from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.orchard.gripper import CompliantHand, Cup
 
 # The links of an arm as capsules (rods with round ends), as the viewer wants them. Metres.
 
@@ -114,7 +115,7 @@ def save_numbers(path: str | Path, value: Any, *, seed: int | None = None) -> Pa
     """
     arrays: dict[str, np.ndarray] = {}
     sources: dict[str, Any] = {}
-    header = {"seed": seed, "content": _pack(value, arrays, sources)} | ({"effects": sources} if sources else {})
+    header = {"seed": seed, "content": _pack(value, arrays, sources)} | ({"others": sources} if sources else {})
     return write_container(path, type(value).__name__, header, arrays, version=FORMAT, compressed=True)
 
 
@@ -128,16 +129,16 @@ def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
 
     Raises:
         InputError: If the file is missing, damaged in any byte, of another kind, or of another version, or needs the
-            effect of a package that is not here; the message names the package.
+            effect or gripper of a package that is not here; the message names the package.
     """
     remake = f"`{made_by}` makes it anew"
     found = read_container(path, kind.__name__, remake=remake, version=FORMAT)
-    effects = [registry.get("effect", name) for name in shipped_effects()]
+    own = [registry.get("effect", name) for name in shipped_effects()] + [Cup, CompliantHand]
     try:
-        others = {name: registry.get("effect", name, **by) for name, by in found.header.get("effects", {}).items()}
+        others = {key: registry.get(*key.split(" "), **by) for key, by in found.header.get("others", {}).items()}
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    classes = _classes(kind, *effects, *others.values()) | {f"effect {name}": own for name, own in others.items()}
+    classes = _classes(kind, *own, *others.values()) | others
     with refusing_damage(path, f"a {kind.__name__} file", remake):
         content = _unpack(found.header["content"], found.arrays, {**classes, "Plant": _plant})
         if not isinstance(content, kind):
@@ -157,9 +158,10 @@ def _pack(value: Any, arrays: dict[str, np.ndarray], sources: dict[str, Any]) ->
     names = [field.name for field in fields(value)] if is_dataclass(value) else getattr(value, "_fields", None)
     if names is not None:
         kind = type(value).__name__
-        source = registry.origin("effect", value.name) if isinstance(value, Effect) else None
-        if source is not None and source.package != "pickenv":
-            kind, sources[value.name] = f"effect {value.name}", asdict(source)
+        registered = registry.registered_as(type(value))
+        if registered is not None and (source := registry.origin(*registered)).package != "pickenv":
+            kind = " ".join(registered)
+            sources[kind] = asdict(source)
         return {"class": kind, "fields": {name: _pack(getattr(value, name), arrays, sources) for name in names}}
     if isinstance(value, tuple | list):
         return {"tuple": [_pack(item, arrays, sources) for item in value]}
