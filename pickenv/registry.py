@@ -29,9 +29,16 @@ SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         **dict.fromkeys(KINDS, ()),
         "arm_format": ("pickenv.arm.files.load", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
+        "backend": ("pickenv.envs.reaching.vector",),
+        "effect": tuple(
+            f"pickenv.arm.effects.{name}" for name in ("structure", "hysteresis", "drives", "ground", "residual_field")
+        ),
         "exporter": ("pickenv.calibration.delivery.export",),
         "gripper": ("pickenv.orchard.gripper",),
+        "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
+        "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),
         "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
+        "report": ("pickenv.inspect.runs.run_folder",),
         "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
     }
 )
