@@ -158,7 +158,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         designs = dict(zip((settings.plant, FIELD), of_gains, strict=True))
         gains = blocked_gains(designs, joints, progress=report)
     comparison = _comparison(settings, plant, result, compensators, reaches)
-    lateral = [held.lateral_mm for held in gripped(comparison).values()]
+    lateral = [misses.lateral_mm for misses in gripped(comparison).values()]
     cases = {plant.name: pick_changes(lateral[0], lateral[-1])}
     cases[OTHER] = _other_case(settings, np.random.default_rng(of_case))
     test_errors = {key: _errors(plant, test.joints, compensator) for key, compensator in compensators.items()}
@@ -201,12 +201,12 @@ def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[PickCh
     (poses,) = random_sets(plant, (settings.identification_poses,), rng)
     compensator = fit(plant.arm, poses, known_frames=True).calibration.compensator(with_residual=False)
     joints = field_grid(nominal, settings.grid_step, settings.seed).joints
-    wanted = forward(nominal, joints)
+    target = forward(nominal, joints)
     lateral: list[Array] = []
     for command in (joints, compensator(joints)):
         true = plant.tool_pose(command)
         axis = true.rotation[..., 2]
-        lateral.append(1e3 * misalignment(wanted.position - true.position, axis, wanted.rotation[..., 2]).lateral)
+        lateral.append(1e3 * misalignment(target.position - true.position, axis, target.rotation[..., 2]).lateral)
     return pick_changes(lateral[0], lateral[1])
 
 

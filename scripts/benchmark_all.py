@@ -26,7 +26,7 @@ from typing import Annotated, Any
 import typer
 from measuring import JsonFile, NoPeers, figure, machine, machine_words, markdown_table
 
-from pickenv.experiments.peers import last_words
+from pickenv.experiments.robots import last_words
 from pickenv.experiments.study import load_study
 from pickenv.experiments.study_rows import run_study
 from pickenv.files import write_json, write_text

@@ -14,7 +14,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property, partial, reduce
+from operator import or_
 from types import ModuleType
 from typing import NamedTuple, Protocol
 
@@ -282,13 +283,26 @@ class Compensator:
             MissingExtra: If llvmlite is not installed.
         """
         require("llvmlite")
-        return self if self.single_precision else CompiledCompensator(self, count)
+        if self.single_precision:
+            return self
+        from pickenv.arm.kinematics.machine_code import FLAG, SYMBOLS, Compiled, Outputs, Trace
 
-    def noted(self, m: ModuleType, target: Sequence[Scalar]) -> list[Scalar]:
-        """Commands for targets, joint by joint: what is done with many of them, on a namespace that writes it down."""
-        limits = zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
-        found = zip(target, self._corrected(m, target), limits, strict=True)
-        return [clipped(m, q + (command - q), low, high) for q, command, (low, high) in found]
+        trace, limits = Trace(), zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
+        corrections = self._corrected(SYMBOLS, trace.inputs("targets", self.nominal.joints))
+        kept = [clipped(SYMBOLS, q, *limit) for q, limit in zip(corrections, limits, strict=True)]
+        doubts = reduce(or_, trace.exceptions, False)
+        code = Compiled(trace, [Outputs("commands", kept), Outputs("doubts", [doubts], FLAG)], count)
+
+        def run(joints: ArrayLike) -> Array:
+            joints = self.checked(joints)
+            targets = np.ascontiguousarray(joints.T)
+            commands, doubts = np.empty_like(targets), np.empty(len(joints), dtype=np.bool_)
+            code.run({"targets": targets, "commands": commands, "doubts": doubts}, len(joints))
+            if doubts.any():  # the few poses that need more than operations
+                commands[:, doubts] = self(joints[doubts]).T
+            return commands.T
+
+        return run
 
     def predict(self, joints: ArrayLike) -> Pose:
         """Where the real tool is expected at joint commands ``(..., n)``: identified pose plus residual."""
@@ -423,36 +437,3 @@ def _truncated_step(inverse: Array, error: Sequence[float], columns: Sequence[Se
     """`TruncatedSolver.solve` for one pose, given the truncated inverse of J^T J."""
     step: list[float] = (inverse @ (np.array(columns) @ error)).tolist()
     return step
-
-
-# A compensator as machine code, for a control loop over many arms: the commands of the plain one, up to roundings.
-
-
-class CompiledCompensator:
-    """Maps joint targets ``(N, n)`` to joint commands; the few poses that need more than operations go the plain way.
-
-    Args:
-        plain: The compensator.
-        count: For how many targets at once.
-    """
-
-    def __init__(self, plain: Compensator, count: int) -> None:
-        from pickenv.arm.kinematics.machine_code import FLAG, SYMBOLS, Compiled, Outputs, Trace
-
-        self._plain = plain
-        trace = Trace()
-        commands = plain.noted(SYMBOLS, trace.inputs("targets", plain.nominal.joints))
-        doubt = trace.exceptions[0] if trace.exceptions else False
-        for other in trace.exceptions[1:]:
-            doubt = doubt | other
-        self._code = Compiled(trace, [Outputs("commands", commands), Outputs("doubt", [doubt], FLAG)], count)
-
-    def __call__(self, joints: ArrayLike) -> Array:
-        """Joint commands ``(N, n)`` for joint targets ``(N, n)``, rad or m."""
-        joints = self._plain.checked(joints)
-        targets = np.ascontiguousarray(joints.T)
-        commands, doubt = np.empty_like(targets), np.empty(len(joints), dtype=np.bool_)
-        self._code.run({"targets": targets, "commands": commands, "doubt": doubt}, len(joints))
-        if doubt.any():
-            commands[:, doubt] = self._plain(joints[doubt]).T
-        return commands.T

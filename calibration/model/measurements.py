@@ -24,6 +24,7 @@ from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANC
 from pickenv.calibration.model.observations import Observations, OneGroup, Origins, Rows, hash_of, origins_of
 from pickenv.errors import InputError
 from pickenv.files import write_whole
+from pickenv.registry import register
 
 POSITION_STD = 15e-6
 """Standard uncertainty of a position when a file states none, m: a laser tracker at a few metres."""
@@ -41,6 +42,7 @@ FRAMES_COLUMN = "frames"
 """Column of our own CSV format that says so, in every row."""
 
 
+@register("observation", "tracked")
 @dataclass(frozen=True, eq=False)
 class Measurements(OneGroup):
     """A data set: N poses of an arm with n joints; the commonest of `Observations`.

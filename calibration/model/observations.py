@@ -362,7 +362,9 @@ class OneGroup:
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Of the same, by the model and by the unknowns."""
         numbers, free = self.numbers.whole(unknowns), self.numbers.free
-        by_arm, by_numbers = (part.reshape(-1, part.shape[-1]) for part in self.derivatives(model, numbers))
+        by_arm, by_numbers = self.derivatives(model, numbers)
+        by_arm = by_arm.reshape(-1, by_arm.shape[-1])
+        by_numbers = by_numbers.reshape(len(by_arm), -1)
         extra = np.concatenate([self.numbers.jacobian(), self.bonds(numbers)[1][:, free]])
         by_arm = np.concatenate([by_arm, np.zeros((len(extra), by_arm.shape[1]))])
         return by_arm, np.ascontiguousarray(np.concatenate([by_numbers[:, free], extra]))

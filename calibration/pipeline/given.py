@@ -21,6 +21,7 @@ from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_observations, read_targets
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.errors import InputError
+from pickenv.registry import names
 
 # What a calibration may be asked for, and what does not go with what was measured.
 
@@ -261,7 +262,8 @@ def _files(data: Measurements) -> list[Measurements]:
 def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
     """Refuse arrays that no file could have held."""
     if not hasattr(data, "joints"):
-        raise InputError(f"{type(data).__name__} are no measurements; give files, Measurements or other observations")
+        kinds = ", ".join(names("observation"))
+        raise InputError(f"{type(data).__name__} are no measurements; give files, or observations ({kinds})")
     shape, wanted = data.joints.shape, arm.nominal.joints
     if shape != (len(data.joints), wanted):
         raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {wanted} joints")

@@ -49,14 +49,14 @@ def conditions(
     judged = subject.endswith(".npz")
     folder = [] if out is None else [out / RECORD, out / CONDITIONS]
     separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
-    chosen = load_plant(plant if judged else subject)
-    fitted = Calibration.load(subject, chosen.arm) if judged else None
+    machine = load_plant(plant if judged else subject)
+    fitted = Calibration.load(subject, machine.arm) if judged else None
     if fitted is not None:
         obey(fitted.reservations(), allow or ())
     ranges = ConditionRanges(payload, weather, hours)
     settings = ConditionsSettings(ranges, arms, tolerances, sessions, poses, residual, seed)
     with progress_bars() as report:
-        result = conditions_study(chosen, settings, fitted, report)
+        result = conditions_study(machine, settings, fitted, report)
     options: dict[str, object] = {"payload": payload, "weather": weather, "hours": hours}
     options |= {"sessions": sessions, "poses": poses}
     options |= {"plant": plant} if judged else {"arms": arms, "tolerances": tolerances, "residual": residual}

@@ -157,7 +157,7 @@ def evaluate(
     feedback: Annotated[list[str] | None, typer.Option(help="encoders, camera; may be repeated.")] = None,
     plant: Annotated[list[str] | None, typer.Option(help="Plant preset; may be repeated.")] = None,
     gripper: Annotated[
-        list[str] | None, typer.Option(help="Gripper, by name or as a file of a {gripper}; may be repeated.")
+        list[str] | None, typer.Option(help="Gripper, by name or as a file of kind {gripper}; may be repeated.")
     ] = None,
     arms: Annotated[int, typer.Option(help="Arms drawn for each plant.", min=1)] = 64,
     episodes: Annotated[int, typer.Option(help="Fruits per arm.", min=1)] = 32,

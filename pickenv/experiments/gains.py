@@ -90,8 +90,8 @@ def random_sets(plant: Plant, counts: Sequence[int], rng: np.random.Generator) -
 
 def as_measured(plant: Plant, rows: Measurements, rng: np.random.Generator) -> Measurements:
     """What the instrument sees of an arm at the joints of these rows, with attitudes where they have any."""
-    seen = simulated_tracker(plant, rows.joints, rng)
-    return replace(rows, position=seen.position, rotation=None if rows.rotation is None else seen.rotation)
+    reading = simulated_tracker(plant, rows.joints, rng)
+    return replace(rows, position=reading.position, rotation=None if rows.rotation is None else reading.rotation)
 
 
 # Blocks of a grid of poses.
@@ -123,8 +123,8 @@ def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array
 
 def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurements, Measurements]:
     """Rows to fit and rows of two of ten contiguous blocks, which are held out."""
-    held = np.isin(np.arange(len(rows)) * BLOCKS // len(rows), pair)
-    return rows.select(np.flatnonzero(~held)), rows.select(np.flatnonzero(held))
+    judging = np.isin(np.arange(len(rows)) * BLOCKS // len(rows), pair)
+    return rows.select(np.flatnonzero(~judging)), rows.select(np.flatnonzero(judging))
 
 
 def left_of_blocks(

@@ -8,6 +8,12 @@ stream of its own, so that figures are the same whatever is run beside it. SI un
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,17 +22,25 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pickenv.arm import Arm, Array, draw_plants, load_arm, load_tolerances, plant_at
-from pickenv.calibration import Choices, Measurements, Result, calibrate
+import pickenv
+from pickenv.arm import Arm, Array, Geometry, Pose, draw_plants, load_arm, load_tolerances, plant_at
+from pickenv.arm.files.urdf import urdf_text
+from pickenv.calibration import Choices, Measurements, Result, align, calibrate, complete_model, frames_model, identify
 from pickenv.calibration.identification.diagnosis import checked_rows
-from pickenv.calibration.model.observations import BLOCKS, Observations, contiguous_folds, equally_spaced, same_poses
+from pickenv.calibration.model.observations import (
+    BLOCKS,
+    Observations,
+    contiguous_folds,
+    equally_spaced,
+    random_split,
+    same_poses,
+)
 from pickenv.calibration.model.observations import Rows as RowNumbers
 from pickenv.calibration.pipeline.fitting import GEOMETRIC
 from pickenv.calibration.reading.read import read_observations
 from pickenv.errors import InputError
 from pickenv.experiments.engine import Experiment, Progress, Rows, run
 from pickenv.experiments.gains import LEARNT, LS, NOMINAL, TERMS, Squares, as_measured, left_by_models
-from pickenv.experiments.peers import PEERS, judged_peer
 from pickenv.intervals import Ends, statistic_interval
 from pickenv.provenance import file_sha256
 
@@ -42,6 +56,7 @@ class RealSet:
         files: Rows, as a pattern below the folder of the data sets.
         poses: Rows of other poses to judge by, likewise; empty where there are none.
         published: What others published of these poses, or of the rows where there are no others, mean in mm.
+        twinned: Whether twins are made of it and residuals learnt: poses or positions, enough of them for five folds.
     """
 
     robot: str
@@ -50,8 +65,9 @@ class RealSet:
     files: str
     poses: str = ""
     published: float | None = None
+    twinned: bool = False
 
-    def found(self, data: Path) -> tuple[list[Path], list[Path]]:
+    def paths(self, data: Path) -> tuple[list[Path], list[Path]]:
         """Files of the rows, and of the other poses.
 
         Raises:
@@ -72,44 +88,21 @@ class RealSet:
         arm = load_arm(self.arm.format(data))
         rows, poses = (
             read_observations(files, arm.nominal, self.columns).observations if files else None
-            for files in self.found(data)
+            for files in self.paths(data)
         )
         assert rows is not None
         return arm, rows, poses
 
 
-JACOBI, LANDGRAF = "ur5_wam_jacobi2025/{}/*{}*cleaned.csv", "ur10_ipa_landgraf2021/Series_{}/measurements_{}.csv"
-GRIDS, POSES = ([JACOBI.format(arm, kind) for arm in ("UR5", "WAM")] for kind in ("grid", "random"))
-PLAIN, REPEATS = "ur10_landgraf2021", "ur10_landgraf2021_repeats"
-
-SETS = {
-    "ur5": RealSet("UR5", "ur5", "ur5_jacobi2025", GRIDS[0], POSES[0], 0.1549),
-    "wam": RealSet("WAM", "wam", "wam_jacobi2025", GRIDS[1], POSES[1], 2.92),
-    "ur10_a": RealSet("UR10, series A", "ur10", PLAIN, LANDGRAF.format("A", "grid")),
-    "ur10_b": RealSet("UR10, series B", "ur10", REPEATS, LANDGRAF.format("B", "joint_configurations")),
-    "ur10_c": RealSet("UR10, series C", "ur10", REPEATS, LANDGRAF.format("C", "random_poses")),
-    "ur10_d": RealSet("UR10, series D", "ur10", REPEATS, LANDGRAF.format("D", "iso_cubes")),
-    "panda": RealSet(
-        "Panda, balls in sockets",
-        "{}/mukca_sockets/urdf/panda.urdf#ball_link",
-        "mukca_sockets",
-        "mukca_sockets/data/panda_1/*/hole_*.csv",
-        published=0.347,
-    ),
-    "positioner": RealSet(
-        "two-axis positioner, camera", "positioner", "positioner_rct", "positioner_rct/*.yaml", published=1.74
-    ),
-}  # type: dict[str, RealSet]
+TABLES: dict[str, Any] = tomllib.loads(Path(__file__).with_name("robots.toml").read_text(encoding="utf-8"))
+SETS = {name: RealSet(**entry) for name, entry in TABLES["sets"].items()}
 """Every measured robot, by name."""
 
 
 # Folds of a set, and arms drawn from the twin of each.
 
-TWINNED = ("ur5", "wam", "ur10_a", "ur10_b", "ur10_c", "ur10_d", "positioner")
-"""Sets of poses or positions, enough of them for five folds: of these twins are made and residuals learnt."""
-
 SPLITS = ("random", "blocks")
-GAINS = {f"gain_{name}_{split}": (name, split) for name in TWINNED for split in SPLITS}
+GAINS = {f"gain_{name}_{split}": (name, split) for name in SETS if SETS[name].twinned for split in SPLITS}
 """Predicted beside measured gains: robot's set and split."""
 
 BEFORE = {LS: NOMINAL, TERMS: LS, **dict.fromkeys(LEARNT, LS)}
@@ -149,14 +142,14 @@ def fold_errors(
     """Squared errors of the rows held out of one fold, by model: measured ("drawn" is 0), and of each arm drawn."""
     name, split = GAINS[row]
     arm, rows, _ = SETS[name].load(data)
-    chosen = learnable(arm, rows, settings.rows)
+    used = learnable(arm, rows, settings.rows)
     place = (list(SETS).index(name), SPLITS.index(split))
     shuffle, *seeds = np.random.SeedSequence(settings.seed, spawn_key=place).spawn(1 + settings.folds)
-    folds = folds_of(same_poses(chosen.joints), split, settings.folds, np.random.default_rng(shuffle))
-    arms, refused = judged_fold(arm, chosen, folds[fold], settings.draws, seeds[fold])
+    folds = folds_of(same_poses(used.joints), split, settings.folds, np.random.default_rng(shuffle))
+    arms, refused = judged_fold(arm, used, folds[fold], settings.draws, seeds[fold])
     columns = {"drawn": np.repeat(np.arange(len(arms)), len(folds[fold][1])), "at": np.tile(folds[fold][1], len(arms))}
     columns |= {model: np.concatenate([squares[model] for squares in arms]) for model in arms[0]}
-    counts = {"refused": refused, "rows": len(chosen), "rows_in_file": len(rows.joints)}
+    counts = {"refused": refused, "rows": len(used), "rows_in_file": len(rows.joints)}
     return columns | {count: np.full(len(columns["at"]), value) for count, value in counts.items()}
 
 
@@ -168,8 +161,8 @@ def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
     """
     if not isinstance(rows, Measurements):
         raise InputError(f"{rows.source} holds {rows.kind}: only of poses and positions a twin is made")
-    some = rows.select(equally_spaced(len(rows), most)) if len(rows) > most else rows
-    return checked_rows(arm, some, some.select(np.arange(0)), known=some.frames == "known", robust=True)[0]
+    few = rows.select(equally_spaced(len(rows), most)) if len(rows) > most else rows
+    return checked_rows(arm, few, few.select(np.arange(0)), known=few.frames == "known", robust=True)[0]
 
 
 def folds_of(
@@ -217,8 +210,6 @@ def judged_fold(
 
 # Rows of the table of measured robots, each with its spread: over random splits, between blocks, or over other poses.
 
-How = Literal["random", "blocks", "poses"]
-
 
 @dataclass(frozen=True)
 class SpreadRow:
@@ -234,7 +225,7 @@ class SpreadRow:
     """
 
     name: str
-    how: How
+    how: Literal["random", "blocks", "poses"]
     terms: str = "none"
     residual: str = "none"
     statistic: Literal["rms", "mean"] = "rms"
@@ -251,24 +242,7 @@ class SpreadRow:
         return self.real.published if self.how == ("poses" if self.real.poses else "random") else None
 
 
-PLAIN_AND_BEST: tuple[tuple[How, str], ...] = (("random", "none"), ("blocks", "auto"))
-
-SPREAD = {
-    "ur5_random": SpreadRow("ur5", "random"),
-    "ur5_blocks": SpreadRow("ur5", "blocks", "auto", "auto"),
-    "ur5_poses": SpreadRow("ur5", "poses", "auto", "auto", "mean"),
-    "wam_blocks": SpreadRow("wam", "blocks", "auto"),
-    "wam_poses": SpreadRow("wam", "poses", "auto", "none", "mean", "the rule was settled with these poses in sight"),
-    **{
-        f"ur10_{letter}_{how}": SpreadRow(f"ur10_{letter}", how, terms)
-        for letter in "abcd"
-        for how, terms in PLAIN_AND_BEST
-    },
-    "panda_random": SpreadRow("panda", "random", "auto", "none", "mean"),
-    "panda_blocks": SpreadRow("panda", "blocks", "auto", "none", "mean"),
-    "positioner_random": SpreadRow("positioner", "random", "none", "none", "mean"),
-    "positioner_blocks": SpreadRow("positioner", "blocks", "auto", "none", "mean"),
-}  # type: dict[str, SpreadRow]
+SPREAD = {name: SpreadRow(**entry) for name, entry in TABLES["rows"].items()}
 """The rows by name, in the order of the table."""
 
 
@@ -305,18 +279,184 @@ def _stated(statistic: str, result: Result) -> Array:
     )
 
 
-# Peers.
+# Other people's calibrations of the UR5 on the same rows, each in its own process and Python environment: 800 positions
+# of a seeded shuffle for the fit, 200 held out, and the data set's own 20 random poses (Jacobi 2025). Base and tool are
+# fitted already for those that cannot do it. What drives each package lies in scripts/peers of a checkout.
 
-OURS = "pickenv"
+OURS, PEER_SET = "pickenv", "ur5"
+"""Our own name among them, and the set that they are judged on."""
+
+WORKERS = Path(pickenv.__file__).parents[1] / "scripts" / "peers"
+HELD_OUT = 200
+LIMIT = 900.0
+"""Seconds that one peer may take."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A package from PyPI.
+
+    Attributes:
+        name: Its name there.
+        version: The pinned version.
+        method: What it does, for the table.
+        poses: Poses that it is given, or None for all of the training rows.
+        runs: How often it is repeated.
+    """
+
+    name: str
+    version: str
+    method: str
+    poses: int | None = None
+    runs: int = 3
+
+
+PEERS = tuple(Peer(**entry) for entry in TABLES["peers"])
+
+
+@dataclass(frozen=True, eq=False)
+class PeerTask:
+    """The data of the comparison.
+
+    Attributes:
+        nominal: The arm as its maker describes it.
+        train: Rows for the fit.
+        held_out: Rows held out.
+        random: The data set's random poses.
+    """
+
+    nominal: Geometry
+    train: Measurements
+    held_out: Measurements
+    random: Measurements
+
+    def first(self, poses: int | None) -> PeerTask:
+        """The task with only the first ``poses`` training rows; all of them for None."""
+        return self if poses is None else replace(self, train=self.train.select(np.arange(poses)))
+
+
+def read_peer_task(data: Path, seed: int) -> PeerTask:
+    """Read the UR5 set and split it."""
+    arm, grid, random = SETS[PEER_SET].load(data)
+    assert isinstance(grid, Measurements) and isinstance(random, Measurements)
+    train, held_out = random_split(same_poses(grid.joints), HELD_OUT, np.random.default_rng(seed))
+    return PeerTask(arm.nominal, grid.select(train), grid.select(held_out), random)
+
+
+def accuracy_on(geometry: Geometry, task: PeerTask) -> dict[str, float]:
+    """Errors on the rows that the fit has not seen, mm."""
+    held_out, random = (
+        np.linalg.norm(rows.difference(geometry), axis=1) * 1e3 for rows in (task.held_out, task.random)
+    )
+    return {"held_out_rms_mm": float(np.sqrt(np.mean(held_out**2))), "random_poses_mean_mm": float(np.mean(random))}
+
+
+def peer_problem(task: PeerTask, start: Geometry, runs: int) -> dict[str, Any]:
+    """What a worker reads; see scripts/peers/problem.py."""
+    names = tuple(f"joint_{i + 1}" for i in range(start.joints))
+    descriptions = [urdf_text(replace(arm, joint_names=names), "arm") for arm in (start, task.nominal)]
+    rows = {"": task.train, "held_out_": task.held_out, "random_": task.random}
+    problem: dict[str, Any] = {name: getattr(start, name).tolist() for name in ("alpha", "a", "theta", "d")}
+    problem |= {"base": homogeneous(start.base), "tool": homogeneous(start.tool), "runs": runs}
+    problem |= dict(zip(("urdf", "nominal_urdf"), descriptions, strict=True))
+    for prefix, part in rows.items():
+        problem |= {f"{prefix}joints": part.joints.tolist(), f"{prefix}position": part.position.tolist()}
+    return problem
+
+
+def homogeneous(pose: Pose) -> list[list[float]]:
+    """A pose as a homogeneous matrix."""
+    upper = np.concatenate([pose.rotation, pose.position[:, None]], axis=1)
+    return [*upper.tolist(), [0.0, 0.0, 0.0, 1.0]]
+
+
+def peer_python(peer: Peer, folder: Path, install: bool) -> Path:
+    """The Python of the peer's own environment, made when it is not there yet and ``install`` says so.
+
+    Raises:
+        InputError: If it is not there, or cannot be made, with the installer's last words.
+    """
+    home = folder.resolve() / f"{peer.name}-{peer.version}"
+    python = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+    done = home / "installed"
+    if done.is_file():
+        return python
+    if not install:
+        how = "python scripts/benchmark_calibration.py installs it there"
+        raise InputError(f"{peer.name} {peer.version} is not installed in {folder}; {how}")
+    pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"{peer.name}=={peer.version}"]
+    for command in ([sys.executable, "-m", "venv", "--clear", str(home)], [str(python), *pip]):
+        ended = subprocess.run(command, capture_output=True, text=True)
+        if ended.returncode:
+            raise InputError(f"cannot be installed: {last_words(ended.stderr or ended.stdout)}")
+    done.touch()
+    return python
+
+
+def run_peer(
+    peer: Peer, task: PeerTask, start: Geometry, folder: Path, *, limit: float = LIMIT, install: bool = False
+) -> dict[str, Any]:
+    """Run a peer in its own process.
+
+    Args:
+        peer: The peer.
+        task: The rows; it is given as many as it can take.
+        start: The arm with base and tool fitted.
+        folder: Where the peers' environments are kept.
+        limit: Seconds that it may take.
+        install: Whether it is installed there when it is not yet.
+
+    Raises:
+        InputError: If it cannot be installed, fails, or takes longer than ``limit`` seconds.
+    """
+    python = peer_python(peer, folder, install)
+    with tempfile.TemporaryDirectory() as scratch:
+        problem, answer = Path(scratch) / "problem.json", Path(scratch) / "result.json"
+        problem.write_text(json.dumps(peer_problem(task, start, peer.runs)), encoding="utf-8")
+        command = [python, WORKERS / f"run_{peer.name}.py", problem, answer]
+        clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+        try:
+            ended = subprocess.run(command, capture_output=True, text=True, timeout=limit, cwd=scratch, env=clean)
+        except subprocess.TimeoutExpired:
+            raise InputError(f"not done after {limit:g} s") from None
+        if ended.returncode or not answer.is_file():
+            raise InputError(f"failed: {last_words(ended.stderr)}")
+        result: dict[str, Any] = json.loads(answer.read_text(encoding="utf-8"))
+    remark = result.pop("remark")
+    return result | {"version": peer.version, "note": peer.method + (f"; {remark}" if remark else "")}
+
+
+def last_words(text: str) -> str:
+    """The last line that says something."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    errors = [line for line in lines if "error" in line.lower()]
+    return (errors or lines or ["without a word"])[-1]
+
+
+def judged_peer(peer: Peer | None, data: Path, folder: Path) -> dict[str, Any]:
+    """Errors of a peer, or of our own least squares where it is None, on the same rows, mm.
+
+    "nominal" are those with base and tool fitted alone.
+
+    Raises:
+        InputError: If the data are missing, or the peer is not installed, fails, or takes too long.
+    """
+    task = read_peer_task(data, 0).first(None if peer is None else peer.poses)
+    start = align(task.nominal, task.train, frames_model(task.nominal)).geometry
+    if peer is None:
+        fitted = identify(complete_model(task.nominal), start, task.train).geometry
+        errors: dict[str, Any] = {**accuracy_on(fitted, task), "note": "least squares"}
+    else:
+        errors = run_peer(peer, task, start, folder)
+    return {**errors, "nominal": accuracy_on(start, task)}
+
+
 PEER_ROWS = {f"peer_{name}": name for name in (OURS, *(peer.name for peer in PEERS))}
-PEER_SET = "ur5"
-"""The set that peers are judged on."""
 
 
 def peer_errors(rng: np.random.Generator, row: str, data: Path, peers: Path) -> list[dict[str, Any]]:
     """What a peer leaves of the rows held out, and of the other poses, mm."""
-    peer = next((peer for peer in PEERS if peer.name == PEER_ROWS[row]), None)
-    errors = judged_peer(peer, data, peers)
+    errors = judged_peer(next((peer for peer in PEERS if peer.name == PEER_ROWS[row]), None), data, peers)
     keys = {"random": "held_out_rms_mm", "poses": "random_poses_mean_mm"}
     return [
         {"split": split, "nominal_mm": errors["nominal"][key], "held_out_mm": errors[key], "note": errors["note"]}
@@ -380,7 +520,7 @@ def run_bench(
         if name not in ROWS:
             raise InputError(f"unknown row '{name}'; give some of {', '.join(ROWS)}")
         try:
-            _set_of(name).found(data)
+            _set_of(name).paths(data)
         except InputError as error:
             skipped[name] = str(error)
     if len(skipped) == len(rows):
@@ -408,7 +548,7 @@ def _set_of(row: str) -> RealSet:
 
 def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[Any, ...]:
     """What a row's figures depend on beside the code."""
-    files = [file_sha256(path) for paths in _set_of(row).found(data) for path in paths]
+    files = [file_sha256(path) for paths in _set_of(row).paths(data) for path in paths]
     return (settings, _set_of(row), SPREAD.get(row), files)
 
 
@@ -479,8 +619,7 @@ def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
         before: Sums that the step before leaves.
     """
     folds, draws = after.shape
-    every = 1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))
-    gain = float(every.mean())
+    gain = float(np.mean(1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))))
     if draws < 2:
         return gain, None
     from scipy.special import stdtrit

@@ -41,7 +41,7 @@ def remainder(rng: np.random.Generator, set: str) -> list[dict[str, Any]]:
     fitted = result.fit.identification
     reach = np.sqrt(np.mean(np.sum(joint_jacobian(fitted.geometry, rows.joints)[:, :3] ** 2, axis=1), axis=0))
     waves = [(wave.joint, wave.order, 1e3 * wave.amplitude * float(reach[wave.joint])) for wave in harmonics_of(fitted)]
-    return parts_of(left, waves, repeats(SETS[set].found(data)[0][0]))
+    return parts_of(left, waves, repeats(SETS[set].paths(data)[0][0]))
 
 
 def repeats(path: Path) -> float:

@@ -9,7 +9,7 @@ between the two marks in the page is replaced, and docs/images/study-grades.png 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,37 +42,20 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in [heads, ["---"] * len(heads), *rows]) + "\n"
 
 
-def crossed(heads: Sequence[str], rows: Sequence[Row], down: Callable[[Row], Sequence[str]], across: str) -> str:
-    """Yields of settings as a table: what ``down`` says of a setting names its line, ``across`` its column."""
+def crossed(rows: Sequence[Row], heads: Sequence[str], across: str) -> str:
+    """Yields of settings as a table: values of ``heads`` name its lines, ``across`` its columns."""
     lines: dict[tuple[str, ...], dict[str, str]] = {}
     for row in rows:
+        load = f"{row['payload_kg']:g} kg" if row["payload_kg"] else "none"
+        words = {"class": row["tolerances"], "tracker noise": f"{row['noise_mm']:g} mm", "payload": load}
         cell = percent(row["yield"], row["yield_low"], row["yield_high"], 1)
-        lines.setdefault(tuple(down(row)), {})[across.format(**row)] = cell
+        lines.setdefault(tuple(words[head] for head in heads), {})[across.format(**row)] = cell
     columns = next(iter(lines.values()))
-    return table([*heads, *columns], ([*line, *(cells[c] for c in columns)] for line, cells in lines.items()))
+    return table([*heads, *columns], ([*line, *cells.values()] for line, cells in lines.items()))
 
 
-def grades(findings: Findings) -> str:
-    """Yields against the grade, raw arms."""
-    rows = [row for row in findings.yields if row["method"] == "raw"]
-    return crossed(["class"], rows, lambda row: (row["tolerances"],), "IT{it_grade}")
-
-
-def poses(findings: Findings) -> str:
-    """Yields against the number of poses, at IT12."""
-    rows = [row for row in findings.yields if row["method"] == "ls" and row["it_grade"] == 12]
-    rows.sort(key=lambda row: (row["noise_mm"], row["payload_kg"], row["poses"]))
-
-    def down(row: Row) -> tuple[str, str]:
-        return f"{row['noise_mm']:g} mm", f"{row['payload_kg']:g} kg" if row["payload_kg"] else "none"
-
-    return crossed(["tracker noise", "payload"], rows, down, "{poses} poses")
-
-
-def of_share(row: Row | None, *keys: str) -> list[str]:
-    """Shares with their intervals, percent; dashes where there is no row."""
-    if row is None:
-        return ["-"] * len(keys)
+def of_share(row: Row, *keys: str) -> list[str]:
+    """Shares with their intervals, percent."""
     ends = [[None if row[end] is None else 100 * row[end] for end in (f"{k}_low", f"{k}_high")] for k in keys]
     return [estimated(100 * row[key], low, high, 0, " %") for key, (low, high) in zip(keys, ends, strict=True)]
 
@@ -92,14 +75,15 @@ def sensitivities(findings: Findings) -> str:
     for number, shares in findings.sensitivities.items():
         if isinstance(shares, str):
             raise InputError(shares)
-        single = [row for row in shares if row["level"] == "parameter"][:MATTERS]
+        kinds, single = ([row for row in shares if row["level"] == level] for level in ("kind", "parameter"))
         indices = {row["group"]: row for row in sobol_of(protocol, protocol.settings[number], SAMPLES)}
-        rows = [
-            (kind, *of_share(row, "share"), *of_share(indices.get(kind), "first_order", "total"))
-            for row in shares if row["level"] == "kind" for kind in [row["parameter"]]
-        ]  # fmt: skip
+        rows = []
+        for row in kinds:
+            index = indices.get(row["parameter"])
+            exact = ["-", "-"] if index is None else of_share(index, "first_order", "total")
+            rows.append((row["parameter"], *of_share(row, "share"), *exact))
         lines = table(("tolerance", "share by regression", "Sobol, first order", "Sobol, total"), rows)
-        most = ", ".join(f"`{row['parameter']}` {of_share(row, 'share')[0]}" for row in single)
+        most = ", ".join(f"`{row['parameter']}` {of_share(row, 'share')[0]}" for row in single[:MATTERS])
         about = f"adjusted R² {single[0]['r2_adjusted']:.2f}; largest single parameters: {most}"
         parts.append(f"{findings.label(number)} ({about}):\n\n{lines}")
     return "\n".join(parts)
@@ -107,42 +91,37 @@ def sensitivities(findings: Findings) -> str:
 
 def placements(findings: Findings) -> str:
     """Where the paper's own arm stands."""
-    rows = []
-    for number, p in findings.placements.items():
-        if isinstance(p, str):
-            raise InputError(p)
-        rows.append((findings.label(number), f"{p.error_mm:.2f} mm", percent(p.percentile, *p.interval)))
+    rows = [
+        (findings.label(number), f"{p.error_mm:.2f} mm", percent(p.percentile, *p.interval))
+        for number, p in findings.placements.items() if not isinstance(p, str)
+    ]  # fmt: skip
     return table(("setting", "its mean error", "arms with a smaller error at the same fruit and poses"), rows)
 
 
 def printed(out: Path) -> str:
     """Everything between the marks."""
-    counts, configs = [], [load_study(ROOT / "scripts" / f"{name}.toml") for name in STUDIES]
-    for name, config in zip(STUDIES, configs, strict=True):
-        counts.append("- " + sentence(f"`{name}.toml`", SEEDS, agreement(config, SEEDS, out / name)))
-        if name == STUDIES[0]:
-            groups = in_groups(config, range(GROUPS * len(SEEDS)), len(SEEDS), out / name)
-            counts.append("- " + sentence_of_groups(f"`{name}.toml`", len(SEEDS), groups))
+    one, other = (load_study(ROOT / "scripts" / f"{name}.toml") for name in STUDIES)
+    groups = in_groups(one, range(GROUPS * len(SEEDS)), len(SEEDS), out / STUDIES[0])
+    counts = [sentence(f"`{STUDIES[0]}.toml`", SEEDS, groups[0])]
+    counts += [sentence_of_groups(f"`{STUDIES[0]}.toml`", len(SEEDS), groups)]
+    counts += [sentence(f"`{STUDIES[1]}.toml`", SEEDS, agreement(other, SEEDS, out / STUDIES[1]))]
     first, second = (gather(out / name / f"seed-{SEEDS[0]}") for name in STUDIES)
-    figure = yield_curves(first.yields, "it_grade", specified(configs[0]))
-    save_figure(figure, ROOT / "docs/images/study-grades.png")
-    return "\n".join(
-        (
-            f"Uncalibrated, a fruit counts within {configs[0].radius_mm:g} mm (`{STUDIES[0]}.toml`):\n",
-            grades(first),
-            f"Calibrated by least squares, a fruit counts within {configs[1].radius_mm:g} mm (`{STUDIES[1]}.toml`, "
-            "class medium, IT12):\n",
-            poses(second),
-            "Where the differences between arms come from:\n",
-            components(read_summary(out / STUDIES[1] / f"seed-{SEEDS[0]}")),
-            "Which tolerance matters (in Sobol's groups lead errors count as transmission error):\n",
-            sensitivities(second),
-            "The arm of the paper's Table 1 in its population:\n",
-            placements(second),
-            "At other seeds:\n",
-            "\n".join(counts) + "\n",
-        )
-    )
+    save_figure(yield_curves(first.yields, "it_grade", specified(one)), ROOT / "docs/images/study-grades.png")
+    raw = [row for row in first.yields if row["method"] == "raw"]
+    ls = [row for row in second.yields if row["method"] == "ls" and row["it_grade"] == 12]
+    ls.sort(key=lambda row: (row["noise_mm"], row["payload_kg"], row["poses"]))
+    parts = {
+        f"Uncalibrated, a fruit counts within {one.radius_mm:g} mm (`{STUDIES[0]}.toml`)": crossed(
+            raw, ["class"], "IT{it_grade}"
+        ),
+        f"Calibrated by least squares, a fruit counts within {other.radius_mm:g} mm (`{STUDIES[1]}.toml`, class "
+        "medium, IT12)": crossed(ls, ["tracker noise", "payload"], "{poses} poses"),
+        "Where the differences between arms come from": components(read_summary(out / STUDIES[1] / f"seed-{SEEDS[0]}")),
+        "Which tolerance matters (in Sobol's groups lead errors count as transmission error)": sensitivities(second),
+        "The arm of the paper's Table 1 in its population": placements(second),
+        "At other seeds": "".join(f"- {count}\n" for count in counts),
+    }
+    return "\n".join(f"{title}:\n\n{part}" for title, part in parts.items())
 
 
 def main() -> None:

@@ -10,12 +10,27 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, rotation_matrix
+from pickenv.commands.check import findings_of
 from pickenv.errors import InputError
-from pickenv.experiments import check_experiment, peers, robots
+from pickenv.experiments import check_experiment, robots
 from pickenv.experiments.gains import MEASURED, NOMINAL
-from pickenv.experiments.peers import PEERS, Peer, homogeneous, judged_peer, last_words, peer_python
-from pickenv.experiments.robot_tables import bench_json, blocked_json
-from pickenv.experiments.robots import BEFORE, GAINS, QUICK, ROWS, BenchSettings, run_bench
+from pickenv.experiments.robot_tables import bench_json, bench_page, blocked_json
+from pickenv.experiments.robots import (
+    BEFORE,
+    GAINS,
+    PEERS,
+    QUICK,
+    ROWS,
+    BenchSettings,
+    Peer,
+    homogeneous,
+    judged_peer,
+    last_words,
+    peer_python,
+    run_bench,
+)
+from pickenv.files import write_text
+from pickenv.inspect.runs.run_folder import listed_files
 
 KEYS = {
     *("robot", "split", "model", "nominal_mm", "held_out_mm", "published_mm"),
@@ -102,6 +117,37 @@ def test_what_cannot_be_made_is_said_and_tried_again(worked) -> None:
     assert [row for row, _ in seen].count("peer_figaroh") == 2
 
 
+@pytest.mark.parametrize("complete", [True, False])
+def test_every_damage_to_a_folder_is_noticed(complete: bool, worked, tmp_path: Path) -> None:
+    """Of a run that ended, by the folder's list; of one that was cut off, by the records of its experiments."""
+    out = tmp_path / "out"
+    with listed_files(out):
+        write_text(out / "bench.md", bench_page(worked[1](["gain_ur5_random", "peer_figaroh"])))
+
+    def faults() -> list[str]:
+        if complete:
+            return [finding.reason for finding in findings_of(out) if finding.reason is not None]
+        kept = [check_experiment(out / name) for name in ("gains", "peers")]
+        return [reason for checked in kept for _, reason in checked if reason is not None]
+
+    assert faults() == []
+    files = [path for path in out.rglob("*") if path.is_file() and not path.name.startswith(".")]
+    files = files if complete else [path for path in files if path.parent != out]
+    assert len(files) == (5 + 2 + 2 if complete else 5 + 2)
+    for path in files:
+        content = path.read_bytes()
+        changed = (
+            content[: len(content) // 2] + bytes([content[len(content) // 2] ^ 1]) + content[len(content) // 2 + 1 :]
+        )
+        for damage in (b"", content[:-1], changed, None):
+            path.unlink() if damage is None else path.write_bytes(damage)
+            assert faults(), (path, damage)
+            path.write_bytes(content)
+    first, second = sorted((out / "gains").glob("*.parquet"))[:2]
+    first.write_bytes(second.read_bytes())
+    assert faults()
+
+
 def test_every_row_has_the_keys_that_programs_read(worked) -> None:
     content = json.loads(json.dumps(bench_json(worked[1](["gain_ur5_random", "gain_ur5_blocks"]))))
     assert [(row["split"], row["model"]) for row in content["rows"]] == [
@@ -173,8 +219,8 @@ def test_a_peer_is_given_the_rows_and_answers_for_those_held_out(
         "answer['ours'] = [name for name in os.environ if name.startswith('PYTHON')]\n"
         "json.dump(answer, open(sys.argv[2], 'w'))\n"
     )
-    monkeypatch.setattr(peers, "WORKERS", workers)
-    monkeypatch.setattr(peers, "peer_python", lambda peer, folder, install: Path(sys.executable))
+    monkeypatch.setattr(robots, "WORKERS", workers)
+    monkeypatch.setattr(robots, "peer_python", lambda peer, folder, install: Path(sys.executable))
     found = judged_peer(Peer("none", "1", "it does nothing", poses=50), data_folder, tmp_path)
     assert found["n"] == {"joints": 50, "held_out_joints": 200, "random_joints": 20}
     assert found["at_home"] and found["ours"] == [] and found["note"] == "it does nothing; nor more"

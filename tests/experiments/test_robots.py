@@ -8,9 +8,8 @@ import pytest
 from pickenv.calibration import Measurements
 from pickenv.experiments import gains, robots
 from pickenv.experiments.gains import as_measured, left_by_models
-from pickenv.experiments.peers import PeerTask, accuracy_on
 from pickenv.experiments.robot_tables import agreement, spread_table
-from pickenv.experiments.robots import BenchSettings, RealSet, fold_errors
+from pickenv.experiments.robots import BenchSettings, PeerTask, RealSet, accuracy_on, fold_errors
 
 
 def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, tmp_path):

@@ -43,7 +43,7 @@ def test_the_table_shows_value_spread_model_and_remark() -> None:
 
 def test_without_the_data_one_sentence_says_so(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="name the folder of the data sets in PICKENV_DATA"):
-        SETS["ur5"].found(tmp_path)
+        SETS["ur5"].paths(tmp_path)
 
 
 def test_random_splits_are_stated_by_their_mean_and_range(data_folder: Path) -> None:

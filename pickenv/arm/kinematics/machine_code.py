@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+import os
 import struct
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
@@ -410,7 +411,8 @@ class _Body:
         if operation.name == "constant":
             return self._constant(operation)
         if operation.name == "input":
-            return self._load(*operation.detail, operation.kind)
+            array, row = operation.detail
+            return self._load(array, row, operation.kind)
         values = [self._values[i] for i in operation.operands]
         return self._computed(operation.name, self._operations[operation.operands[0]].kind, operation.kind, values)
 
@@ -476,6 +478,9 @@ def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, lis
     """
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
+    library = ctypes.CDLL(None if os.name == "posix" else "msvcrt")
+    for name in ("atan2", "log", "log10", "exp"):
+        binding.add_symbol(name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
     features = sorted(binding.get_host_cpu_features().items())
     target = binding.Target.from_default_triple().create_target_machine(
         cpu=binding.get_host_cpu_name(),
