@@ -20,6 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.seeds import stream
+
 Ends = tuple[float, float]
 """Lower and upper end of a 95 % interval."""
 
@@ -327,8 +329,9 @@ def estimate(
         by: Columns that name a number; one number for each combination of theirs, in the order of the rows.
         over: One or two columns of what was drawn, which the intervals are over; rows that agree in these are averaged.
         of: "mean"; "share" of chances or successes, or of what two columns took and tried; "ratio" of two columns'
-            sums; "removed", the share of the mean at the levels of ``against`` that is gone; a probability, for that
-            quantile over units; or a function of the units' means ``(units, values)``.
+            sums; "removed", the share of the mean at the levels of ``against`` that is gone; "interquartile", the mean
+            of the middle half of the units; a probability, for that quantile over units; or a function of the units'
+            means ``(units, values)``.
         against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
         least: Fewest units for an interval of a mean.
 
@@ -392,6 +395,8 @@ def _estimated(
     (values,) = cube
     if of == "share":
         return share_estimate(values)
+    if of == "interquartile":
+        return interquartile_estimate(values.mean(axis=(1, 2)))
     return mean_estimate(values, least) if of == "mean" else quantile_estimate(values, float(of))
 
 
@@ -443,19 +448,18 @@ def share_estimate(chances: NDArray[np.float64]) -> Estimate:
     return _with_reason(float(each.mean()), ends, each)
 
 
-def interquartile_estimate(values: NDArray[np.float64], sequence: np.random.SeedSequence) -> Estimate:
+def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:
     """Mean of the middle half of independent values ``(n,)``, one per arm; its interval is a bootstrap's over them.
 
     Args:
         values: The values; the lowest and the highest quarter do not count.
-        sequence: Seeds the bootstrap.
     """
     from scipy.stats import trim_mean  # late: half of SciPy comes along
 
     found = float(trim_mean(values, 0.25))
     if len(values) < LEAST:
         return Estimate(found, None, f"needs {LEAST} arms")
-    drawn = np.random.default_rng(sequence).integers(len(values), size=(RESAMPLES, len(values)))
+    drawn = np.random.default_rng(stream(0, "leaderboard")).integers(len(values), size=(RESAMPLES, len(values)))
     low, high = np.quantile(trim_mean(values[drawn], 0.25, axis=1), (0.025, 0.975))
     return Estimate(found, (float(low), float(high)))
 

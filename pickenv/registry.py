@@ -29,9 +29,16 @@ SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         **dict.fromkeys(KINDS, ()),
         "arm_format": ("pickenv.arm.files.load", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
+        "backend": ("pickenv.envs.reaching.vector",),
+        "effect": tuple(
+            f"pickenv.arm.effects.{name}" for name in ("structure", "hysteresis", "drives", "ground", "residual_field")
+        ),
         "exporter": ("pickenv.calibration.delivery.export",),
         "gripper": ("pickenv.orchard.gripper",),
+        "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
+        "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),
         "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
+        "report": ("pickenv.inspect.runs.run_folder",),
         "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
     }
 )
@@ -145,6 +152,17 @@ def origin(kind: str, name: str) -> Origin:
         return _origin_of_entry_point(offers[0])
     get(kind, name)
     return _entries[kind][name].origin
+
+
+def registered_as(thing: Any) -> tuple[str, str] | None:
+    """Say by which kind and name a class or function is registered, or an installed package offers it; None if not."""
+    for kind, entries in _entries.items():
+        for name, entry in entries.items():
+            if entry.thing is thing:
+                return kind, name
+    place = f"{thing.__module__}:{thing.__qualname__}"
+    points = (point for point in _installed(tuple(sys.path)) if point.value == place)
+    return next(((point.group.removeprefix("pickenv."), point.name) for point in points), None)
 
 
 def load_all(kind: str) -> dict[str, Any]:

@@ -83,7 +83,7 @@ def arms_of(nominal: Geometry, start: Array, millimetres: float, count: int) -> 
     rng = np.random.default_rng(SEED)
     arm = Arm("fetch", "Gymnasium-Robotics", nominal, None, np.ones(nominal.joints))
     noise = MeasurementNoise(15e-6, 2e-4)
-    drawn = draw_plants(Plant("fetch", arm, nominal, measurement_noise=noise), load_tolerances("medium"), count, rng)
+    drawn = draw_plants(Plant("fetch", arm, nominal, effects=(noise,)), load_tolerances("medium"), count, rng)
     poses = around(nominal, start, rng)
     believed, found = forward(nominal, poses).position, []
     for i in range(count):

@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.agents.evaluation.calibrated import CalibrationPlan, compensators
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.arm import load_plant
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.cli import app
 from pickenv.container import write_container
+from pickenv.experiments import PolicySettings, run_policies
+from pickenv.experiments.methods import CalibrationPlan, compensators
 from pickenv.experiments.study import load_study
 from pickenv.experiments.study_rows import run_study
 from pickenv.files import write_text
@@ -268,6 +269,19 @@ def test_calibrations_that_changed_places_in_a_cache_are_refused(tmp_path: Path)
     code, lines = checked(tmp_path)
     assert code == 3
     assert all("is the calibration of another arm or protocol than its name says" in line for line in lines[:2])
+
+
+def test_a_calibration_that_was_taken_out_of_a_cache_is_noticed(tmp_path: Path) -> None:
+    settings = PolicySettings(("scripted",), ("ls",), plants=("qiao2026",), arms=2, episodes=2)
+    run_policies(settings, tmp_path / "rows", cache=tmp_path / "cache")
+    assert checked(tmp_path)[0] == checked(tmp_path / "cache")[0] == 0
+    calibration, piece = next((tmp_path / "cache").glob("*.npz")), next(tmp_path.glob("rows/reaching/*.parquet"))
+    calibration.unlink()
+    assert calibration.name in refused_lines(tmp_path / "cache") and calibration.name in refused_lines(tmp_path)
+    run_policies(settings, cache=tmp_path / "cache")
+    assert checked(tmp_path)[0] == 0
+    piece.unlink()
+    assert piece.name in refused_lines(tmp_path)
 
 
 DAMAGES: dict[str, Callable[[Path], object]] = {

@@ -137,7 +137,7 @@ def registered_policy(name: str, env: Any, seed: int, known: Mapping[str, Any]) 
         InputError: If the lines of another package fail, or what they return is no policy.
     """
     maker = get("policy", name)
-    with _faults_of(Path(sys.modules[maker.__module__].__file__ or name)):
+    with _faults_of(Path(getattr(sys.modules[maker.__module__], "__file__", name))):
         policy = maker(env, seed, **known)
     return _checked(policy, f"policy '{name}'")
 

@@ -397,7 +397,7 @@ class Calibration:
             conditions: Payload and temperature, one value each, for terms and residuals that need them.
             iterations: See `Compensator`; one is the fastest.
             single_precision: See `Compensator`; for training in thousands of environments.
-            fast: Whether a network may be a micrometre off for its speed (`Bpnn.fast`).
+            fast: Whether a network runs in single precision (`Bpnn.fast`).
         """
         learnt = self.learnt if with_residual else None
         if learnt is not None and fast:

@@ -21,7 +21,8 @@ from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term
-from pickenv.calibration.model.measurements import FRAMES, Measurements, Stacked
+from pickenv.calibration.model.measurements import FRAMES, Measurements
+from pickenv.calibration.model.noise import noise_of
 from pickenv.calibration.model.observations import (
     BLOCKS,
     Observations,
@@ -32,7 +33,7 @@ from pickenv.calibration.model.observations import (
     pose_count,
     same_poses,
 )
-from pickenv.calibration.model.pixels import PixelObservations, with_lens
+from pickenv.calibration.model.pixels import with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, prior_model
 from pickenv.calibration.pipeline.fitting import (
     Fit,
@@ -62,7 +63,7 @@ from pickenv.calibration.residuals.gate import AUTO, GateReport, gate_residuals,
 from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
 from pickenv.errors import InputError
 
-GATE_ROWS = 3000
+GATE_ROWS = 1500
 """Residual models are judged on so many training rows at most, taken evenly."""
 
 ENOUGH_FOR_BLOCKS = 40
@@ -172,11 +173,11 @@ def calibrate(
     known = choices.frames == "known"
     train, floor = given_rows(arm, data, columns, stations, known=known)
     rng = rng or np.random.default_rng(choices.seed)
-    if isinstance(train, PixelObservations) and choices.lens is not None:
-        train = with_lens(train, choices.lens)
+    if train.views is not None and choices.lens is not None:
+        train = with_lens(train.views, choices.lens)
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
-    few = train.tracked and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
+    few = train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
@@ -250,20 +251,17 @@ def _judged_by_blocks(draft: Draft) -> Result:
         if draft.progress is not None:
             draft.progress("judging blocks", number + 1, len(folds))
     judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
-    held_out = pooled(list(whole.fits), parts)
-    if isinstance(checked.train, Stacked):
-        held_out = by_station(held_out, checked.train, folds)
-    return _assessed(judged, held_out)
+    return _assessed(judged, by_station(pooled(list(whole.fits), parts), checked.train, folds))
 
 
 def _judged_elsewhere(draft: Draft) -> Result:
     """The calibration judged on another station, whose own frames are found from a few of its rows."""
     test = draft.test
     draft = _through(STAGES, replace(draft, test=draft.train.select(np.arange(0))))
-    if not isinstance(test, Measurements):
+    if test.poses is None:
         raise InputError(f"--refit is for poses and positions, but {test.source} holds {test.kind}; leave it out")
     choices = draft.choices
-    near, left_out = near_rows(draft.best[1].calibration, test, choices.refit, choices.refit_rows)
+    near, left_out = near_rows(draft.best[1].calibration, test.poses, choices.refit, choices.refit_rows)
     held_out, rest = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
     judged = replace(draft, test=near.select(rest), left_out=(*draft.left_out, *left_out))
     return _assessed(judged, held_out)
@@ -303,13 +301,14 @@ def _check(draft: Draft) -> Draft:
             f"{train.source} holds {train.kind}, but {test.source}, to judge by, {test.kind}; give rows of one kind"
         )
     left_out: tuple[LeftOut, ...] = ()
-    if isinstance(train, Measurements) and isinstance(test, Measurements):
-        if choices.frames is None and train.frames != test.frames:
+    if train.poses is not None:
+        stated, others = train.poses.frames, test.poses.frames
+        if choices.frames is None and stated != others:
             raise InputError(
-                f"{train.source} says that base and tool are {train.frames}, {test.source} that they are "
-                f"{test.frames}; give --frames"
+                f"{train.source} says that base and tool are {stated}, {test.source} that they are {others}; give "
+                "--frames"
             )
-        choices = replace(choices, frames=choices.frames or train.frames)
+        choices = replace(choices, frames=choices.frames or stated)
     else:
         refuse_options(train, choices)
         train, left_out = without_blind_views(train)
@@ -388,16 +387,18 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
     data = train.select(equally_spaced(len(train), GATE_ROWS))
-    expected = draft.best[1].identification.prior
+    name, best = draft.best
+    expected, whole = best.identification.prior, best.identification.arm_model
     assert expected is not None
 
     def refit(rows: Measurements) -> ArmModel:
-        return solve(expected, rows).arm_model
+        """Fit the arm to some of the rows; what these scatter by, the fit to all of them says."""
+        none, unused = np.zeros(0), np.zeros(rows.rows_per_pose * len(rows))
+        return solve(expected, rows, noise_of(rows, whole, none, unused)).arm_model
 
     told = None
     if draft.progress is not None:
-        name, best = draft.best
-        rms = 1e3 * position_rms(train.misses(best.identification.arm_model, np.zeros(0)))
+        rms = 1e3 * position_rms(train.misses(whole, np.zeros(0)))
         told = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
     return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=told)

@@ -60,9 +60,6 @@ ROWS = 512
 SLOW_ROWS = 2000
 """Training rows at most, for the time that they take grows too fast."""
 
-SAMPLE = 2000
-"""Inputs for which a network's weights are rounded."""
-
 
 def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
     """Values ``(..., in)`` through a network with ReLU between its layers."""
@@ -86,8 +83,7 @@ class Bpnn:
         output_mean: Mean of the training residuals ``(6,)``, m and rad.
         output_std: Their standard deviation.
         loss: Mean training loss of each epoch, in units of the residual's standard deviation squared.
-        fast: Whether it runs with its inner layers in eight bits (`rounded_layers`) where llvmlite is installed: 0.3 %
-            of its size apart, in steps as fine as that. Elsewhere in single precision, in which it was trained.
+        fast: Whether it runs in single precision, in which it was trained; as machine code where llvmlite is installed.
     """
 
     input_mean: Array
@@ -120,8 +116,8 @@ class Bpnn:
     def predict(self, joints: ArrayLike) -> Array:
         """Residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
 
-        Many poses go through the network in blocks that are cut at fixed places. In eight bits a pose has the same bits
-        alone and among many.
+        Many poses go through the network in blocks that are cut at fixed places. As machine code a pose has the same
+        bits alone and among many.
         """
         if self._code is not None:
             given = np.asarray(joints, dtype=float)
@@ -164,17 +160,12 @@ class Bpnn:
 
     @cached_property
     def _code(self) -> CompiledNetwork | None:
-        """What runs it in eight bits, where that is wanted and can be."""
+        """What runs it as machine code, where that is wanted and can be."""
         if not (self.fast and is_there("llvmlite")):
             return None
-        from scipy.stats import qmc
+        from pickenv.calibration.residuals.network_code import CompiledNetwork
 
-        from pickenv.calibration.residuals.network_code import CompiledNetwork, Layer, rounded_layers
-
-        layers = [Layer(weight, bias) for weight, bias in self._scaled]
-        shares = qmc.Halton(len(self.input_mean), scramble=False).random(SAMPLE)
-        spread = np.sqrt(3.0) * (2.0 * shares - 1.0)
-        return CompiledNetwork(rounded_layers(layers, self.input_mean + self.input_std * spread))
+        return CompiledNetwork(self._scaled)
 
     def arrays(self) -> dict[str, Array]:
         """All numbers by name, for saving."""

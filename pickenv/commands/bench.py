@@ -113,23 +113,22 @@ def policies(
     from dataclasses import replace
     from itertools import groupby
 
-    from pickenv.agents.evaluation.leaderboard import (
+    from pickenv.experiments.policy_tables import (
+        LEADERBOARD,
+        QUICK,
         WORDS,
-        LeaderboardSettings,
         leaderboard_cells,
         leaderboard_heads,
         leaderboard_tables,
         run_leaderboard,
     )
-    from pickenv.experiments.engine import spread
     from pickenv.extras import require
     from pickenv.inspect.runs.run_folder import listed_files
 
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
     require("torch", "pyarrow", *({"joblib": ["joblib"], "ray": ["ray"]}.get(executor, [])))
-    backend = "loky" if executor == "joblib" else executor
-    usual = LeaderboardSettings.quick() if quick else LeaderboardSettings()
+    usual = QUICK if quick else LEADERBOARD
     settings = replace(
         usual,
         policies=(*usual.policies, *dict.fromkeys(policy or [])),
@@ -147,7 +146,8 @@ def policies(
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
-            rows = run_leaderboard(settings, out, report, lambda numbers, work: spread(work, numbers, backend, workers))
+            backend = "loky" if executor == "joblib" else executor
+            rows = run_leaderboard(settings, out, backend=backend, workers=workers, progress=report)
         saves = [
             (page, lambda path: write_text(path, leaderboard_tables(rows))),
             (json_file, lambda path: write_json(path, {"rows": rows})),

@@ -61,7 +61,7 @@ def compare(
     episodes: Annotated[int, typer.Option(help="Episodes of each policy.", min=1)] = 20,
     seed: Annotated[int, typer.Option(help="Seed of fruit, and of policies that draw.", min=0)] = 0,
     gripper: Annotated[
-        str, typer.Option(help="Gripper that says whether a reach picks; a name, or a file of a {gripper}.")
+        str, typer.Option(help="Gripper that says whether a reach picks; a name, or a file of kind {gripper}.")
     ] = "li_cup",
     plant: Annotated[
         str | None, typer.Option(help="Plant preset or file; the environment's if left out.", show_default=False)

@@ -38,7 +38,7 @@ def experiment(
 ) -> None:
     """Measure units at every combination of factors, and print the numbers that the file asks for."""
     from pickenv.experiments.engine import RECORD, run, write_rows
-    from pickenv.experiments.experiment_file import held_by_seeds, load_experiment, plain_estimates, table_of
+    from pickenv.experiments.experiment_file import held_by_seeds, load_experiment, number_table, plain_estimates
 
     changes = dict(map(_change, change or []))
     found = load_experiment(file, quick=quick, seed=seed, changes=changes)
@@ -70,7 +70,7 @@ def experiment(
         for number, made in zip(found.numbers, tables, strict=True):
             if not made["rows"]:
                 continue
-            heads, cells = table_of(number, made["rows"])
+            heads, cells = number_table(number, made["rows"])
             print_table(made["title"], heads, cells, words=number.by)
         for title, count, of in held:
             if of:

@@ -18,6 +18,9 @@ from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
     from pickenv.experiments.engine import Experiment, Rows, check_experiment, keep, kept_rows, run
+    from pickenv.experiments.methods import CalibrationPlan, calibrate_arm, reaches_behind
+    from pickenv.experiments.policies import PolicySettings, run_policies
+    from pickenv.experiments.policy_tables import compensations_compared, estimates, evaluation_rows
     from pickenv.experiments.study import StudyConfig, load_study
     from pickenv.experiments.study_report import record_study, write_outputs
     from pickenv.experiments.study_rows import (
@@ -32,7 +35,9 @@ if _TYPE_CHECKING:
     from pickenv.experiments.study_variance import sensitivities_of
     from pickenv.intervals import Estimate, estimate
 
-__all__ = ["Estimate", "Experiment", "Rows", "check_experiment", "estimate", "keep", "kept_rows", "run"]
+__all__ = ["CalibrationPlan", "Estimate", "Experiment", "PolicySettings", "Rows", "calibrate_arm", "check_experiment"]
+__all__ += ["compensations_compared", "estimate", "estimates", "evaluation_rows", "keep", "kept_rows"]
+__all__ += ["reaches_behind", "run", "run_policies"]
 __all__ += ["StudyConfig", "check_folder", "load_study", "quantiles_of", "read_rows", "read_summary", "record_study"]
 __all__ += ["run_study", "sensitivities_of", "study_of", "write_outputs", "yields_of"]
 

@@ -112,35 +112,30 @@ class State:
 
 def warming(plant: Plant) -> Plant:
     """The plant, with the growth of its tolerance class "medium" where it has none of its own."""
-    if plant.thermal_growth is not None:
+    if plant.effect("thermal_growth") is not None:
         return plant
     usual = load_tolerances("medium")
     assert usual.sizes is not None
     expansion = (usual.sizes.expansion,) * plant.geometry.joints
-    return replace(plant, thermal_growth=ThermalGrowth(expansion, 0.0, usual.temperature_rise[1], usual.sizes.warm_up))
+    return plant.with_effect(ThermalGrowth(expansion, 0.0, usual.temperature_rise[1], usual.sizes.warm_up))
 
 
 def rises(plant: Plant, state: State) -> Array:
     """Temperature of the links above the reference ``(N,)``, K: the day's warm-up, and the weather."""
-    thermal = plant.thermal_growth
-    assert thermal is not None
+    thermal = plant.effect("thermal_growth")
     return np.asarray(warmed(np, thermal, thermal.initial_rise, 3600.0 * state.hour) + state.weather)
 
 
 def under(plant: Plant, state: State) -> Plant:
     """A plant that is in the state of each pose: one entry per pose where something changes."""
-    thermal, tilt = plant.thermal_growth, plant.base_tilt
-    assert thermal is not None
-    rise = rises(plant, state)
-    parts: dict[str, Any] = {"thermal_growth": replace(thermal, initial_rise=rise, final_rise=rise)}
-    if plant.load is not None:
-        parts["load"] = replace(plant.load, payload=state.payload)
+    rise, tilt = rises(plant, state), plant.effect("base_tilt")
+    changed = [replace(plant.effect("thermal_growth"), initial_rise=rise, final_rise=rise)]
     if tilt is not None:  # sunk as far as it is by then, and no further while a pose is measured
         sunk = 1.0 - np.exp(-3600.0 * state.hour / tilt.time_constant)
-        parts["base_tilt"] = replace(
-            tilt, creep=tilt.creep * sunk, settlement=tilt.settlement * sunk, time_constant=1e-3 * HELD
-        )
-    return replace(plant, **parts)
+        creep, settlement = tilt.creep * sunk, tilt.settlement * sunk
+        changed.append(replace(tilt, creep=creep, settlement=settlement, time_constant=1e-3 * HELD))
+    load = None if plant.load is None else replace(plant.load, payload=state.payload)
+    return replace(plant.with_effect(*changed), load=load)
 
 
 def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Measurements:
@@ -150,7 +145,7 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
     machine = under(plant, state)
     at_rest = machine.initial_state(np, split_joints(nominal.joints, before))
     _, frame = machine.advance(np, at_rest, split_joints(nominal.joints, joints), HELD)
-    spread = np.repeat([POSITION_STD, ATTITUDE_STD], 3) if plant.measurement_noise is not None else np.zeros(6)
+    spread = np.repeat([POSITION_STD, ATTITUDE_STD], 3) if plant.effect("measurement_noise") else np.zeros(6)
     pose = displace_pose(pose_of(frame), rng.normal(size=(count, 6)) * spread)
     return Measurements(
         joints,
@@ -317,7 +312,7 @@ def conditions_study(
         "plant": plant.name,
         "simulated": True,
         "settings": asdict(settings),
-        "growth": "the plant's own" if plant.thermal_growth is not None else "as in the tolerance class medium",
+        "growth": "the plant's own" if plant.effect("thermal_growth") else "as in the tolerance class medium",
         "interval_over": "arms" if calibration is None else "poses of one arm",
         "no_interval": few if calibration is None and arms < LEAST else "",
         "sweeps": sweeps,

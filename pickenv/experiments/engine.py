@@ -133,17 +133,26 @@ class Rows:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
-    """Rows one after the other; columns that a part lacks are filled with NaN, or with empty text."""
-    names = list(dict.fromkeys(name for part in parts if len(part) for name in part.columns))
+    """Rows one after the other; where a part lacks a column, or its arrays are shorter, NaN or empty text stands."""
     filled = [part for part in parts if len(part)]
-    return Rows({name: np.concatenate([_column(part, name, filled) for part in filled]) for name in names})
+    names = dict.fromkeys(name for part in filled for name in part.columns)
+    return Rows({name: _stacked([part.columns.get(name) for part in filled], list(map(len, filled))) for name in names})
 
 
-def _column(part: Rows, name: str, parts: Sequence[Rows]) -> NDArray[Any]:
-    if name in part.columns:
-        return part.columns[name]
-    like = next(other.columns[name] for other in parts if name in other.columns)
-    return np.full((len(part), *like.shape[1:]), "" if like.dtype.kind == "U" else np.nan)
+def _stacked(columns: Sequence[NDArray[Any] | None], lengths: Sequence[int]) -> NDArray[Any]:
+    there = [values for values in columns if values is not None]
+    shape = tuple(map(max, zip(*(values.shape[1:] for values in there), strict=True)))
+    kind: Any = np.result_type(*there)
+    kind, filler = (kind, "") if kind.kind == "U" else (float, np.nan)
+    stacked = []
+    for values, length in zip(columns, lengths, strict=True):
+        if values is None or values.shape[1:] != shape:
+            whole = np.full((length, *shape), filler, dtype=kind)
+            if values is not None:
+                whole[tuple(map(slice, values.shape))] = values
+            values = whole
+        stacked.append(values)
+    return np.concatenate(stacked)
 
 
 @dataclass(frozen=True)
@@ -288,7 +297,7 @@ def keep(
         kept = dict.fromkeys(range(len(pieces)))
         for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
             if isinstance(rows, Rows):
-                _write_piece(files[number], rows, experiment.name, keys[number])
+                write_piece(files[number], rows, experiment.name, keys[number])
             else:
                 _refuse(pieces[number], rows, refused)
                 kept.pop(number)
@@ -383,8 +392,8 @@ def _read_record(path: Path) -> _Record:
     return found
 
 
-def _write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
-    """Write a piece with its seal, whole or not at all."""
+def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
+    """Write rows as one sealed file, whole or not at all; `read_piece` wants the same key."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -393,6 +402,11 @@ def _write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
     pq.write_table(table, sink, compression="zstd")
     content = sealed_parquet(sink.getvalue().to_pybytes())
     write_whole(path, lambda temporary: temporary.write_bytes(content))
+
+
+def read_piece(path: Path, key: str) -> Rows:
+    """The rows of one piece, to the bit; raises `InputError` where its file is missing, damaged, or another piece's."""
+    return Rows.of_arrow(_piece_table(path, key))
 
 
 def _piece_table(path: Path, key: str) -> pa.Table:
@@ -467,8 +481,8 @@ def _array_of(column: Any) -> NDArray[Any]:
     return values
 
 
-def write_rows(path: Path, rows: Rows) -> Path:
-    """Write rows as .csv or .parquet, whole or not at all.
+def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
+    """Write rows as .csv or .parquet, whole or not at all; None is an empty cell.
 
     Raises:
         InputError: If the suffix is another.
@@ -476,7 +490,9 @@ def write_rows(path: Path, rows: Rows) -> Path:
     if path.suffix not in (".csv", ".parquet"):
         raise InputError(f"cannot write {path}: give a file name that ends in .csv or .parquet")
     require("pandas", *(["pyarrow"] if path.suffix == ".parquet" else []))
-    table = rows.pandas()
+    import pandas as pd
+
+    table = rows.pandas() if isinstance(rows, Rows) else pd.DataFrame(list(rows), dtype=object)
     write = partial(table.to_csv, index=False) if path.suffix == ".csv" else partial(table.to_parquet, index=False)
     return write_whole(path, write)
 

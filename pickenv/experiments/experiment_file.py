@@ -317,7 +317,7 @@ def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
     return tuple(value for name, value in row.items() if name not in ("estimate", "units"))
 
 
-def table_of(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Heads and cells of one table of numbers; levels of ``across`` stand side by side."""
     form = f"{'+' if number.against and number.of != 'removed' else ''}.{number.digits}f"
 

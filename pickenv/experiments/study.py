@@ -434,7 +434,7 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "creep": ("base_tilt", lambda effect: (effect.creep,)),
     "settlement": ("base_tilt", lambda effect: (effect.settlement,)),
 }
-"""Which numbers of which effect each column holds."""
+"""Which numbers of which effect each column holds; effects of random numbers of their own have columns by name."""
 
 
 def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
@@ -456,20 +456,22 @@ def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
         for i in range(nominal.joints):
             column = f"delta_{next(names)}_{'deg' if angle else 'mm'}"
             columns[column] = np.degrees(difference[:, i]) if angle else 1e3 * difference[:, i]
-    for name, (effect, numbers) in SIZES.items():
-        if getattr(design, effect) is None:
+    own = {effect.name: (effect.name, type(effect).own_sizes) for effect in design.effects if effect.own_sizes()}
+    for name, (effect, numbers) in {**SIZES, **own}.items():
+        if design.effect(effect) is None:
             continue
-        sizes = numbers(getattr(design, effect))
-        for i, (size, drawn) in enumerate(zip(sizes, numbers(getattr(arms, effect)), strict=True), start=1):
+        sizes = numbers(design.effect(effect))
+        for i, (size, drawn) in enumerate(zip(sizes, numbers(arms.effect(effect)), strict=True), start=1):
             if size:
                 columns[f"size_{name}_{i}" if len(sizes) > 1 else f"size_{name}"] = drawn / size
-    if arms.transmission_error is not None and design.transmission_error is not None:
-        pairs = zip(design.transmission_error.harmonics, arms.transmission_error.harmonics, strict=True)
+    drives, thermal = arms.effect("transmission_error"), arms.effect("thermal_growth")
+    if drives is not None:
+        pairs = zip(design.effect("transmission_error").harmonics, drives.harmonics, strict=True)
         for i, (own, term) in enumerate(pairs, start=1):
             if own.amplitude:
                 size = term.amplitude / own.amplitude
                 columns[f"sine_transmission_error_{i}"] = size * np.sin(term.phase)
                 columns[f"cosine_transmission_error_{i}"] = size * np.cos(term.phase)
-    if arms.thermal_growth is not None:
-        columns["rise_K"] = np.asarray(arms.thermal_growth.final_rise)
+    if thermal is not None:
+        columns["rise_K"] = np.asarray(thermal.final_rise)
     return columns

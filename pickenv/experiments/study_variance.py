@@ -175,10 +175,11 @@ def tolerance_groups(design: Plant) -> dict[str, list[int]]:
     """Columns of an arm's even random numbers by group; effects that the design has not are left out."""
     columns, n = random_columns(design), design.arm.nominal.joints
     alpha, a, theta, d = (list(columns["geometry"][k * n : (k + 1) * n]) for k in range(4))
+    own = {name.replace("_", " "): (name, (f"own {name}",)) for name in design.names if f"own {name}" in columns}
     effects = {
-        name: [i for key in keys for i in columns[key]]
-        for name, (effect, keys) in GROUPS.items()
-        if getattr(design, effect) is not None
+        group: [i for key in keys for i in columns[key]]
+        for group, (name, keys) in ({**GROUPS, **own}).items()
+        if design.effect(name) is not None
     }
     return {"angles": alpha + theta, "lengths": a + d, **effects}
 

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pickenv.experiments.methods import CalibrationPlan, calibrate_arm
-from pickenv.experiments.policies import PolicySettings, population_seed, run_policies
 from train_baselines import calibration_file
 
 from pickenv.agents.evaluation.rollout import roll_out
@@ -21,6 +19,8 @@ from pickenv.agents.training.training_setup import Training
 from pickenv.arm import forward, plant_at
 from pickenv.calibration import complete_model, random_joints, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
+from pickenv.experiments.methods import CalibrationPlan, calibrate_arm
+from pickenv.experiments.policies import PolicySettings, population_seed, run_policies
 from pickenv.inspect.recordings.field_day import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK
 from pickenv.seeds import stream
 

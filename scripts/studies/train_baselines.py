@@ -7,23 +7,21 @@ Five seeds each; the first is shipped. Judged on arms that no training saw, with
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
 from pickenv.agents.evaluation.compared_policies import load_any
-from pickenv.agents.evaluation.grid import GridSettings, run_grid
-from pickenv.agents.evaluation.grid_tables import interval_words, with_interval
 from pickenv.agents.policies.learned import BASELINES, LearnedPolicy
 from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training.hyperparams import tuned
 from pickenv.agents.training.training import train
 from pickenv.agents.training.training_setup import Training
 from pickenv.arm import load_plant
+from pickenv.experiments import CalibrationPlan, PolicySettings, calibrate_arm, evaluation_rows, run_policies
+from pickenv.experiments.policy_tables import interval_words, with_interval
 from pickenv.files import write_text
 
 SEEDS = 5
@@ -58,22 +56,20 @@ def calibration_file(out: Path) -> Path:
 
 def judged(name: str, policy: str, out: Path, compensations: tuple[str, ...]) -> list[dict[str, Any]]:
     """One row per compensation, of a folder of trainings or of one policy."""
-    settings = GridSettings(
+    settings = PolicySettings(
         policies=(policy,),
         compensations=compensations,
         feedback=("camera" if name.endswith("camera") else "encoders",),
         plants=("qiao2026",),
         grippers=("li_cup",),
     )
-    grid = run_grid(settings, out / "calibrations", workers=os.cpu_count() or 1)
-    return [
-        row
-        | {
-            "by_seed": [float(errors.mean()) for errors in cell.errors_mm.swapaxes(0, 1)],
-            "attitude_deg": float(cell.per_arm(lambda rollout: rollout.reaches.attitude_error_deg).mean()),
-        }
-        for row, cell in zip(grid.rows(), grid.cells, strict=True)
-    ]
+    rows = run_policies(settings, cache=out / "calibrations", backend="loky")
+    found = []
+    for row in evaluation_rows(settings, rows):
+        some = rows.where(compensation=row["compensation"])
+        by_seed = [float(some.where(training=number)["error_mm"].mean()) for (number,) in some.levels("training")]
+        found.append(row | {"by_seed": by_seed, "attitude_deg": float(some["attitude_deg"].mean())})
+    return found
 
 
 def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[str, Any]]) -> str:

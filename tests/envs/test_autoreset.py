@@ -28,7 +28,8 @@ ONLY_TRUNCATED = ("pickenv/Harvest-v0",)
 
 def vector(name, count, mode):
     arguments = {"max_episode_steps": LONGEST, **ARGUMENTS[name]}
-    return gym.make_vec(name, num_envs=count, autoreset_mode=mode, **arguments)
+    executor = {"executor": "numpy"} if "Reach" in name else {}
+    return gym.make_vec(name, num_envs=count, autoreset_mode=mode, **executor, **arguments)
 
 
 def alone(name):

@@ -47,11 +47,13 @@ VARIANTS = {
 }
 SINGLE = {"field, arm per episode": 1e-6}
 """Waves of a field are single precision in NumPy and double in torch: they agree to a nanometre (in mm here)."""
+ROUNDED = 1e-12
+"""How far apart a compiled step may be from NumPy's."""
 STEPS = 9
 
 
-def native(count, name="Reach", **arguments):
-    return gym.make_vec(f"pickenv/{name}-v0", num_envs=count, **arguments)
+def native(count, name="Reach", executor="numpy", **arguments):
+    return gym.make_vec(f"pickenv/{name}-v0", num_envs=count, executor=executor, **arguments)
 
 
 def synchronous(count, mode, name="Reach", max_episode_steps=STEPS, **arguments):
@@ -95,7 +97,7 @@ def test_native_and_synchronous_are_equal_to_the_bit_when_episodes_end_at_differ
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_the_compiled_step_has_the_bits_of_numpy(variant):
+def test_the_compiled_step_is_numpys_up_to_roundings(variant):
     pytest.importorskip("llvmlite")
     arguments = EARLY | VARIANTS[variant] | {"max_episode_steps": STEPS}
     for name, count in (("Reach", 70), ("ReachGoal", 5)):
@@ -107,17 +109,17 @@ def test_the_compiled_step_has_the_bits_of_numpy(variant):
         for _ in range(12):
             actions = one.action_space.sample()
             for a, b in zip(one.step(actions), other.step(actions), strict=True):
-                assert_same(a, b)
+                assert_same(a, b, apart=ROUNDED)
 
 
 @pytest.mark.parametrize("plant", ["ideal:ur5e", "coarse:panda", "geometry_only", "so101"])
-def test_every_arm_is_compiled_to_the_same_bits(plant):
+def test_every_arm_is_compiled_up_to_roundings(plant):
     pytest.importorskip("llvmlite")
     one, other = (native(5, plant=plant, reward="sparse", executor=executor) for executor in ("numpy", "compiled"))
     one.reset(seed=1), other.reset(seed=1)
     actions = one.action_space.sample()
     for a, b in zip(one.step(actions), other.step(actions), strict=True):
-        assert_same(a, b)
+        assert_same(a, b, apart=ROUNDED)
 
 
 def test_sixty_four_environments_are_as_equal_as_seven():

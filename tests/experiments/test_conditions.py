@@ -74,16 +74,17 @@ def test_the_hour_warms_and_sinks_the_machine_as_its_time_constants_say() -> Non
     day = State(np.zeros(4), np.full(4, 3.0), hours)
     np.testing.assert_allclose(rises(plant, day), 3.0 + 20.0 - 25.0 * np.exp(-hours / 1.2))
     joints = np.tile(plant.arm.nominal.lower * 0.5, (4, 1))
-    cool = replace(plant, thermal_growth=replace(plant.thermal_growth, expansion=(0.0,) * 6))
+    cool = plant.with_effect(replace(plant.effect("thermal_growth"), expansion=(0.0,) * 6))
     stood = under(cool, day).tool_pose(joints).position
     long_after = cool.tool_pose(joints[0]).position
     at_once = cool.without(["base_tilt"])
-    tilt = replace(cool.base_tilt, creep=0.0, settlement=0.0)
-    start = replace(at_once, base_tilt=tilt).tool_pose(joints[0]).position
+    tilt = replace(cool.effect("base_tilt"), creep=0.0, settlement=0.0)
+    start = at_once.with_effect(tilt).tool_pose(joints[0]).position
     share = 1.0 - np.exp(-hours / 1.5)
     np.testing.assert_allclose(stood, start + share[:, None] * (long_after - start), atol=2e-6)  # tilts are small
     for name in ("creep", "settlement"):
-        np.testing.assert_allclose(getattr(under(cool, day).base_tilt, name), share * getattr(cool.base_tilt, name))
+        sunk, whole = (getattr(each.effect("base_tilt"), name) for each in (under(cool, day), cool))
+        np.testing.assert_allclose(sunk, share * whole)
 
 
 def test_every_pose_is_measured_in_its_own_state_and_says_so(dynamic: Plant) -> None:

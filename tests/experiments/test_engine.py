@@ -136,6 +136,18 @@ def test_inputs_of_a_level_change_its_own_pieces_alone(tmp_path):
     assert first[:3] == second[:3] and not set(first[3:]) & set(second[3:])
 
 
+def longer(rng, arm, method):
+    """As many steps as the arm's number; one method knows a word more."""
+    return {"way_mm": np.full((2, arm), float(arm))} | ({"word": np.array(["some", "more"])} if method == "ls" else {})
+
+
+def test_shorter_arrays_and_missing_columns_are_filled():
+    rows = run(experiment(measure=longer))
+    assert rows["way_mm"].shape == (12, 2)
+    assert np.isfinite(rows["way_mm"]).sum(axis=1).tolist() == [0, 0, 1, 1, 2, 2] * 2
+    assert rows["word"].tolist() == [""] * 6 + ["some", "more"] * 3
+
+
 def damaged(path, how):
     content = path.read_bytes()
     if how == "removed":

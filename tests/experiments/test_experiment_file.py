@@ -10,7 +10,7 @@ import pytest
 from pickenv.cli import app
 from pickenv.errors import InputError
 from pickenv.experiments import run
-from pickenv.experiments.experiment_file import load_experiment, plain_estimates, table_of
+from pickenv.experiments.experiment_file import load_experiment, number_table, plain_estimates
 
 ROOT = Path(__file__).parents[2]
 STUDIES = sorted(path for path in (ROOT / "scripts/studies").glob("*.toml"))
@@ -113,7 +113,7 @@ def test_screens_and_json_say_the_same_numbers(file):
     found = load_experiment(file)
     tables = found.estimates(run(found.experiment))
     for number, table, plain in zip(found.numbers, tables, plain_estimates(tables), strict=True):
-        heads, cells = table_of(number, table["rows"])
+        heads, cells = number_table(number, table["rows"])
         shown = [
             float(re.match(r"[+-]?[\d.]+", cell)[0]) for line in cells for cell in line if re.match(r"[+-]?\d", cell)
         ]

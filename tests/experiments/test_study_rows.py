@@ -170,11 +170,11 @@ def test_deviations_are_those_of_the_drawn_arms(config):
         delta = getattr(plants.geometry, kind)[:, joint] - getattr(design.arm.nominal, kind)[joint]
         column = found[f"delta_{name}_{'deg' if angle else 'mm'}"][here]
         np.testing.assert_allclose(column, np.degrees(delta) if angle else 1e3 * delta, rtol=1e-12)
-    stiffness = design.joint_compliance.stiffness
+    stiffness = design.effect("joint_compliance").stiffness
     np.testing.assert_allclose(
-        found["size_joint_stiffness_4"][here] * stiffness[3], plants.joint_compliance.stiffness[3]
+        found["size_joint_stiffness_4"][here] * stiffness[3], plants.effect("joint_compliance").stiffness[3]
     )
-    term, own = plants.transmission_error.harmonics[2], design.transmission_error.harmonics[2]
+    term, own = plants.effect("transmission_error").harmonics[2], design.effect("transmission_error").harmonics[2]
     wave = term.amplitude / own.amplitude * np.exp(1j * term.phase)
     np.testing.assert_allclose(found["cosine_transmission_error_3"][here], wave.real, rtol=1e-12)
     np.testing.assert_allclose(found["sine_transmission_error_3"][here], wave.imag, rtol=1e-12)

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at
-from pickenv.arm.plant.plant import EFFECTS
+from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.calibration.pipeline.fitting import fit
 from pickenv.experiments import Rows
 from pickenv.experiments.experiment_file import load_experiment
 
 STUDIES = Path(__file__).parents[2] / "scripts/studies"
+EFFECTS = shipped_effects()
 MODELS = ("LS + gravity", "LS + harmonics", "LS + terms", "LS + BPNN", "LS + GP")
 
 

@@ -8,18 +8,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from types import ModuleType
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
-from pickenv.arm.effects.structure import Weight, turn_horizontally
+import numpy as np
+
+from pickenv.arm.effects.effect import BASE, JOINT, Components, Draws, Effect, Passage
+from pickenv.arm.effects.structure import turn_horizontally
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
-from pickenv.arm.kinematics.forward import Frame, Scalar
+from pickenv.arm.kinematics.forward import Scalar
+from pickenv.registry import register
 from pickenv.toml_tables import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Check, Unit, toml_table
 
+GIVING_WAY = {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"}
 
+
+@register("effect", "base_tilt")
 @toml_table
-class BaseTilt:
+class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
     """Tilt and sinkage of the machine that carries the arm.
 
     Attributes:
@@ -36,47 +44,36 @@ class BaseTilt:
     settlement: Annotated[Scalar, MM.not_negative]
     time_constant: Annotated[Scalar, HOURS.positive]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Carry the tool along by tilt, creep and settlement of the machine."""
+        (tilt_x, tilt_y), (creep_x, creep_y, settlement) = self._tilt(at), memory
+        x0, y0, z0 = self.pivot
+        *axes, px, py, pz = at.frame
+        vectors = (*axes, px - x0, py - y0, pz - z0)
+        turned = turn_horizontally(vectors, tilt_x + creep_x, tilt_y + creep_y, starts=(0, 3, 6, 9))
+        at.frame = (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
 
-def immediate_tilt(tilt: BaseTilt, weights: Sequence[Weight]) -> tuple[Scalar, Scalar]:
-    """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once.
+    def begin(self, at: Passage) -> Components:
+        """Creep about x and y in rad, and settlement in m: none yet."""
+        zero = at.command[0] * 0.0
+        return zero, zero, zero
 
-    Args:
-        tilt: The ground.
-        weights: What hangs on each link, from `pickenv.arm.effects.structure.weights_behind`.
-    """
-    x0, y0, _ = tilt.pivot
-    mass, moment_x, moment_y = weights[0]
-    about_x, about_y = tilt.stiffness
-    return -GRAVITY * (moment_y - mass * y0) / about_x, GRAVITY * (moment_x - mass * x0) / about_y
+    def rest(self, at: Passage) -> Components:
+        """What creeps in the long run."""
+        x, y = self._tilt(at)
+        return self.creep * x, self.creep * y, self.settlement
 
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """What has crept by then."""
+        faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
+        return tuple([final + (part - final) * faded for final, part in pairs])
 
-def sunk(
-    m: ModuleType, tilt: BaseTilt, sinkage: Sequence[Scalar], immediate: tuple[Scalar, Scalar], dt: Scalar
-) -> tuple[Scalar, Scalar, Scalar]:
-    """Creep (x, y) in rad and settlement in m after the immediate tilt has lasted for ``dt`` seconds."""
-    creep_x, creep_y, settlement = sinkage
-    faded = exponential(m, -dt / tilt.time_constant)
-    final_x, final_y, final = long_run(tilt, immediate)
-    return (
-        final_x + (creep_x - final_x) * faded,
-        final_y + (creep_y - final_y) * faded,
-        final + (settlement - final) * faded,
-    )
-
-
-def long_run(tilt: BaseTilt, immediate: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
-    """Creep (x, y) in rad and settlement in m after a very long time."""
-    return tilt.creep * immediate[0], tilt.creep * immediate[1], tilt.settlement
-
-
-def tilted_frame(tilt: BaseTilt, immediate: tuple[Scalar, Scalar], sinkage: Sequence[Scalar], frame: Frame) -> Frame:
-    """A frame of the world carried along by tilt, creep and settlement of the machine."""
-    creep_x, creep_y, settlement = sinkage
-    x0, y0, z0 = tilt.pivot
-    *axes, px, py, pz = frame
-    vectors = (*axes, px - x0, py - y0, pz - z0)
-    turned = turn_horizontally(vectors, immediate[0] + creep_x, immediate[1] + creep_y, starts=(0, 3, 6, 9))
-    return (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
+    def _tilt(self, at: Passage) -> tuple[Scalar, Scalar]:
+        """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once."""
+        x0, y0, _ = self.pivot
+        mass, moment_x, moment_y = at.loads.weights[0]
+        about_x, about_y = self.stiffness
+        return -GRAVITY * (moment_y - mass * y0) / about_x, GRAVITY * (moment_x - mass * x0) / about_y
 
 
 # Light arms swing after a move: each joint carries a lightly damped second-order mode that its acceleration excites.
@@ -90,8 +87,13 @@ BELOW_ONE = Check(
 )
 
 
+LARGEST_DAMPING = 0.5
+"""No structure is damped more; a draw from a wide spread stops here."""
+
+
+@register("effect", "settling")
 @toml_table
-class Settling:
+class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "damping": "damping"}):
     """Vibration of the structure behind each joint.
 
     Attributes:
@@ -106,6 +108,32 @@ class Settling:
     participation: Annotated[tuple[Scalar, ...], NUMBER.not_negative, PER_JOINT]
     rise_time: Annotated[Scalar, MILLISECONDS.positive]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Swing the joints."""
+        if memory:
+            n = len(at.joints)
+            at.joints = [value + swing for value, swing in zip(at.joints, memory[n : 2 * n], strict=True)]
+
+    def begin(self, at: Passage) -> Components:
+        """Profiles of all joints, then vibrations, then rates: nothing swings."""
+        return _components(at_rest(at.command))
+
+    def rest(self, at: Passage) -> Components:
+        """Nothing swings any more."""
+        return ()
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """How all swing then."""
+        n = len(at.command)
+        before = zip(memory[:n], memory[n : 2 * n], memory[2 * n :], strict=True)
+        return _components(swung(at.m, self, [Swing(*parts) for parts in before], at.command, dt))
+
+    def drawn(self, draws: Draws) -> Settling:
+        """Modes of which none is damped more than any structure."""
+        modes = super().drawn(draws)
+        damping: Any = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in modes.damping)
+        return replace(modes, damping=damping)
+
 
 class Swing(NamedTuple):
     """State of one joint's mode.
@@ -119,6 +147,11 @@ class Swing(NamedTuple):
     profile: Scalar
     vibration: Scalar
     rate: Scalar
+
+
+def _components(swings: Sequence[Swing]) -> Components:
+    profiles, vibrations, rates = zip(*swings, strict=True)
+    return *profiles, *vibrations, *rates
 
 
 def at_rest(q: Sequence[Scalar]) -> list[Swing]:

@@ -6,6 +6,7 @@ Numbers of a plant may be plain floats while the joints are arrays; functions of
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -53,6 +54,25 @@ def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
 def possible(m: ModuleType, condition: Scalar) -> bool:
     """Whether a rare case may be present; torch always says yes, so that nothing waits for the device."""
     return bool(condition) if m is math else bool(np.any(condition)) if m is np else True
+
+
+def set_aside(m: ModuleType, condition: Scalar) -> bool:
+    """Whether a rare case is noted and left to whoever runs the formula, as a namespace that writes it down does."""
+    note = getattr(m, "set_aside", None)
+    return note is not None and bool(note(condition))
+
+
+def outside(m: ModuleType, function: Callable[..., None], values: Sequence[Scalar], rows: int) -> list[Scalar] | None:
+    """What a function of whole arrays makes of numbers, where a namespace writes formulas down; else None.
+
+    Args:
+        m: The namespace.
+        function: Gets an array ``(k, N)`` and fills one ``(rows, N)``, column by column.
+        values: What it is given, k.
+        rows: How many numbers it makes of them.
+    """
+    note = getattr(m, "outside", None)
+    return None if note is None else note(function, values, rows)
 
 
 def nearest_whole(m: ModuleType, value: Scalar) -> Scalar:

@@ -1,47 +1,272 @@
-"""A trace as machine code: each phase is one loop over the poses, between two calls of NumPy's functions.
+"""Formulas written down once, operation by operation, and run as machine code: one loop over the poses.
 
-Code is generated with LLVM (llvmlite), without any licence to reorder, contract or approximate: results have the bits
-of the NumPy operations that the trace stands for.
+They run on `Traced` numbers as on arrays, with `SYMBOLS` in the place of `numpy`. What comes out is a list of
+operations in which nothing is computed twice; LLVM (llvmlite) makes code of it. Results differ from NumPy's by
+roundings, for sines and cosines are Taylor series here, and logarithms and arc tangents those of the C library.
 """
 
 from __future__ import annotations
 
 import ctypes
-import platform
+import math
+import os
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from llvmlite import binding
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.tracing import (
-    CALLED,
-    DOUBLE,
-    FLAG,
-    SINGLE,
-    WORD,
-    Operation,
-    Outputs,
-    Phase,
-    Trace,
-    phases,
+from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm.kinematics.geometry import Array
+
+DOUBLE, SINGLE, WORD, FLAG = "double", "float", "i64", "i1"
+"""Kinds of numbers: float64, float32, 64-bit word, truth value."""
+
+COMMUTATIVE = frozenset({"add", "mul", "and", "or", "xor"})
+
+Fill = Callable[[Array, Array], None]
+"""Gets an array ``(k, N)`` and fills one ``(rows, N)``."""
+
+
+class Untraceable(Exception):
+    """A formula asked for a number where only its name is known."""
+
+
+class Operation(NamedTuple):
+    """One operation.
+
+    Attributes:
+        name: "add", "sqrt", "input", "constant", ...
+        kind: Kind of its result.
+        operands: Numbers of the operations that it takes.
+        detail: Array and row of an input, value of a constant.
+    """
+
+    name: str
+    kind: str
+    operands: tuple[int, ...]
+    detail: Any = None
+
+
+class Call(NamedTuple):
+    """A function of whole arrays, called between two loops.
+
+    Attributes:
+        function: The function.
+        values: What it is given.
+        rows: How many numbers it makes of them.
+    """
+
+    function: Fill
+    values: Sequence[Scalar]
+    rows: int
+
+
+class Trace:
+    """Operations in the order in which they were written down.
+
+    Attributes:
+        operations: All of them, each but once.
+        exceptions: Truth values; where one is true, the formulas ask for more than operations can give.
+        calls: Functions of whole arrays; the results of call i are the rows of the input "found<i>".
+    """
+
+    def __init__(self) -> None:
+        self.operations: list[Operation] = []
+        self.exceptions: list[Traced] = []
+        self.calls: list[Call] = []
+        self._known: dict[Operation, int] = {}
+
+    def note(self, name: str, kind: str, *operands: int, detail: Any = None) -> Traced:
+        """The result of an operation."""
+        if name in COMMUTATIVE and operands[0] > operands[1]:
+            operands = operands[::-1]
+        operation = Operation(name, kind, operands, detail)
+        if operation not in self._known:
+            self._known[operation] = len(self.operations)
+            self.operations.append(operation)
+        return Traced(self, self._known[operation], kind)
+
+    def inputs(self, array: str, rows: int, kind: str = DOUBLE) -> list[Traced]:
+        """The rows of an array ``(rows, N)``."""
+        return [self.note("input", kind, detail=(array, row)) for row in range(rows)]
+
+    def of(self, value: Scalar, kind: str) -> int:
+        """Number of the operation that gives ``value``; plain numbers become constants of this kind."""
+        if isinstance(value, Traced):
+            return value.number
+        if not isinstance(value, bool | int | float | np.generic):
+            raise Untraceable(f"{type(value).__name__} is no number")
+        return self.note("constant", kind, detail=float(value).hex() if kind == DOUBLE else int(value)).number
+
+    def single(self, value: Scalar) -> Traced:
+        """A number rounded to float32."""
+        return self.note("single", SINGLE, self.of(value, DOUBLE))
+
+    def double(self, value: Traced) -> Traced:
+        """A float32 as a float64."""
+        return self.note("double", DOUBLE, value.number)
+
+
+def _binary(name: str, kind: str | None = None, swapped: bool = False) -> Callable[[Traced, Any], Any]:
+    """An operator of `Traced`; ``kind`` is that of its result where it is not that of its operands."""
+
+    def operator(self: Traced, other: Any) -> Any:
+        if not isinstance(other, Traced | bool | int | float | np.generic):
+            return NotImplemented
+        numbers = self.number, self.trace.of(other, self.kind)
+        return self.trace.note(name, kind or self.kind, *(numbers[::-1] if swapped else numbers))
+
+    return operator
+
+
+class Traced:
+    """A number of which only is known by which operation it comes about."""
+
+    __slots__ = ("kind", "number", "trace")
+    __array_ufunc__ = None  # NumPy's numbers leave the arithmetic to this class
+
+    def __init__(self, trace: Trace, number: int, kind: str) -> None:
+        self.trace, self.number, self.kind = trace, number, kind
+
+    __add__, __radd__ = _binary("add"), _binary("add", swapped=True)
+    __sub__, __rsub__ = _binary("sub"), _binary("sub", swapped=True)
+    __mul__, __rmul__ = _binary("mul"), _binary("mul", swapped=True)
+    __truediv__, __rtruediv__ = _binary("div"), _binary("div", swapped=True)
+    __lt__, __le__ = _binary("lt", FLAG), _binary("le", FLAG)
+    __gt__, __ge__ = _binary("gt", FLAG), _binary("ge", FLAG)
+    __and__, __rand__ = _binary("and"), _binary("and", swapped=True)
+    __or__, __ror__ = _binary("or"), _binary("or", swapped=True)
+    __xor__, __rshift__ = _binary("xor"), _binary("shift")
+
+    def __neg__(self) -> Traced:
+        return self.trace.note("neg", self.kind, self.number)
+
+    def __invert__(self) -> Traced:
+        return cast(Traced, self ^ True)
+
+    def as_double(self) -> Traced:
+        """A word as a float64."""
+        return self.trace.note("number", DOUBLE, self.number)
+
+    @property
+    def dtype(self) -> Any:
+        """What an array of such numbers would have."""
+        return np.dtype(np.float64)
+
+    def __bool__(self) -> bool:
+        raise Untraceable("a formula goes one way or another")
+
+    def __array__(self, *_: Any, **__: Any) -> Any:
+        raise Untraceable("a formula needs arrays")
+
+
+# What `numpy` is to arrays.
+
+PI, PI_REST = float.fromhex("0x1.921fb544p+1"), float.fromhex("0x1.0b4611a626331p-33")
+"""Half a turn, rad: its first 33 bits, of which many times are exact, and what is missing."""
+
+TERMS = 11
+"""Of each series: at a quarter turn the first one left out is less than half a rounding of the largest."""
+
+INTRINSICS = {"round": "rint", "abs": "fabs"} | {name: name for name in ("sqrt", "atan2", "log", "log10", "exp")}
+"""Functions by the names that NumPy and LLVM have for them."""
+
+
+def sine(m: Any, angle: Scalar) -> Scalar:
+    """The sine of an angle, rad, by its series; ``m`` has the rounding: ``numpy`` or `SYMBOLS`."""
+    sign, rest = _reduced(m, angle)
+    return sign * (rest * _summed(rest * rest, 1))
+
+
+def cosine(m: Any, angle: Scalar) -> Scalar:
+    """The cosine of an angle, as `sine`."""
+    sign, rest = _reduced(m, angle)
+    return sign * _summed(rest * rest, 0)
+
+
+def _reduced(m: Any, angle: Scalar) -> tuple[Scalar, Scalar]:
+    """The sign that an angle's whole half turns give to its sine and cosine, and what is left without them."""
+    halves = m.round(angle * (1.0 / math.pi))
+    odd = halves - 2.0 * m.round(0.5 * halves)
+    return 1.0 - 2.0 * (odd * odd), (angle - PI * halves) - PI_REST * halves
+
+
+def _summed(square: Scalar, first: int) -> Scalar:
+    """The sum of (-square)^k / (2 k + first)! over `TERMS` k."""
+    total = square * (1.0 / math.factorial(2 * TERMS - 2 + first))
+    for k in reversed(range(TERMS - 1)):
+        total = 1.0 / math.factorial(2 * k + first) - total
+        total = total if k == 0 else square * total
+    return total
+
+
+def _function(name: str, plain: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of `Traced` and plain numbers; of plain numbers alone it is NumPy's."""
+
+    def function(*values: Scalar) -> Scalar:
+        trace = _trace_of(values)
+        if trace is None:
+            return float(plain(*values))
+        return trace.note(name, DOUBLE, *(trace.of(value, DOUBLE) for value in values))
+
+    return function
+
+
+def _trace_of(values: Sequence[Scalar]) -> Trace | None:
+    return next((value.trace for value in values if isinstance(value, Traced)), None)
+
+
+def _where(condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
+    if not isinstance(condition, Traced):
+        return yes if condition else no
+    trace = condition.trace
+    return trace.note("where", DOUBLE, condition.number, *(trace.of(value, DOUBLE) for value in (yes, no)))
+
+
+def _set_aside(condition: Scalar) -> bool:
+    if isinstance(condition, Traced):
+        condition.trace.exceptions.append(condition)
+    return isinstance(condition, Traced)
+
+
+def _outside(function: Fill, values: Sequence[Scalar], rows: int) -> list[Traced] | None:
+    trace = _trace_of(values)
+    if trace is None:
+        return None
+    trace.calls.append(Call(function, values, rows))
+    return trace.inputs(f"found{len(trace.calls) - 1}", rows)
+
+
+_least, _most = _function("min", np.minimum), _function("max", np.maximum)
+
+SYMBOLS: Any = SimpleNamespace(
+    **{name: _function(name, getattr(np, name)) for name in INTRINSICS},
+    __name__="symbols",
+    sin=lambda angle: sine(SYMBOLS, angle) if isinstance(angle, Traced) else math.sin(angle),
+    cos=lambda angle: cosine(SYMBOLS, angle) if isinstance(angle, Traced) else math.cos(angle),
+    finfo=np.finfo,
+    where=_where,
+    clip=lambda value, low, high: _least(_most(value, low), high),
+    set_aside=_set_aside,
+    outside=_outside,
 )
+"""What `numpy` is to arrays."""
 
-LANES = {False: 4, True: 8}
-"""Poses that one instruction works on, without and with AVX-512."""
 
-NUMBERS, LEAST = 2**16, 64
-"""Intermediate results that a core's own cache holds, and how many poses at least go through all phases together."""
+# A trace as machine code.
+
+LANES = 8
+"""Poses that one instruction works on, or two where the processor has no such wide ones."""
 
 THOROUGH = 1024
 """From so many poses on, code that takes four times as long to generate and runs a third faster is worth it."""
 
 BYTES = {DOUBLE: 8, SINGLE: 4, WORD: 8, FLAG: 1}
-KEPT = "kept"
-"""The array of intermediate results."""
 
 BY_KIND = {
     DOUBLE: {
@@ -54,131 +279,96 @@ BY_KIND = {
 }
 """Instructions, by the kind of what they take."""
 
-INTRINSICS = {"sqrt": "sqrt", "round": "rint", "abs": "fabs"}
+FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
-class Arrangement(NamedTuple):
-    """Where intermediate results lie.
+class Outputs(NamedTuple):
+    """What is written into an array ``(rows, N)``.
 
     Attributes:
-        stored: Operation and row of what each phase stores.
-        home: By operation, a row that holds it, and the first phase that finds it there.
-        groups: First rows of the operands and results of calls.
-        height: Number of rows.
+        array: Its name.
+        rows: What goes into its rows.
+        kind: Their kind.
+        first: Number of the first of these rows.
     """
 
-    stored: list[list[tuple[int, int]]]
-    home: dict[int, tuple[int, int]]
-    groups: dict[tuple[int, ...], int]
-    height: int
+    array: str
+    rows: Sequence[Scalar]
+    kind: str = DOUBLE
+    first: int = 0
 
-
-def laid_out(plan: Sequence[Phase]) -> Arrangement:
-    """Rows for what phases keep; those of a call's operands lie side by side, and so do its results'."""
-    stored: list[list[tuple[int, int]]] = []
-    home: dict[int, tuple[int, int]] = {}
-    groups: dict[tuple[int, ...], int] = {}
-    height = 0
-    for at, phase in enumerate(plan):
-        own = []
-        for numbers in (part for call in phase.calls for part in call.operands):
-            if numbers not in groups:
-                groups[numbers] = height
-                own += [(number, height + i) for i, number in enumerate(numbers)]
-                height += len(numbers)
-        here = dict(own)
-        for number in phase.kept:
-            if number not in here:
-                own.append((number, height))
-                here[number] = height
-                height += 1
-            home[number] = (here[number], at + 1)
-        for call in phase.calls:
-            groups[call.results] = height
-            home |= {number: (height + i, at + 1) for i, number in enumerate(call.results)}
-            height += len(call.results)
-        stored.append(own)
-    return Arrangement(stored, home, groups, height)
-
-
-Called = tuple[Any, list[NDArray[Any]]]
-"""A function, and the arrays that it reads and writes."""
+    def goals(self, trace: Trace) -> list[tuple[int, str, int]]:
+        """Number of an operation, array and row, of each."""
+        return [(trace.of(value, self.kind), self.array, row) for row, value in enumerate(self.rows, self.first)]
 
 
 class Compiled:
-    """A trace ready to be run.
+    """A trace ready to be run: a loop for what each call is given, which begins anew, and one for the outputs.
 
     Args:
         trace: The operations.
-        outputs: What is written.
+        outputs: What is written; all in the last loop, for inputs are read until then.
         count: For how many poses it will be run.
     """
 
     def __init__(self, trace: Trace, outputs: Sequence[Outputs], count: int) -> None:
-        self._plan = phases(trace, outputs)
-        self._layout = laid_out(self._plan)
-        self._width = max(LEAST, NUMBERS // max(self._layout.height, 1) // LEAST * LEAST)
+        self._calls = trace.calls
+        loops = [[Outputs(f"given{i}", call.values)] for i, call in enumerate(trace.calls)] + [list(outputs)]
+        goals = [[goal for out in loop for goal in out.goals(trace)] for loop in loops]
         read = (operation.detail[0] for operation in trace.operations if operation.name == "input")
-        self._arrays = (KEPT, *dict.fromkeys((*read, *(out.array for out in outputs))))
-        code = (_loop(trace, self._layout, i, phase, self._arrays) for i, phase in enumerate(self._plan))
-        text = "\n".join((*DECLARED, *code))
-        names = tuple(f"phase{i}" for i in range(len(self._plan)))
-        self._engine, addresses = machine(text, names, count >= THOROUGH)
-        self._functions = [FUNCTION(address) for address in addresses]
-        self._calls: dict[int, list[tuple[list[Called], list[Called]]]] = {}
-        self._kept = np.empty((0, 0))
+        self._arrays = tuple(dict.fromkeys((*read, *(out.array for loop in loops for out in loop))))
+        code = (_loop(trace.operations, f"loop{i}", goal, self._arrays) for i, goal in enumerate(goals))
+        names = tuple(f"loop{i}" for i in range(len(loops)))
+        self._engine, addresses = machine("\n".join((*DECLARED, *code)), names, count >= THOROUGH)
+        self._loops = [FUNCTION(address) for address in addresses]
+        self._between: dict[str, Array] = {}
 
     def run(self, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
         """Compute outputs from inputs: arrays ``(rows, count)`` by name, whose rows lie one after the other."""
-        width = min(count, self._width)
-        if self._kept.shape[1] != width:
-            self._kept, self._calls = np.zeros((self._layout.height, width)), {}
-        used = (self._kept, *(arrays[name] for name in self._arrays[1:]))
-        bases = (ctypes.c_void_p * len(used))(*(array.__array_interface__["data"][0] for array in used))
-        for first in range(0, count, width):
-            here = min(width, count - first)
-            if here not in self._calls:
-                self._calls[here] = [self._called(phase, here) for phase in self._plan]
-            for function, (calls, fills) in zip(self._functions, self._calls[here], strict=True):
-                function(bases, width, count, first, here)
-                for called, rows in calls:
-                    called(*rows)
-                for fill, (given, found) in fills:
-                    fill(given, found, slice(first, first + here))
-
-    def _called(self, phase: Phase, here: int) -> tuple[list[Called], list[Called]]:
-        """NumPy's functions of a phase, and ours, with the rows that they read and write, for a block of so many."""
-        numpys: list[Called] = []
-        ours: list[Called] = []
-        for call in phase.calls:
-            parts = ((self._layout.groups[part], len(part)) for part in (*call.operands, call.results))
-            rows = [self._kept[first : first + size, :here] for first, size in parts]
-            if isinstance(call.function, str):
-                numpys.append((CALLED[call.function], rows))
-            else:
-                ours.append((call.function, rows))
-        return numpys, ours
+        if self._calls and (not self._between or self._between["given0"].shape[1] != count):
+            for i, call in enumerate(self._calls):
+                self._between[f"given{i}"] = np.empty((len(call.values), count))
+                self._between[f"found{i}"] = np.empty((call.rows, count))
+        arrays = {**arrays, **self._between}
+        addresses = (arrays[name].__array_interface__["data"][0] for name in self._arrays)
+        bases = (ctypes.c_void_p * len(self._arrays))(*addresses)
+        for i, loop in enumerate(self._loops):
+            loop(bases, count)
+            if i < len(self._calls):
+                self._calls[i].function(arrays[f"given{i}"], arrays[f"found{i}"])
 
 
-DECLARED = tuple(
-    f"declare {kind} @llvm.{name}.{mark}({kind})"
-    for name in INTRINSICS.values()
-    for kind, mark in (("double", "f64"), *((f"<{lanes} x double>", f"v{lanes}f64") for lanes in LANES.values()))
-)
+Goals = Sequence[tuple[int, str, int]]
+"""Number of an operation, and the array and row that its result goes to."""
 
 
-def _loop(trace: Trace, layout: Arrangement, number: int, phase: Phase, arrays: Sequence[str]) -> str:
-    """The function of one phase: a loop by lanes, and one for what is left."""
-    lanes = LANES[bool(_host()[1].get("avx512f"))]
-    wide, narrow = (_Body(trace, layout, number, phase, arrays, count).text for count in (lanes, 1))
+def _type(kind: str, lanes: int) -> str:
+    return f"<{lanes} x {kind}>" if lanes > 1 else kind
+
+
+def _mark(lanes: int) -> str:
+    return f"v{lanes}f64" if lanes > 1 else "f64"
+
+
+def _declared(name: str, lanes: int) -> str:
+    kind = _type(DOUBLE, lanes)
+    return f"declare {kind} @llvm.{name}.{_mark(lanes)}({', '.join([kind] * (1 + (name == 'atan2')))})"
+
+
+DECLARED = tuple(_declared(name, lanes) for name in INTRINSICS.values() for lanes in (1, LANES))
+
+
+def _loop(operations: Sequence[Operation], name: str, goals: Goals, arrays: Sequence[str]) -> str:
+    """A function: a loop by lanes, and one for what is left."""
+    wide, narrow = ("\n".join(_Body(operations, goals, arrays, lanes).lines) for lanes in (LANES, 1))
     return f"""
-define void @phase{number}(ptr noalias %bases, i64 %width, i64 %count, i64 %first, i64 %here) {{
+define void @{name}(ptr noalias %bases, i64 %count) {{
 entry:
   br label %wide_head
 wide_head:
   %wide_at = phi i64 [0, %entry], [%wide_next, %wide]
-  %wide_next = add i64 %wide_at, {lanes}
-  %wide_more = icmp ule i64 %wide_next, %here
+  %wide_next = add i64 %wide_at, {LANES}
+  %wide_more = icmp ule i64 %wide_next, %count
   br i1 %wide_more, label %wide, label %narrow_head
 wide:
 {wide}
@@ -186,7 +376,7 @@ wide:
 narrow_head:
   %narrow_at = phi i64 [%wide_at, %wide_head], [%narrow_next, %narrow]
   %narrow_next = add i64 %narrow_at, 1
-  %narrow_more = icmp ule i64 %narrow_next, %here
+  %narrow_more = icmp ule i64 %narrow_next, %count
   br i1 %narrow_more, label %narrow, label %done
 narrow:
 {narrow}
@@ -197,82 +387,59 @@ done:
 
 
 class _Body:
-    """The instructions of one phase for some poses at once; `text` is they."""
+    """The instructions of one loop for some poses at once; `lines` are they."""
 
-    def __init__(
-        self, trace: Trace, layout: Arrangement, number: int, phase: Phase, arrays: Sequence[str], lanes: int
-    ) -> None:
-        self._lines: list[str] = []
-        self._operations, self._layout, self._number = trace.operations, layout, number
-        self._arrays, self._lanes = arrays, lanes
-        self._loop = "wide" if lanes > 1 else "narrow"
+    def __init__(self, operations: Sequence[Operation], goals: Goals, arrays: Sequence[str], lanes: int) -> None:
+        self.lines: list[str] = []
+        self._operations, self._arrays, self._lanes = operations, arrays, lanes
+        self._turn = "wide" if lanes > 1 else "narrow"
         self._bases: dict[str, str] = {}
-        goals = [(value, KEPT, row) for value, row in layout.stored[number]]
-        goals += [(value, array, row) for value, (array, row) in phase.written]
-        self._all = self._new(f"add i64 %{self._loop}_at, %first")
         self._values: dict[int, str] = {}
-        for value in self._needed([value for value, _, _ in goals]):
-            self._values[value] = self._value(value)
-        for goal in goals:
-            self._store(*goal)
-
-    @property
-    def text(self) -> str:
-        """All lines."""
-        return "\n".join(self._lines)
-
-    def _is_kept(self, number: int) -> bool:
-        return number in self._layout.home and self._layout.home[number][1] <= self._number
-
-    def _needed(self, waiting: list[int]) -> list[int]:
-        """What this phase loads or computes, in order."""
-        needed: set[int] = set()
+        needed, waiting = set[int](), [number for number, _, _ in goals]
         while waiting:
             number = waiting.pop()
             if number not in needed:
                 needed.add(number)
-                if not self._is_kept(number):
-                    waiting += self._operations[number].operands
-        return sorted(needed)
+                waiting += operations[number].operands
+        for number in sorted(needed):
+            self._values[number] = self._value(operations[number])
+        for number, array, row in goals:
+            self._store(self._values[number], operations[number].kind, array, row)
 
-    def _value(self, number: int) -> str:
+    def _value(self, operation: Operation) -> str:
         """The name of an operation's result, or a constant."""
-        operation = self._operations[number]
         if operation.name == "constant":
             return self._constant(operation)
         if operation.name == "input":
             array, row = operation.detail
             return self._load(array, row, operation.kind)
-        if self._is_kept(number):
-            return self._load(KEPT, self._layout.home[number][0], operation.kind)
-        given = [self._values[i] for i in operation.operands]
-        kind = self._operations[operation.operands[0]].kind
-        return self._computed(operation.name, kind, operation.kind, given)
+        values = [self._values[i] for i in operation.operands]
+        return self._computed(operation.name, self._operations[operation.operands[0]].kind, operation.kind, values)
 
-    def _computed(self, name: str, kind: str, result: str, given: list[str]) -> str:
+    def _computed(self, name: str, kind: str, result: str, values: list[str]) -> str:
         taken = self._type(kind)
         if name in INTRINSICS:
-            mark = f"v{self._lanes}f64" if self._lanes > 1 else "f64"
-            return self._new(f"call {taken} @llvm.{INTRINSICS[name]}.{mark}({taken} {given[0]})")
+            operands = ", ".join(f"{taken} {value}" for value in values)
+            return self._new(f"call {taken} @llvm.{INTRINSICS[name]}.{_mark(self._lanes)}({operands})")
         if name in ("min", "max"):  # of equal numbers the second, and a number that is none wins, as in NumPy
-            first = self._new(f"fcmp {'olt' if name == 'min' else 'ogt'} {taken} {given[0]}, {given[1]}")
-            none = self._new(f"fcmp uno {taken} {given[0]}, {given[0]}")
-            given, name = [self._new(f"or {self._type(FLAG)} {first}, {none}"), *given], "where"
+            first = self._new(f"fcmp {'olt' if name == 'min' else 'ogt'} {taken} {values[0]}, {values[1]}")
+            none = self._new(f"fcmp uno {taken} {values[0]}, {values[0]}")
+            values, name = [self._new(f"or {self._type(FLAG)} {first}, {none}"), *values], "where"
         if name == "where":
             flag, taken = self._type(FLAG), self._type(result)
-            return self._new(f"select {flag} {given[0]}, {taken} {given[1]}, {taken} {given[2]}")
+            return self._new(f"select {flag} {values[0]}, {taken} {values[1]}, {taken} {values[2]}")
         instruction = BY_KIND[kind][name]
         if kind != result and name not in ("lt", "le", "gt", "ge"):
-            return self._new(f"{instruction} {taken} {given[0]} to {self._type(result)}")
-        return self._new(f"{instruction} {taken} {', '.join(given)}")
+            return self._new(f"{instruction} {taken} {values[0]} to {self._type(result)}")
+        return self._new(f"{instruction} {taken} {', '.join(values)}")
 
     def _new(self, instruction: str) -> str:
-        name = f"%{self._loop[0]}{len(self._lines)}"
-        self._lines.append(f"  {name} = {instruction}")
+        name = f"%{self._turn[0]}{len(self.lines)}"
+        self.lines.append(f"  {name} = {instruction}")
         return name
 
     def _type(self, kind: str) -> str:
-        return f"<{self._lanes} x {kind}>" if self._lanes > 1 else kind
+        return _type(kind, self._lanes)
 
     def _constant(self, operation: Operation) -> str:
         value, kind = operation.detail, operation.kind
@@ -284,49 +451,20 @@ class _Body:
         if array not in self._bases:
             slot = self._new(f"getelementptr ptr, ptr %bases, i64 {self._arrays.index(array)}")
             self._bases[array] = self._new(f"load ptr, ptr {slot}")
-        width, at, size = "%count", self._all, BYTES[kind]
-        if array == KEPT:
-            width, at, size = "%width", f"%{self._loop}_at", 8
-        along = self._new(f"mul i64 {row * size}, {width}")
-        within = self._new(f"mul i64 {BYTES[kind]}, {at}")
-        along = self._new(f"add i64 {along}, {within}")
-        return self._new(f"getelementptr i8, ptr {self._bases[array]}, i64 {along}")
+        before = self._new(f"mul i64 {row}, %count")
+        entry = self._new(f"add i64 {before}, %{self._turn}_at")
+        return self._new(f"getelementptr {'i8' if kind == FLAG else kind}, ptr {self._bases[array]}, i64 {entry}")
 
     def _load(self, array: str, row: int, kind: str) -> str:
         place, memory = self._place(array, row, kind), self._type("i8" if kind == FLAG else kind)
         value = self._new(f"load {memory}, ptr {place}, align {BYTES[kind]}")
         return value if kind != FLAG else self._new(f"trunc {memory} {value} to {self._type(FLAG)}")
 
-    def _store(self, number: int, array: str, row: int) -> None:
-        kind, value = self._operations[number].kind, self._values[number]
+    def _store(self, value: str, kind: str, array: str, row: int) -> None:
         place, memory = self._place(array, row, kind), self._type("i8" if kind == FLAG else kind)
         if kind == FLAG:
             value = self._new(f"zext {self._type(FLAG)} {value} to {memory}")
-        self._lines.append(f"  store {memory} {value}, ptr {place}, align {BYTES[kind]}")
-
-
-FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, *[ctypes.c_int64] * 4)
-
-
-@lru_cache(maxsize=1)
-def _host() -> tuple[str, dict[str, bool]]:
-    """The name of this processor, and what it can do."""
-    binding.initialize_native_target()
-    binding.initialize_native_asmprinter()
-    return binding.get_host_cpu_name(), dict(binding.get_host_cpu_features())
-
-
-def fused(kind: str, result: str, one: str, other: str, more: str) -> str:
-    """Instructions for one * other + more of vectors of floats, rounded once where the processor can do that."""
-    lanes = kind.strip("<>").split()[0]
-    if _host()[1].get("fma") or platform.machine() in ("arm64", "aarch64"):
-        return f"  {result} = call {kind} @llvm.fma.v{lanes}f32({kind} {one}, {kind} {other}, {kind} {more})"
-    return f"  {result}p = fmul {kind} {one}, {other}\n  {result} = fadd {kind} {result}p, {more}"
-
-
-def adds_products_of_bytes() -> bool:
-    """Whether this processor has instructions that add products of 64 bytes (AVX-512 VNNI)."""
-    return bool(_host()[1].get("avx512vnni"))
+        self.lines.append(f"  store {memory} {value}, ptr {place}, align {BYTES[kind]}")
 
 
 @lru_cache(maxsize=64)
@@ -338,10 +476,15 @@ def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, lis
         names: Of the functions.
         thorough: Whether registers are used well, which takes four times as long to generate.
     """
-    name, features = _host()
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    library = ctypes.CDLL(None if os.name == "posix" else "msvcrt")
+    for name in ("atan2", "log", "log10", "exp"):
+        binding.add_symbol(name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
+    features = sorted(binding.get_host_cpu_features().items())
     target = binding.Target.from_default_triple().create_target_machine(
-        cpu=name,
-        features=",".join(f"{'+' if there else '-'}{feature}" for feature, there in sorted(features.items())),
+        cpu=binding.get_host_cpu_name(),
+        features=",".join(f"{'+' if there else '-'}{feature}" for feature, there in features),
         opt=2 if thorough else 0,
     )
     module = binding.parse_assembly(code)

@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm.kinematics.backend import chosen, possible
+from pickenv.arm.kinematics.backend import chosen, possible, set_aside
 from pickenv.arm.kinematics.forward import Frame, Scalar, frame_of, pose_of
 from pickenv.arm.kinematics.geometry import Array, Pose
-from pickenv.arm.kinematics.tracing import Traced
 
 REVERSED = -0.99
 """Below this cosine, from 172 degrees, the rotation's axis is read from the symmetric part: the sine has lost it."""
@@ -99,10 +98,7 @@ def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[
     scale = scale + ARC_SINE[0]
     vector = tuple(scale * part for part in sines)
     large = (square > SMALL_SINE**2) | (xx + yy + zz < 1.0)
-    if isinstance(large, Traced):
-        m.where(large)  # whoever runs what was traced asks for these
-        return vector
-    if not possible(m, large):
+    if set_aside(m, large) or not possible(m, large):
         return vector
     exact = rotation_between(m, reference, actual)
     return tuple(chosen(m, large, other, own) for other, own in zip(exact, vector, strict=True))

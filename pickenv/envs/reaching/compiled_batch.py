@@ -1,4 +1,4 @@
-"""Many reach tasks side by side on NumPy's arrays, with the step compiled: the same bits in fewer passes.
+"""Many reach tasks side by side on NumPy's arrays, with the step compiled: the same up to roundings, in one pass.
 
 The step is traced and becomes machine code (`pickenv.arm.kinematics.machine_code`) when it is first taken. Episodes
 begin on NumPy.
@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant, plants_on
-from pickenv.arm.kinematics.machine_code import Compiled
-from pickenv.arm.kinematics.tracing import DOUBLE, FLAG, SINGLE, WORD, Outputs, Trace, Traced
+from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, SYMBOLS, WORD, Compiled, Outputs, Trace, Traced
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
-from pickenv.envs.shared.arm_batch import Words
-from pickenv.envs.shared.backends import TRACER
+from pickenv.envs.shared.arm_batch import Words, naming_effects
+from pickenv.envs.shared.backends import MASK, Executor, Scalar
 from pickenv.envs.shared.simulation import (
     ReachState,
     act,
@@ -29,6 +28,27 @@ from pickenv.envs.shared.simulation import (
     true_reward,
 )
 from pickenv.envs.shared.task import Compensate, Task
+
+
+def _product(word: Scalar, constant: int) -> Scalar:
+    return word * constant if isinstance(word, Traced) else (word * constant) & MASK
+
+
+def _total(word: Scalar, other: Scalar) -> Scalar:
+    return word + other if isinstance(word, Traced) or isinstance(other, Traced) else (word + other) & MASK
+
+
+TRACER = Executor(
+    name="compiled",
+    m=SYMBOLS,
+    times=_product,
+    plus=_total,
+    shifted=lambda word, bits: word >> bits,
+    unit=lambda word: (word >> 11).as_double() * 2.0**-53,
+    word=lambda number: number & MASK,
+    spares_constants=True,
+)
+"""Writes the simulation down, to be compiled."""
 
 
 class CompiledBatch(NumpyBatch):
@@ -85,7 +105,8 @@ class CompiledBatch(NumpyBatch):
     def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
         """Take one part of the step: "act", "look", or "step" for both."""
         if part not in self._code:
-            self._code[part] = self._compiled(part)
+            with naming_effects(self.plant, "compiled"):
+                self._code[part] = self._compiled(part)
         self._code[part].run(arrays, self.count)
 
     def _compiled(self, part: str) -> Compiled:

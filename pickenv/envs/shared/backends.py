@@ -1,4 +1,4 @@
-"""The arithmetic that the simulation runs on: Python floats, NumPy arrays, torch tensors, or none, to be compiled.
+"""The arithmetic that the simulation runs on: Python floats, NumPy arrays, torch tensors, or machine code.
 
 An executor bundles the namespace of kinematics (`pickenv.arm.kinematics.backend` has what the three spell
 differently) with 64-bit integers modulo 2^64 for the random streams. torch is imported when its executor is asked for.
@@ -15,7 +15,6 @@ from types import ModuleType
 import numpy as np
 
 from pickenv.arm.kinematics.forward import Scalar as Scalar
-from pickenv.arm.kinematics.tracing import SYMBOLS, Traced
 from pickenv.extras import require
 
 MASK = 2**64 - 1
@@ -26,7 +25,7 @@ class Executor:
     """One way to run the simulation.
 
     Attributes:
-        name: "floats", "numpy", "torch" or "tracer".
+        name: "floats", "numpy", "torch" or "compiled".
         m: Namespace with sin, cos, sqrt, log, log10.
         times: Product of 64-bit words with a constant, modulo 2^64.
         plus: Sum of two 64-bit words, modulo 2^64.
@@ -74,27 +73,6 @@ NUMPY = Executor(
 """Batches of environments as NumPy arrays, one array per component."""
 
 
-def _product(word: Scalar, constant: int) -> Scalar:
-    return word * constant if isinstance(word, Traced) else (word * constant) & MASK
-
-
-def _total(word: Scalar, other: Scalar) -> Scalar:
-    return word + other if isinstance(word, Traced) or isinstance(other, Traced) else (word + other) & MASK
-
-
-TRACER = Executor(
-    name="tracer",
-    m=SYMBOLS,
-    times=_product,
-    plus=_total,
-    shifted=lambda word, bits: word >> bits,
-    unit=lambda word: (word >> 11).as_double() * 2.0**-53,
-    word=lambda number: number & MASK,
-    spares_constants=True,
-)
-"""Writes the simulation down, as `NUMPY` would run it, to be compiled."""
-
-
 @lru_cache(maxsize=1)
 def torch_executor() -> Executor:
     """Batches of environments as torch tensors on any device; 64-bit words are kept in int64."""
@@ -117,7 +95,7 @@ def torch_executor() -> Executor:
 
 def executor_named(name: str) -> Executor:
     """One of the executors, by its name."""
-    return torch_executor() if name == "torch" else {one.name: one for one in (FLOATS, NUMPY, TRACER)}[name]
+    return torch_executor() if name == "torch" else {one.name: one for one in (FLOATS, NUMPY)}[name]
 
 
 def signed(number: int) -> int:

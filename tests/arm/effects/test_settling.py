@@ -128,5 +128,5 @@ def test_an_impossible_pace_is_refused(wrong):
 
 def test_without_participation_nothing_swings():
     plant = load_plant("orchard")
-    still = replace(plant, settling=replace(plant.settling, participation=(0.0,) * 6))
+    still = plant.with_effect(replace(plant.effect("settling"), participation=(0.0,) * 6))
     assert vibration(still, 1.0, 0.1) == 0.0

@@ -8,7 +8,13 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose, displace_pose, pose_error, rotation_matrix
 from pickenv.arm.kinematics.forward import frame_of
-from pickenv.arm.kinematics.pose_error import displaced_frame, frame_error, rotation_between
+from pickenv.arm.kinematics.pose_error import (
+    SMALL_SINE,
+    displaced_frame,
+    frame_error,
+    rotation_between,
+    small_rotation,
+)
 
 RNG = np.random.default_rng(6)
 AXES = [*np.eye(3), [1, 1, 0], [0, 1, -1], [-1, 0, 1], [1, 2, 3], [3, -1, 2], [-2, 3, 1], *RNG.normal(size=(10, 3))]
@@ -92,3 +98,42 @@ def test_single_poses_and_batches_broadcast():
     moved = displace_pose(one, np.zeros((2, 3, 6)))
     assert moved.position.shape == (2, 3, 3) and moved.rotation.shape == (2, 3, 3, 3)
     assert pose_error(one, moved).shape == (2, 3, 6)
+
+
+def turned(angles, seed=0):
+    """Axes of frames, and of the same frames turned by angles ``(N,)``: nine components each."""
+    rng = np.random.default_rng(seed)
+    axes = rng.normal(size=(len(angles), 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    before = rotation_matrix(rng.normal(size=(len(angles), 3)))
+    after = rotation_matrix(axes * angles[:, None]) @ before
+    return [list(np.ascontiguousarray(np.moveaxis(r, (-1, -2), (0, 1)).reshape(9, -1))) for r in (before, after)]
+
+
+def test_small_rotations_are_the_same_and_large_ones_too():
+    edge = math.asin(SMALL_SINE)
+    angles = np.array([0.0, 1e-9, 1e-4, 0.03, 0.99 * edge, 1.01 * edge, 0.5, math.pi / 2, 2.0, 3.1, math.pi - 1e-9])
+    before, after = turned(angles)
+    expected = np.stack(rotation_between(np, before, after))
+    np.testing.assert_allclose(np.stack(small_rotation(np, before, after)), expected, rtol=1e-12, atol=1e-15)
+    for i in range(len(angles)):
+        alone = small_rotation(math, *([float(part[i]) for part in frame] for frame in (before, after)))
+        np.testing.assert_allclose(alone, expected[:, i], rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("angle", [0.3, 3.0])
+def test_whoever_runs_what_is_traced_is_told_of_large_rotations(angle):
+    pytest.importorskip("llvmlite")
+    from pickenv.arm.kinematics.machine_code import SYMBOLS, Compiled, Outputs, Trace
+
+    before, after = turned(np.array([0.01, angle]))
+    trace = Trace()
+    numbers = trace.inputs("frames", 18)
+    vector = small_rotation(SYMBOLS, numbers[:9], numbers[9:])
+    (large,) = trace.exceptions
+    arrays = {"frames": np.array([*before, *after]), "vector": np.empty((3, 2)), "large": np.empty((1, 2))}
+    outputs = [Outputs("vector", vector), Outputs("large", [SYMBOLS.where(large, 1.0, 0.0)])]
+    Compiled(trace, outputs, 2).run(arrays, 2)
+    np.testing.assert_array_equal(arrays["large"], [[0.0, 1.0]])
+    expected = np.stack(small_rotation(np, before, after))
+    np.testing.assert_array_equal(arrays["vector"][:, 0], expected[:, 0])

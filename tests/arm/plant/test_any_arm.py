@@ -30,7 +30,7 @@ def test_every_shipped_arm_runs_with_default_arguments(kind: str, arm: str) -> N
 
 @pytest.mark.parametrize("plant", ["ideal:panda", "coarse:ur5e", "medium:li2016_master"])
 def test_native_and_single_environments_are_equal_to_the_bit(plant: str) -> None:
-    many = gym.make_vec("pickenv/Reach-v0", num_envs=3, plant=plant)
+    many = gym.make_vec("pickenv/Reach-v0", num_envs=3, plant=plant, executor="numpy")
     singles = [gym.make("pickenv/Reach-v0", plant=plant, executor="numpy") for _ in range(3)]
     seen = many.reset(seed=4)[0]
     for i, env in enumerate(singles):
@@ -48,7 +48,7 @@ def test_native_and_single_environments_are_equal_to_the_bit(plant: str) -> None
 
 def true_arm(**arguments: object) -> np.ndarray:
     plant = gym.make("pickenv/Reach-v0", **arguments).unwrapped.task.plant
-    return np.concatenate([np.ravel(plant.geometry.alpha), np.ravel(plant.joint_compliance.stiffness)])
+    return np.concatenate([np.ravel(plant.geometry.alpha), np.ravel(plant.effect("joint_compliance").stiffness)])
 
 
 def test_the_seed_of_the_population_draws_the_arm() -> None:

@@ -50,7 +50,8 @@ def test_many_are_as_many_single_ones_on_every_rung(difficulty):
         return gym.make("pickenv/Reach-v0", executor="numpy", difficulty=difficulty, disable_env_checker=True)
 
     sync = SyncVectorEnv([single] * 3, autoreset_mode=AutoresetMode.SAME_STEP)
-    envs = gym.make_vec("pickenv/Reach-v0", num_envs=3, autoreset_mode="SameStep", difficulty=difficulty)
+    arguments = {"autoreset_mode": "SameStep", "difficulty": difficulty, "executor": "numpy"}
+    envs = gym.make_vec("pickenv/Reach-v0", num_envs=3, **arguments)
     np.testing.assert_array_equal(sync.reset(seed=4)[0], envs.reset(seed=4)[0])
     envs.action_space.seed(0)
     for _ in range(4):
