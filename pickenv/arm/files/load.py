@@ -32,8 +32,8 @@ LIMITS_OF = "ur10e"
 """The file has no limits and speeds; this arm's are taken, the slowest of its series."""
 
 
-@register("arm_format", "yaml")
 @register("arm_format", "yml")
+@register("arm_format", "yaml")
 def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
     """Read a UR kinematics file, whose arm ends at its flange.
 
