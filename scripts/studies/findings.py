@@ -19,8 +19,11 @@ from pickenv.agents.training.training_setup import Training
 from pickenv.arm import forward, plant_at
 from pickenv.calibration import complete_model, random_joints, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
+from pickenv.experiments import Rows
 from pickenv.experiments.methods import CalibrationPlan, calibrate_arm
 from pickenv.experiments.policies import PolicySettings, population_seed, run_policies
+from pickenv.inspect.colours import policy_colours, policy_label
+from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb
 from pickenv.inspect.recordings.field_day import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK
 from pickenv.seeds import stream
 
@@ -31,6 +34,8 @@ TRAINED_ON: dict[str, dict[str, Any]] = {
 }
 WHERE_LS_IS_ENOUGH = "orchard"
 """There drift is what is left, and residual models are left out."""
+
+OPEN_LOOP = ("raw", "ls", "ls_bpnn", "best")
 
 RMSE_MM = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 10.0)
 """RMSE of the camera in space: sqrt(3) times its standard deviation per axis."""
@@ -88,7 +93,7 @@ def noise(
 ) -> Any:
     """One row an arm: mean errors of the raw servo by the camera's RMSE, and of the calibrated arm, blind."""
     found = {}
-    for compensation in ("raw", "ls", "ls_bpnn", "best"):
+    for compensation in OPEN_LOOP:
         rows = reaching(rng, plant, compensation, "scripted", arms, episodes, epochs, folder, seed)
         found[compensation] = np.bincount(rows["arm"], rows["error_mm"]) / episodes
     for rmse in RMSE_MM:
@@ -99,6 +104,27 @@ def noise(
         )  # fmt: skip
         found[f"{rmse:g}"] = servo.reaches.position_error_mm.reshape(-1, arms).mean(axis=0)
     return found | {"arm": np.arange(arms)}
+
+
+def noise_curves(rows: Rows) -> Any:
+    """What the raw servo leaves by the camera's RMSE, beside the open loop, one panel for each plant."""
+    plants, colours = rows.levels("plant"), dict(zip(OPEN_LOOP, rgb(policy_colours(OPEN_LOOP)), strict=True))
+    with new_figure(WIDTH, 3.4) as figure:
+        panels: Any = figure.subplots(1, len(plants), sharey=True, squeeze=False)[0]
+        for axis, (plant,) in zip(panels, plants, strict=True):
+            for (gain,), line in zip(rows.levels("gain"), (":", "--", "-"), strict=False):
+                some = rows.where(plant=plant, gain=gain)
+                axis.plot(
+                    RMSE_MM, [some[f"{rmse:g}"].mean() for rmse in RMSE_MM], line, color="0.2", label=f"gain {gain:g}"
+                )
+            for key, colour in colours.items():
+                axis.axhline(some[key].mean(), color=colour, label=f"open loop, {policy_label(key)}")
+            axis.set(xscale="log", yscale="log", xlabel="RMSE of the camera (mm)", title=plant)
+            for one in (axis.xaxis, axis.yaxis):
+                plain_decades(one)
+        panels[0].set_ylabel("mean position error (mm)")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
 
 
 def crossing(table: np.ndarray) -> float:

@@ -58,11 +58,13 @@ def estimates_figure(
                 axis.set(xlabel=x, yscale="log" if log else "linear")
             else:
                 _whiskers(axis, some, places, [name for name in free if name != colour], colours, colour, scale)
-                axis.set(xlabel=label, xscale="log" if log else "linear")
+                axis.set_xscale("log" if log else "linear")
             for one in (axis.xaxis, axis.yaxis):
                 if one.get_scale() == "log":
                     plain_decades(one)
-        if x is not None:
+        if x is None:
+            figure.supxlabel(label, fontsize="medium")
+        else:
             axes[0].set_ylabel(label)
         for key, shade in colours.items():
             axes[0].plot([], [], color=shade, linewidth=3.0, label=policy_label(str(key)))
