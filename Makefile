@@ -8,7 +8,7 @@
 #   make docs                 the site: docs/_build/html/index.html
 #   make links                every address that the site names is asked whether it is there
 #   make package              wheel and source archive, built twice and compared, and looked through: dist/
-#   make licences             the licence of every installed package that pickenv asks for, as a table
+#   make licences             the licence of every installed package, as a table
 #   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
 #   make mutants              change the lines that make numbers, one at a time: docs/mutants.md says what the tests
 #                             did not notice and the score by room. An hour or two; goes on where it was;
@@ -57,7 +57,7 @@ test-referees: $(REFEREES)
 test-lowest:
 	@$(PYTHON) -m venv --clear $(VENV)-lowest
 	@$(VENV)-lowest/bin/python -m pip --disable-pip-version-check --quiet install packaging
-	@$(VENV)-lowest/bin/python scripts/lowest_versions.py > $(VENV)-lowest/lowest.txt
+	@$(VENV)-lowest/bin/python .ci/lowest_versions.py > $(VENV)-lowest/lowest.txt
 	@$(VENV)-lowest/bin/python scripts/install_torch.py cpu $(VENV)-lowest/lowest.txt
 	@$(VENV)-lowest/bin/python -m pip --disable-pip-version-check --quiet install -c $(VENV)-lowest/lowest.txt \
 		".[all]" hypothesis "mujoco<3.12" pytest pytest-benchmark pytest-xdist
@@ -84,8 +84,8 @@ package: $(RELEASE)
 	$(BIN)/check-wheel-contents dist
 	rm -rf build
 
-licences: $(RUNTIME)
-	@$(BIN)/python scripts/licences.py
+licences: $(RELEASE)
+	@$(BIN)/pip-licenses --format=markdown
 
 coverage-of-intervals: $(DEVELOPMENT)
 	$(PYTEST) -m coverage -n 2 $(ARGS)
@@ -105,7 +105,7 @@ benchmark: $(DEVELOPMENT)
 	$(PYTEST) -m "" --benchmark-enable --benchmark-only $(ARGS)
 
 mutants: $(MUTANTS)
-	$(BIN)/python scripts/mutation/mutants.py $(ARGS)
+	$(BIN)/python .ci/mutation/mutants.py $(ARGS)
 
 clean:
 	rm -rf $(VENV) runs dist build docs/_build docs/_generated .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks

@@ -1,7 +1,6 @@
 """Policies, their training and their evaluation.
 
     reaches = run_reaches(env, ScriptedReach(env), episode_seeds(0, 100))                 # one arm, one policy
-    grid = run_grid(GridSettings(policies=("scripted", "servo"), arms=8))                 # many of both, calibrated
     trained = train(Training("ppo", compensate="arm.npz"), "runs/train")                  # a policy of one's own
     policy = load_policy("runs/train/policy.npz")
 
@@ -13,10 +12,8 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
-    from pickenv.agents.evaluation.calibrated import CalibrationPlan, calibrate_arm
     from pickenv.agents.evaluation.compare import PolicyComparison, compare
-    from pickenv.agents.evaluation.grid import GridSettings, PolicyGrid, run_grid
-    from pickenv.agents.evaluation.reaches import episode_seeds, reaches_behind, run_reaches
+    from pickenv.agents.evaluation.reaches import episode_seeds, run_reaches
     from pickenv.agents.evaluation.rollout import Rollout, roll_out
     from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
     from pickenv.agents.policies.harvest_policy import ScriptedHarvest
@@ -30,11 +27,11 @@ if _TYPE_CHECKING:
     from pickenv.agents.training.training_setup import Training
     from pickenv.inspect.runs.episode_summary import Reaches
 
-__all__ = ["AdaptiveReach", "AdaptiveSettings", "CalibrationPlan", "GridSettings", "LearnedPolicy", "OracleReach"]
-__all__ += ["Policy", "PolicyComparison", "PolicyGrid", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
+__all__ = ["AdaptiveReach", "AdaptiveSettings", "LearnedPolicy", "OracleReach"]
+__all__ += ["Policy", "PolicyComparison", "RandomReach", "Reaches", "Rollout", "ScriptedHarvest"]
 __all__ += ["RememberingPolicy", "RememberingReach", "ScriptedPick", "ScriptedReach", "ServoReach", "Trained"]
-__all__ += ["Training", "calibrate_arm", "compare", "datasets", "episode_seeds", "load_policy", "load_remembering"]
-__all__ += ["reaches_behind", "roll_out", "run_grid", "run_reaches", "shipped_baselines", "train"]
+__all__ += ["Training", "compare", "datasets", "episode_seeds", "load_policy", "load_remembering"]
+__all__ += ["roll_out", "run_reaches", "shipped_baselines", "train"]
 
 __getattr__, __dir__ = _offered(__name__)
 

@@ -12,6 +12,7 @@ from pickenv.calibration.assessment.metrics import held_out_r2 as held_out_r2
 from pickenv.calibration.assessment.metrics import paper_eta as paper_eta
 from pickenv.calibration.compensation.compensator import Compensator as Compensator
 from pickenv.calibration.delivery.export import Delivery as Delivery
+from pickenv.calibration.delivery.export import Order as Order
 from pickenv.calibration.delivery.export import export as export
 from pickenv.calibration.delivery.export import write_onnx as write_onnx
 from pickenv.calibration.delivery.joint_offsets import joint_offsets as joint_offsets

@@ -62,7 +62,7 @@ ROOMS = {
     "pickenv.wrappers": "Wrappers",
     "pickenv.agents": "Policies, training, evaluation",
     "pickenv.inspect": "Recordings, figures, reports",
-    "pickenv.study": "Tolerance studies",
+    "pickenv.experiments": "Experiments and tolerance studies",
     "pickenv.orchard": "Fruit, canopy, camera, gripper",
     "pickenv.harvester": "The machine of Li 2016",
 }

@@ -18,11 +18,12 @@ from pickenv.errors import InputError as InputError
 from pickenv.faces import offered as _offered
 
 if _TYPE_CHECKING:
-    from pickenv import agents, arm, calibration, envs, harvester, inspect, orchard, study, wrappers
+    from pickenv import agents, arm, calibration, envs, experiments, harvester, inspect, orchard, wrappers
     from pickenv.agents import compare, load_policy, run_reaches
     from pickenv.arm import Arm, Plant, load_arm, load_plant
     from pickenv.calibration import Calibration, Choices, Result, calibrate
     from pickenv.inspect import film
+    from pickenv.registry import register
 
 __all__ = ["Arm", "Calibration", "Choices", "InputError", "Plant", "Result", "__version__", "agents", "arm"]
 __all__ += [
@@ -30,6 +31,7 @@ __all__ += [
     "calibration",
     "compare",
     "envs",
+    "experiments",
     "film",
     "harvester",
     "inspect",
@@ -37,7 +39,7 @@ __all__ += [
     "load_plant",
     "load_policy",
 ]
-__all__ += ["orchard", "run_reaches", "study", "wrappers"]
+__all__ += ["orchard", "register", "run_reaches", "wrappers"]
 
 __getattr__ = _offered(__name__)[0]
 

@@ -19,9 +19,10 @@ from pickenv.commands.check import check
 from pickenv.commands.comparing import SeveralValues, compare, film
 from pickenv.commands.conditions import conditions
 from pickenv.commands.examples import examples, pages_address
+from pickenv.commands.experiments import experiment
 from pickenv.commands.guard import INTERRUPTED, guarded
 from pickenv.commands.schema import schema
-from pickenv.commands.showing import WIDTH, print_table, progress_bars
+from pickenv.commands.showing import WIDTH, CommandOfNames, print_table, progress_bars
 from pickenv.commands.studies import study
 from pickenv.commands.twins import twin
 from pickenv.commands.verify import verify
@@ -156,6 +157,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
         learning.datasets,
         compare,
         study,
+        experiment,
     ),
     "Look at what came out": (inspection.inspect, film, reports.figures, reports.report),
 }
@@ -163,7 +165,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
-        cls = SeveralValues if _command is compare else None
+        cls = SeveralValues if _command is compare else CommandOfNames
         app.command(rich_help_panel=_purpose, epilog=examples(_command.__name__.replace("_", "-")), cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 

@@ -6,8 +6,8 @@ seeded fruit raw, with least squares (LS) and with least squares and network (LS
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +15,9 @@ import gymnasium as gym
 import numpy as np
 
 import pickenv
-from pickenv.agents import Reaches, ScriptedReach, episode_seeds, run_reaches
-from pickenv.agents.evaluation.blocked_gain import (
-    FIELD,
-    ROWS,
-    BlockedGain,
-    blocked_gain,
-    grid_joints,
-    measured_gains,
-)
-from pickenv.arm import forward, load_plant, noncompensable_error, pose_error
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
+from pickenv.agents import Reaches, ScriptedReach, episode_seeds
+from pickenv.agents.evaluation.reaches import moments_of
+from pickenv.arm import Array, Plant, forward, load_plant, noncompensable_error, pose_error
 from pickenv.calibration import (
     BpnnSettings,
     Choices,
@@ -37,14 +28,15 @@ from pickenv.calibration import (
     error_statistics,
     fit,
     held_out_r2,
-    random_joints,
-    simulated_tracker,
 )
+from pickenv.experiments.engine import Experiment, Progress, run
+from pickenv.experiments.gains import FIELD, ROWS, BlockedGain, blocked_gains, grid_joints, measured_gains, random_sets
 from pickenv.extras import absent_extras
 from pickenv.files import write_json, write_text
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison_summary import Comparison, compared, policy_errors
+from pickenv.inspect.runs.episode_summary import reaches_of
 from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, recorded_run, save_part
@@ -55,8 +47,8 @@ from pickenv.wrappers import CompensationWrapper
 OTHER = "orchard"
 """The plant with every effect, on which the demonstration shows what the same calibration is worth for picks."""
 
-Progress = Callable[[str, int, int], None]
-"""Called with (stage, done, in all)."""
+Compensators = dict[str, Compensator | None]
+"""By policy; None where commands go to the arm as they are."""
 
 
 @dataclass(frozen=True)
@@ -117,10 +109,7 @@ class DemoResult:
         settings: What was run.
         plant: The simulated arm.
         calibrated: The calibration, judged.
-        identification: Poses used for least squares.
-        network: Poses used for the network.
-        test: Held-out poses.
-        predicted_r2: Held-out R^2 of the network per axis (x, y, z, rx, ry, rz); None without one.
+        sets: Poses by what they are for: "identification" by least squares, "network", and "test", held out.
         test_errors: Per policy, true against wanted pose at the test poses ``(N, 6)``, m and rad.
         reaches: Per policy, the reaches.
         comparison: For recording and figures.
@@ -131,14 +120,11 @@ class DemoResult:
     settings: DemoSettings
     plant: Plant
     calibrated: Result
-    identification: Measurements
-    network: Measurements
-    test: Measurements
-    predicted_r2: Array | None
+    sets: dict[str, Measurements]
     test_errors: dict[str, Array]
     reaches: dict[str, Reaches]
     comparison: Comparison
-    gains: tuple[BlockedGain, ...]
+    gains: list[BlockedGain]
     cases: dict[str, list[PickChange]]
 
 
@@ -151,76 +137,55 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     """
     report = progress or (lambda stage, done, total: None)
     plant = load_plant(settings.plant)
-    poses_rng, network_rng, *gain_rngs, case_rng = (
-        np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(6)
-    )
-    nominal = plant.arm.nominal
+    of_poses, of_network, of_grid, *of_gains, of_case = np.random.SeedSequence(settings.seed).spawn(6)
     counts = (settings.identification_poses, settings.network_poses, settings.test_poses)
-    identification, network, test = (
-        simulated_tracker(plant, random_joints(nominal, count, poses_rng), poses_rng) for count in counts
-    )
+    identification, network, test = random_sets(plant, counts, np.random.default_rng(of_poses))
     report("measuring", 1, 1)
-    result = calibrate(
-        plant.arm,
-        identification,
-        test=test,
-        choices=Choices(
-            fit="full",  # as the paper does
-            terms="none",
-            residual="bpnn" if settings.network else "none",
-            frames="known",
-            learn_from=network if settings.network else None,
-            settings=BpnnSettings(epochs=settings.epochs),
-        ),
-        rng=network_rng,
-        progress=report,
-    )
-    calibration, r2 = result.calibration, None
-    compensators: dict[str, Compensator | None] = {
-        "raw": None,
-        "ls": calibration.compensator(with_residual=False),
-    }
+    choices = Choices(fit="full", terms="none", residual="none", frames="known")  # as the paper does
+    if settings.network:
+        learning = BpnnSettings(epochs=settings.epochs)
+        choices = replace(choices, residual="bpnn", learn_from=network, settings=learning)
+    learn = np.random.default_rng(of_network)
+    result = calibrate(plant.arm, identification, test=test, choices=choices, rng=learn, progress=report)
+    calibration = result.calibration
+    compensators: Compensators = {"raw": None, "ls": calibration.compensator(with_residual=False)}
     if calibration.learnt is not None:
         compensators["ls_bpnn"] = calibration.compensator()
-        r2 = held_out_r2(test.difference(calibration.identified), calibration.learnt.predict(test.joints))
-    seeds = episode_seeds(settings.seed, settings.reaches)
-    reaches = {}
-    for key, compensator in compensators.items():
-        env: gym.Env[Any, Any] = gym.make(
-            "pickenv/Reach-v0",
-            plant=settings.plant,
-            tolerance_mm=settings.tolerance_mm,
-            angle_tolerance_deg=settings.attitude_tolerance_deg,
-        )
-        if compensator is not None:
-            env = CompensationWrapper(env, compensator)
-        stage = f"reaching, {policy_label(key)}"
-        reaches[key] = run_reaches(env, ScriptedReach(env), seeds, lambda done, s=stage: report(s, done, len(seeds)))  # type: ignore[misc]
-        env.close()
+    reaches = _reaches(settings, compensators, report)
     gains: list[BlockedGain] = []
     if settings.gain_poses and settings.network:
-        joints = grid_joints(nominal, settings.gain_poses, gain_rngs[0])
-        for each, rng in zip((plant, load_plant(FIELD)), gain_rngs[1:], strict=True):
-            gains.append(blocked_gain(each, joints, rng))
-            report("gains on blocks held out", len(gains), 2)
+        joints = grid_joints(plant.arm.nominal, settings.gain_poses, np.random.default_rng(of_grid))
+        designs = dict(zip((settings.plant, FIELD), of_gains, strict=True))
+        gains = blocked_gains(designs, joints, progress=report)
     comparison = _comparison(settings, plant, result, compensators, reaches)
-    lateral = [held.lateral_mm for held in gripped(comparison).values()]
-    cases = {plant.name: pick_changes(lateral[0], lateral[-1]), OTHER: _other_case(settings, case_rng)}
+    lateral = [misses.lateral_mm for misses in gripped(comparison).values()]
+    cases = {plant.name: pick_changes(lateral[0], lateral[-1])}
+    cases[OTHER] = _other_case(settings, np.random.default_rng(of_case))
     test_errors = {key: _errors(plant, test.joints, compensator) for key, compensator in compensators.items()}
-    return DemoResult(
-        settings=settings,
-        plant=plant,
-        calibrated=result,
-        identification=identification,
-        network=network,
-        test=test,
-        predicted_r2=r2,
-        test_errors=test_errors,
-        reaches=reaches,
-        comparison=comparison,
-        gains=tuple(gains),
-        cases=cases,
-    )
+    sets = {"identification": identification, "network": network, "test": test}
+    return DemoResult(settings, plant, result, sets, test_errors, reaches, comparison, gains, cases)
+
+
+def _reaches(settings: DemoSettings, compensators: Compensators, report: Progress) -> dict[str, Reaches]:
+    """The ends of the same reaches under every policy."""
+    tolerances: dict[str, Any] = {
+        "tolerance_mm": settings.tolerance_mm,
+        "angle_tolerance_deg": settings.attitude_tolerance_deg,
+    }
+    envs: dict[str, Any] = {}
+    for key, compensator in compensators.items():
+        env = gym.make("pickenv/Reach-v0", plant=settings.plant, **tolerances)
+        envs[key] = env if compensator is None else CompensationWrapper(env, compensator)
+    seeds, reach = episode_seeds(settings.seed, settings.reaches), partial(_reach, envs=envs)
+    rows = run(Experiment("reaching", {"episode": seeds}, {"policy": list(envs)}, reach), progress=report)
+    geometry = envs["raw"].unwrapped.plant.geometry
+    return {key: reaches_of(geometry, seeds, rows.where(policy=key).columns) for key in envs}
+
+
+def _reach(rng: np.random.Generator, policy: str, episode: int, envs: dict[str, Any]) -> dict[str, Array]:
+    """What is known at the end of one reach."""
+    *_, last = moments_of(envs[policy], ScriptedReach(envs[policy]), episode)
+    return {name: np.asarray(value)[None] for name, value in last.info.items()}
 
 
 def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Array:
@@ -233,89 +198,72 @@ def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[PickCh
     """What least squares do to picks on the plant `OTHER`, over a field of upright tool poses at rest."""
     plant = load_plant(OTHER)
     nominal = plant.arm.nominal
-    poses = simulated_tracker(plant, random_joints(nominal, settings.identification_poses, rng), rng)
+    (poses,) = random_sets(plant, (settings.identification_poses,), rng)
     compensator = fit(plant.arm, poses, known_frames=True).calibration.compensator(with_residual=False)
     joints = field_grid(nominal, settings.grid_step, settings.seed).joints
-    wanted = forward(nominal, joints)
+    target = forward(nominal, joints)
     lateral: list[Array] = []
     for command in (joints, compensator(joints)):
         true = plant.tool_pose(command)
         axis = true.rotation[..., 2]
-        lateral.append(1e3 * misalignment(wanted.position - true.position, axis, wanted.rotation[..., 2]).lateral)
+        lateral.append(1e3 * misalignment(target.position - true.position, axis, target.rotation[..., 2]).lateral)
     return pick_changes(lateral[0], lateral[1])
 
 
 def _comparison(
-    settings: DemoSettings,
-    plant: Plant,
-    result: Result,
-    compensators: dict[str, Compensator | None],
-    reaches: dict[str, Reaches],
+    settings: DemoSettings, plant: Plant, result: Result, compensators: Compensators, reaches: dict[str, Reaches]
 ) -> Comparison:
     """The error field on a regular grid of upright tool poses, and the reaches, for pictures."""
     grid = field_grid(plant.arm.nominal, settings.grid_step, settings.seed)
     policies = []
     for key, compensator in compensators.items():
-        run, field = reaches[key], _errors(plant, grid.joints, compensator)
-        ends = (run.joint_command, run.tool_position, run.pose_error, run.success)
+        reach, field = reaches[key], _errors(plant, grid.joints, compensator)
+        ends = (reach.joint_command, reach.tool_position, reach.pose_error, reach.success)
         policies.append(policy_errors(policy_label(key), field, *ends, key=key))
-    return compared(
-        plant,
-        grid,
-        policies,
-        seed=settings.seed,
-        fruit=reaches["raw"].fruit_position,
-        tolerance_mm=settings.tolerance_mm,
-        identified=result.calibration.identified,
-        uncertainty=result.uncertainty.standard(result.calibration.model, grid.joints)[0],
-    )
+    calibration, facts = result.calibration, dict[str, Any](seed=settings.seed, tolerance_mm=settings.tolerance_mm)
+    uncertainty = result.uncertainty.standard(calibration.model, grid.joints)[0]
+    fruit, identified = reaches["raw"].fruit_position, calibration.identified
+    return compared(plant, grid, policies, **facts, fruit=fruit, identified=identified, uncertainty=uncertainty)
 
 
 def summarise(result: DemoResult) -> dict[str, Any]:
     """The machine-readable summary: `summary.json`."""
-    found = result.calibrated.fit.identification.identifiability
-    policies = {}
-    for key, run in result.reaches.items():
-        policies[key] = _figures(run.pose_error, run.noncompensable)
-        policies[key]["success_rate"] = float(run.success.mean())
-        policies[key]["success_ci95"] = share_interval(int(run.success.sum()), len(run.success))
-    joints, geometry = result.test.joints, result.plant.geometry
-    test = {key: _figures(e, noncompensable_error(geometry, joints, e)) for key, e in result.test_errors.items()}
-    axes = ("x", "y", "z", "rx", "ry", "rz")
+    settings, calibration = result.settings, result.calibrated.calibration
+    rank = result.calibrated.fit.identification.identifiability
+    policies, r2 = {}, None
+    for key, ends in result.reaches.items():
+        policies[key] = _figures(ends.pose_error, ends.noncompensable)
+        policies[key]["success_rate"] = float(ends.success.mean())
+        policies[key]["success_ci95"] = share_interval(int(ends.success.sum()), len(ends.success))
+    test, geometry = result.sets["test"], result.plant.geometry
+    errors = {key: _figures(e, noncompensable_error(geometry, test.joints, e)) for key, e in result.test_errors.items()}
+    if calibration.learnt is not None:
+        values = held_out_r2(test.difference(calibration.identified), calibration.learnt.predict(test.joints))
+        r2 = dict(zip(("x", "y", "z", "rx", "ry", "rz"), map(float, values), strict=True))
+    copied = ("seed", "network", "plant", "tolerance_mm", "attitude_tolerance_deg", "reaches")
     return {
-        "seed": result.settings.seed,
-        "quick": result.settings.is_quick,
-        "network": result.settings.network,
+        **{name: getattr(settings, name) for name in copied},
+        "quick": settings.is_quick,
         "pickenv": pickenv.__version__,
-        "plant": result.settings.plant,
         "simulated": True,
-        "tolerance_mm": result.settings.tolerance_mm,
-        "attitude_tolerance_deg": result.settings.attitude_tolerance_deg,
         "intervals": "over the fruit reached with this one calibration",
-        "poses": {
-            "identification": len(result.identification),
-            "network": len(result.network),
-            "test": len(result.test),
-        },
-        "reaches": result.settings.reaches,
+        "poses": {name: len(rows) for name, rows in result.sets.items()},
         "matters": [matters(name, changes) for name, changes in result.cases.items()],
         "policies": policies,
-        "test_poses": test,
+        "test_poses": errors,
         "identifiability": {
-            "parameters": len(found.names),
-            "rank": found.rank,
-            "dropped": [item.name for item in found.dropped],
-            "absorbed_by": {item.name: item.absorbed_by for item in found.dropped},
-            "condition": found.condition,
+            "parameters": len(rank.names),
+            "rank": rank.rank,
+            "dropped": [item.name for item in rank.dropped],
+            "absorbed_by": {item.name: item.absorbed_by for item in rank.dropped},
+            "condition": rank.condition,
         },
         "blocked": {
             "ranges": "over drawn arms, or 95 % over ten blocks of a measured one",
             "simulated": [asdict(gain) for gain in result.gains],
             "measured": [asdict(arm) for arm in measured_gains()],
         },
-        "bpnn_r2": None
-        if result.predicted_r2 is None
-        else {axis: float(v) for axis, v in zip(axes, result.predicted_r2, strict=True)},
+        "bpnn_r2": r2,
     }
 
 
@@ -333,40 +281,32 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
     It holds data, calibration and summary. Figures, page and recording are made where the extra `inspect` is there;
     `pickenv report` and `pickenv inspect` make them of the folder later on.
     """
-    found = trace(result)
-    with recorded_run(out, "demo", result.settings.command(), result.settings.seed) as run:
-        written = [
-            result.identification.write_csv(out / "measurements.csv"),
-            result.network.write_csv(out / "network_measurements.csv"),
-            result.test.write_csv(out / "test_measurements.csv"),
+    labelled = {policy_label(key): error for key, error in result.test_errors.items()}
+    trace, settings = trace_of(result.calibrated.fit, result.sets, labelled), result.settings
+    prefixes = {"identification": "", "network": "network_", "test": "test_"}
+    with recorded_run(out, "demo", settings.command(), settings.seed) as run:
+        written = [rows.write_csv(out / f"{prefixes[name]}measurements.csv") for name, rows in result.sets.items()]
+        written += [
             result.calibrated.calibration.save(out / "calibration"),
-            save_part(out, result.comparison, result.comparison.seed),
-            save_part(out, found, result.settings.seed),
+            save_part(out, result.comparison, settings.seed),
+            save_part(out, trace, settings.seed),
             write_json(out / MATTERS_FILE, {name: [asdict(c) for c in case] for name, case in result.cases.items()}),
         ]
         if not absent_extras("inspect"):
-            written += _shown(result, found, run, progress or (lambda stage, done, total: None))
+            written += _shown(result.comparison, trace, run, progress or (lambda stage, done, total: None))
         written.append(write_json(out / "summary.json", summarise(result)))
     return written
 
 
-def _shown(result: DemoResult, found: CalibrationTrace, run: Run, report: Progress) -> list[Path]:
+def _shown(comparison: Comparison, trace: CalibrationTrace, run: Run, report: Progress) -> list[Path]:
     """Figures, recording and page."""
     from pickenv.inspect.figures.run_drawings import comparison_drawings, trace_drawings, write_drawings
     from pickenv.inspect.recordings.comparison_recording import record_comparison
     from pickenv.inspect.reports.demo_report import page
 
-    drawings = [*comparison_drawings(result.comparison), *trace_drawings(found)]
+    drawings = [*comparison_drawings(comparison), *trace_drawings(trace)]
     written = write_drawings(drawings, run.folder / "figures", ("png",), report)
-    written.append(record_comparison(result.comparison, run.folder / "errors.rrd"))
+    written.append(record_comparison(comparison, run.folder / "errors.rrd"))
     report("recording", 1, 1)
     written.append(write_text(run.folder / "report.html", page(run)))
     return written
-
-
-def trace(result: DemoResult) -> CalibrationTrace:
-    """What the figures and the report of the calibration are made of."""
-    sets = {"identification": result.identification, "network": result.network, "test": result.test}
-    return trace_of(
-        result.calibrated.fit, sets, {policy_label(key): error for key, error in result.test_errors.items()}
-    )

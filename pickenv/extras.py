@@ -21,7 +21,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
         "render": ("vtkmodules", "imageio_ffmpeg"),
         "camera": ("cv2",),
-        "study": ("pyarrow", "joblib"),
+        "study": ("pyarrow", "joblib", "pandas"),
         "ray": ("ray",),
         "harvest": ("skimage", "ortools", "pettingzoo"),
         "export": ("onnx",),

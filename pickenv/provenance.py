@@ -14,11 +14,13 @@ from pathlib import Path
 import numpy as np
 
 import pickenv
+from pickenv import registry
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Versions of what computed the numbers: pickenv, NumPy, Python, and those of the named packages that are there."""
+    """Versions of what computed numbers: pickenv, NumPy, Python, packages that extend it, and named ones if there."""
     found = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    found |= registry.packages()
     for name in packages:
         with suppress(PackageNotFoundError):
             found[name] = version(name)
@@ -41,13 +43,19 @@ def command_line(*words: object, **options: object) -> str:
     return shlex.join(said)
 
 
+SHOWS = ("cli.py", "commands/", "pictures/", *(f"inspect/{shelf}/" for shelf in ("figures", "films", "recordings")))
+"""What shows numbers and makes none: a change of it leaves kept work as it is."""
+
+
 @cache
 def code_fingerprint() -> str:
-    """SHA-256 over the code and the tables (.py, .toml) of the package, links of a checkout included; read once."""
+    """SHA-256 over the code and tables (.py, .toml) that make numbers, links of a checkout included; read once."""
     root, total = Path(__file__).parent, hashlib.sha256()
     files = (Path(folder) / name for folder, _, names in os.walk(root, followlinks=True) for name in names)
     for path in sorted(path for path in files if path.suffix in (".py", ".toml")):
-        total.update(f"{path.relative_to(root).as_posix()} {file_sha256(path)}\n".encode())
+        place = path.relative_to(root).as_posix()
+        if not place.startswith(SHOWS):
+            total.update(f"{place} {file_sha256(path)}\n".encode())
     return total.hexdigest()
 
 

@@ -24,13 +24,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from benchmark_calibration import machine
+from measuring import JsonFile, NoPeers, figure, machine, machine_words, markdown_table
 
-from pickenv.bench.peers import last_words
-from pickenv.files import write_text
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
-from pickenv.study.running.runners import Crew
+from pickenv.experiments.robots import last_words
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_rows import run_study
+from pickenv.files import write_json, write_text
 
 SCRIPTS = Path(__file__).parent
 POSES, FRUIT = 30, 100
@@ -85,11 +84,11 @@ def time_case(case: Case) -> dict[str, Any]:
         methods=(case.method,),
         poses=(POSES,),
     )
-    config, crew = replace(config, noise=config.noise[:1]), Crew(case.workers)
+    config, workers = replace(config, noise=config.noise[:1]), case.workers
     with tempfile.TemporaryDirectory() as folder:
-        run_study(replace(config, arms=4, chunk=2), Path(folder) / "warm", executor=case.executor, crew=crew)
+        run_study(replace(config, arms=4, chunk=2), Path(folder) / "warm", executor=case.executor, workers=workers)
         cpu = time.process_time()
-        summary = run_study(config, Path(folder) / "study", executor=case.executor, crew=crew)
+        summary = run_study(config, Path(folder) / "study", executor=case.executor, workers=workers)
         cpu = time.process_time() - cpu
     kib = max(resource.getrusage(who).ru_maxrss for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return asdict(case) | {
@@ -160,50 +159,47 @@ def gathered(
 
 def markdown(result: Mapping[str, Any]) -> str:
     """The result as Markdown, ratios first."""
-    on = result["machine"]
-    lines = [
-        f"Python {on['python']}, NumPy {on['numpy']}, {on['cores']} cores of {on['cpu']}, load before: "
-        f"{'unknown' if on['load_before'] is None else round(on['load_before'], 1)}.",
-        "",
-        "| ratio | times |",
-        "|:--|--:|",
-        *(f"| {name} | {value:.3g} |" for name, value in result["ratios"].items()),
+    ratios = [(name, f"{value:.3g}") for name, value in result["ratios"].items()]
+    parts = [machine_words(result["machine"]) + ".", markdown_table(("ratio", "times"), ratios, ("ratio",))]
+    steps = [
+        (name, f"{row['num_envs']:,}", figure(row["steps_per_s"], ",.0f"), row["note"])
+        for name, row in (result["environments"]["envs"] | result["training"]).items()
     ]
-    steps = result["environments"]["envs"] | result["training"]
     if steps:
-        lines += ["", "| environment | at once | steps/s | |", "|:--|--:|--:|:--|"]
-        for name, row in steps.items():
-            speed = "-" if row["steps_per_s"] is None else f"{row['steps_per_s']:,.0f}"
-            lines.append(f"| {name} | {row['num_envs']:,} | {speed} | {row['note']} |")
-    systems = result["calibration"].get("systems", {})
-    if systems:
-        lines += ["", "| calibration | poses | seconds | held-out RMS (mm) |", "|:--|--:|--:|--:|"]
-        for name, row in systems.items():
-            if row["seconds"] is None:
-                lines.append(f"| {name}: {row['note']} | - | - | - |")
-            else:
-                lines.append(f"| {name} | {row['poses']} | {row['seconds']:.4f} | {row['held_out_rms_mm']:.4f} |")
-    for part in ("environments", "calibration"):
-        lines += ["", f"{part}: {result[part]['note']}"] if "note" in result[part] else []
-    lines += [
-        "",
-        f"Studies: qiao2026, one setting, {FRUIT} fruit; ls with {POSES} calibration poses.",
-        "",
-        "| method | executor | processes | arms | seconds | CPU s | ms per arm | peak of a process (MiB) |",
-        "|:--|:--|--:|--:|--:|--:|--:|--:|",
+        parts.append(markdown_table(("environment", "at once", "steps/s", ""), steps, ("environment", "")))
+    systems = [
+        [
+            name if row["seconds"] is not None else f"{name}: {row['note']}",
+            str(row.get("poses", "-")),
+            *(figure(row[key], ".4f") for key in ("seconds", "held_out_rms_mm")),
+        ]
+        for name, row in result["calibration"].get("systems", {}).items()
     ]
-    for row in result["study"]:
-        peak, cpu = ("-" if row[key] is None else f"{row[key]:.3g}" for key in ("peak_mib", "cpu_seconds"))
-        seconds = f"{row['seconds']:.1f}" + (" (extrapolated)" if row["extrapolated"] else "")
-        name = f"| {row['method']} | {row['executor']} | {row['workers']} | {row['arms']:,} "
-        lines.append(f"{name}| {seconds} | {cpu} | {row['ms_per_arm']:.3f} | {peak} |")
-    return "\n".join(lines) + "\n"
+    if systems:
+        heads = ("calibration", "poses", "seconds", "held-out RMS (mm)")
+        parts.append(markdown_table(heads, systems, ("calibration",)))
+    parts += [f"{part}: {result[part]['note']}" for part in ("environments", "calibration") if "note" in result[part]]
+    studies = [
+        [
+            *(str(row[key]) for key in ("method", "executor", "workers")),
+            f"{row['arms']:,}",
+            f"{row['seconds']:.1f}" + " (extrapolated)" * row["extrapolated"],
+            figure(row["cpu_seconds"], ".3g"),
+            f"{row['ms_per_arm']:.3f}",
+            figure(row["peak_mib"], ".3g"),
+        ]
+        for row in result["study"]
+    ]
+    heads = ("method", "executor", "processes", "arms", "seconds", "CPU s", "ms per arm", "peak of a process (MiB)")
+    parts.append(f"Studies: qiao2026, one setting, {FRUIT} fruit; ls with {POSES} calibration poses.")
+    parts.append(markdown_table(heads, studies, ("method", "executor")))
+    return "\n\n".join(parts) + "\n"
 
 
 def main(
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write all figures to this file.")] = None,
+    json_file: JsonFile = None,
     markdown_file: Annotated[Path | None, typer.Option("--markdown", help="Write the tables to this file.")] = None,
-    no_peers: Annotated[bool, typer.Option("--no-peers", help="Leave the peers out; nothing is installed.")] = False,
+    no_peers: NoPeers = False,
     quick: Annotated[bool, typer.Option("--quick", help="Short rounds and small populations.")] = False,
 ) -> None:
     """Run every benchmark and print the tables."""
@@ -214,7 +210,7 @@ def main(
     result = gathered(environments, calibration, time_studies(quick), on)
     print(markdown(result))
     if json_file is not None:
-        print(f"wrote {write_text(json_file, json.dumps(result, indent=2) + chr(10))}")
+        print(f"wrote {write_json(json_file, result)}")
     if markdown_file is not None:
         print(f"wrote {write_text(markdown_file, markdown(result))}")
 

@@ -11,47 +11,28 @@ Run: python scripts/benchmark_calibration.py [--json FILE] [--no-peers] [--data 
 
 from __future__ import annotations
 
-import json
-import os
-import platform
-import time
-from collections.abc import Callable
+import sys
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import scipy
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
+from measuring import DATA, ROOT, DataFolder, JsonFile, figure, machine, machine_words, refuse, timed
 from scipy.optimize import least_squares
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.bench.peers import FEW, HELD_OUT, LIMIT, PEERS, PeerTask, accuracy_on, read_peer_task, run_peer
 from pickenv.calibration import align, complete_model, frames_model, identify
 from pickenv.calibration.identification.least_squares import Identification
+from pickenv.commands.showing import print_table
 from pickenv.errors import InputError
-from pickenv.files import write_text
+from pickenv.experiments.robots import HELD_OUT, LIMIT, PEERS, PeerTask, accuracy_on, read_peer_task, run_peer
+from pickenv.files import write_json
 from pickenv.threads import single_threaded
 
-ROOT = Path(__file__).parents[1]
-
-
-def timed(function: Callable[[], Any], runs: int) -> tuple[Any, Array]:
-    """The last result, and seconds ``(2, runs)`` by the clock and of the processor, after one run that is not counted.
-
-    NumPy's threads are held to one where pickenv holds them, so that processor time is time by the clock when quiet.
-    """
-    function()
-    seconds = []
-    for _ in range(runs):
-        begin, cpu = time.perf_counter(), time.process_time()
-        result = function()
-        seconds.append((time.perf_counter() - begin, time.process_time() - cpu))
-    return result, np.array(seconds).T
+FEW = 100
+"""Poses for systems that need minutes; pickenv is run on the same ones for their ratio."""
 
 
 def times(seconds: Array) -> dict[str, float]:
@@ -106,7 +87,7 @@ def run_scipy(task: PeerTask, aligned: Identification, found: Identification, ru
         "parameters": len(columns),
         "iterations": f"{result.nfev} evaluations with {result.njev} finite-difference Jacobians",
         **accuracy_on(moved(result.x), task),
-        "version": scipy.__version__,
+        "version": version("scipy"),
         "note": "least_squares, 2-point Jacobian, on pickenv's vectorised kinematics and its identifiable parameters"
         + ("" if result.status > 0 else "; not converged"),
     }
@@ -118,26 +99,6 @@ def own_version() -> str:
         return version("pickenv")
     except PackageNotFoundError:
         return "not installed"
-
-
-def machine() -> dict[str, Any]:
-    """What the figures were measured on."""
-    model = platform.processor() or platform.machine()
-    listing = Path("/proc/cpuinfo")
-    if listing.is_file():
-        names = [line.partition(":")[2].strip() for line in listing.read_text().splitlines() if "model name" in line]
-        model = names[0] if names else model
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    return {
-        "cpu": model,
-        "cores": usable,
-        "load_before": load,
-        "platform": platform.system(),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-    }
 
 
 def ratios_of(systems: dict[str, dict[str, Any]]) -> dict[str, float]:
@@ -157,44 +118,40 @@ def ratios_of(systems: dict[str, dict[str, Any]]) -> dict[str, float]:
     return ratios
 
 
-def print_result(result: dict[str, Any], console: Console) -> None:
+FIGURES = {
+    "whole\ns": "seconds",
+    "solver\ns": "solve_seconds",
+    "CPU\ns": "cpu_seconds",
+    "held-out\nRMS mm": "held_out_rms_mm",
+    "random\nmm": "random_poses_mean_mm",
+}
+
+
+def print_result(result: dict[str, Any]) -> None:
     """The table, with units, and what must be known to read it."""
-    title = f"UR5 by laser tracker: RMS on {HELD_OUT} held-out poses, mean on 20 random poses"
-    caption = "free: parameters; x: whole time against pickenv's on as many poses, x CPU: the same in processor time"
-    table = Table(title=title, caption=caption, box=SIMPLE_HEAD, padding=(0, 0, 0, 1))
-    table.add_column("system", no_wrap=True)
-    units = ("poses", "free", "whole\ns", "solver\ns", "CPU\ns", "held-out\nRMS mm", "random\nmm", "x", "x\nCPU")
-    for name in units:
-        table.add_column(name, justify="right")
+    rows, lines = [], []
     for name, row in result["systems"].items():
-        if row["seconds"] is None:
-            table.add_row(name, *["-"] * len(units))
-            continue
-        seconds = [f"{row[key]:.4f}" for key in ("seconds", "solve_seconds", "cpu_seconds")]
-        errors = [f"{row[key]:.4f}" for key in ("held_out_rms_mm", "random_poses_mean_mm")]
-        ratios = [result["ratios"].get(f"{name}_vs_pickenv{kind}", 1.0) for kind in ("", "_cpu")]
-        slower = [f"{ratio:.0f}" for ratio in ratios]
-        table.add_row(name, str(row["poses"]), str(row["parameters"]), *seconds, *errors, *slower)
-    console.print(table)
-    lines = []
-    for name, row in result["systems"].items():
-        done = "" if row["seconds"] is None else f" ({row['iterations']}; median of {row['runs']})"
+        solved = row["seconds"] is not None
+        figures = [figure(row.get(key), ".4f") for key in FIGURES.values()]
+        kinds = (f"{name}_vs_pickenv", f"{name}_vs_pickenv_cpu")
+        ratios = [figure(result["ratios"].get(kind, 1.0 if solved else None), ".0f") for kind in kinds]
+        rows.append([name, str(row.get("poses", "-")), str(row.get("parameters", "-")), *figures, *ratios])
+        done = f" ({row['iterations']}; median of {row['runs']})" if solved else ""
         lines.append(f"{name} {row['version']}: {row['note']}{done}")
-    on = result["machine"]
-    load = "unknown" if on["load_before"] is None else f"{on['load_before']:.1f}"
-    lines.append(
-        f"{on['cores']} cores of {on['cpu']}, load {load} before, Python {on['python']}, NumPy {on['numpy']}, "
-        f"SciPy {on['scipy']}"
+    print_table(
+        f"UR5 by laser tracker: RMS on {HELD_OUT} held-out poses, mean on 20 random poses",
+        ("system", "poses", "free", *FIGURES, "x", "x\nCPU"),
+        rows,
+        words=("system",),
+        caption="free: parameters; x: whole time against pickenv's on as many poses, x CPU: the same in processor time",
     )
-    for line in lines:
-        console.print(line, markup=False, highlight=False)
+    print("\n".join([*lines, machine_words(result["machine"])]))
 
 
 def main(
-    json_file: Annotated[Path | None, typer.Option("--json", help="Also write the figures to this file.")] = None,
+    json_file: JsonFile = None,
     peers: Annotated[bool, typer.Option("--peers/--no-peers", help="Install and run the peers too.")] = True,
-    data: Annotated[Path, typer.Option(envvar="PICKENV_DATA", help="Folder of the measured data sets.")] = ROOT
-    / "../shared/data",
+    data: DataFolder = DATA,
     runs: Annotated[int, typer.Option(help="Repetitions of pickenv; of SciPy a third of them.", min=1)] = 15,
     seed: Annotated[int, typer.Option(help="Seed of the split.")] = 0,
     folder: Annotated[Path, typer.Option("--peers-folder", help="Where the peers' environments are kept.")] = ROOT
@@ -202,13 +159,11 @@ def main(
     limit: Annotated[float, typer.Option(help="Seconds that one peer may take.")] = LIMIT,
 ) -> None:
     """Run the comparison and print it."""
-    console, log = Console(), Console(stderr=True)
     on = machine()
     try:
         task = read_peer_task(data.resolve(), seed)
     except InputError as error:
-        log.print(str(error), markup=False, highlight=False, soft_wrap=True)
-        raise typer.Exit(2) from None
+        refuse(str(error))
     few = task.first(FEW)
     row, aligned, found = run_pickenv(task, runs)
     systems = {"pickenv": row}
@@ -216,7 +171,7 @@ def main(
     systems[f"pickenv_{FEW}"] = few_row
     systems["scipy_2point"] = run_scipy(task, aligned, found, max(1, runs // 3))
     for peer in PEERS if peers else ():
-        log.print(f"{peer.name} {peer.version} …", highlight=False)
+        print(f"{peer.name} {peer.version} …", file=sys.stderr)
         start = aligned if peer.poses is None else few_aligned
         try:
             systems[peer.name] = run_peer(
@@ -231,9 +186,9 @@ def main(
         "systems": systems,
         "ratios": ratios_of(systems),
     }
-    print_result(result, console)
+    print_result(result)
     if json_file is not None:
-        write_text(json_file, json.dumps(result, indent=2) + "\n")
+        write_json(json_file, result)
 
 
 if __name__ == "__main__":

@@ -22,14 +22,15 @@ from typing import Annotated, Any
 import gymnasium as gym
 import numpy as np
 import typer
-from rich.console import Console
-from rich.table import Table
+from measuring import EnvironmentPeers, JsonFile, NoPeers, fastest, figure, rate
+from peers.run_envs import stepper
 
 import pickenv  # noqa: F401
 from pickenv.arm import load_plant
 from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
+from pickenv.commands.showing import print_table
 from pickenv.errors import InputError
-from pickenv.files import write_text
+from pickenv.files import write_json
 
 ROLLOUT = 8192
 """Environment steps between two updates in the comparison of trainings, whatever the number of environments."""
@@ -41,43 +42,17 @@ EXECUTORS = ("numpy", "compiled")
 """Of native vectors on NumPy's arrays: with every operation a call of NumPy, and as machine code."""
 
 PEER_PACKAGES = ("gymnasium-robotics==1.4.2", "mujoco<3.12", "panda-gym==3.0.7")
+SINGLE = (
+    ("Reach", "floats", "plant qiao2026"),
+    ("Harvest", "numpy", "three slaves, eight fruit"),
+    ("Pick", "floats", "plant orchard, ten fruit"),
+)
+"""Environments that are stepped alone: on what they run, and what they hold."""
 WHAT = {
     "FetchReach-v4": "20 MuJoCo substeps, contacts",
     "PandaReach-v3": "20 Bullet substeps, contacts",
     "CartPole-v1 native": "4 numbers, no arm",
 }
-
-
-def rate(
-    step: Callable[[], int], seconds: float, rounds: int = 3, clock: Callable[[], float] = time.process_time
-) -> float:
-    """Best of some rounds of environment steps per second: other work on the machine only ever slows a round.
-
-    ``clock`` counts seconds: of the processor, for what runs on one core, or of the wall.
-    """
-    step()
-    best = 0.0
-    for _ in range(rounds):
-        steps, begin = 0, clock()
-        while clock() - begin < seconds / rounds:
-            steps += step()
-        best = max(best, steps / (clock() - begin))
-    return best
-
-
-def single(name: str, seconds: float, **arguments: Any) -> float:
-    """A single environment with Gymnasium's standard wrappers."""
-    env = gym.make(name, **arguments)
-    env.reset(seed=0)
-    env.action_space.seed(0)
-
-    def step() -> int:
-        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        if terminated or truncated:
-            env.reset()
-        return 1
-
-    return rate(step, seconds)
 
 
 def vector(
@@ -143,19 +118,6 @@ def inference(count: int, seconds: float) -> float:
             return network(torch.as_tensor(observations)).clamp(-1, 1).numpy()
 
     return vector("pickenv/Reach-v0", count, seconds, policy)
-
-
-def fastest(
-    steps: dict[str, Callable[[], Any]], seconds: float, clock: Callable[[], float] = time.perf_counter
-) -> dict[str, float]:
-    """Least time of each, s; taken in turns, so that other work on the machine meets all alike."""
-    best, begin = dict.fromkeys(steps, float("inf")), time.perf_counter()
-    while time.perf_counter() - begin < seconds:
-        for name, step in steps.items():
-            before = clock()
-            step()
-            best[name] = min(best[name], clock() - before)
-    return best
 
 
 def compensators() -> dict[str, Compensator | None]:
@@ -268,11 +230,11 @@ def peers(folder: Path, seconds: float, *words: str) -> dict[str, dict[str, Any]
 
 
 def main(
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
-    no_peers: Annotated[bool, typer.Option("--no-peers", help="Leave the peers out.")] = False,
+    json_file: JsonFile = None,
+    no_peers: NoPeers = False,
     quick: Annotated[bool, typer.Option("--quick", help="Short rounds, small sizes, nothing compiled.")] = False,
     device: Annotated[str, typer.Option(help="Where torch runs: cpu, or cuda for a graphics processor.")] = "cpu",
-    folder: Annotated[Path, typer.Option(help="Where the peers' packages are installed.")] = Path("runs/peers/envs"),
+    folder: EnvironmentPeers = Path("runs/peers/envs"),
 ) -> None:
     """Measure and print."""
     seconds = 1.0 if quick else 4.0
@@ -290,17 +252,12 @@ def main(
         for name, found in peers(folder, seconds).items():
             add(name, 1, "engine", found["steps_per_s"], found["note"] or WHAT[name])
         add("CartPole-v1 native 4096", 4096, "numpy", vector("CartPole-v1", 4096, seconds), WHAT["CartPole-v1 native"])
-    add("Reach single", 1, "floats", single("pickenv/Reach-v0", seconds), "plant qiao2026, gym.make")
-    add("Harvest single", 1, "numpy", single("pickenv/Harvest-v0", seconds), "three slaves, eight fruit, gym.make")
-    add("Pick single", 1, "floats", single("pickenv/Pick-v0", seconds), "plant orchard, ten fruit, gym.make")
+    for name, backend, what in SINGLE:
+        value = rate(stepper(gym.make(f"pickenv/{name}-v0")), seconds)
+        add(f"{name} single", 1, backend, value, f"{what}, gym.make")
     for count in (1, 16, 256, 1024):
-        add(
-            f"Pick native {count}",
-            count,
-            "numpy",
-            vector("pickenv/Pick-v0", count, seconds),
-            "plant orchard, ten fruit",
-        )
+        value = vector("pickenv/Pick-v0", count, seconds)
+        add(f"Pick native {count}", count, "numpy", value, "plant orchard, ten fruit")
     for count in (16, 64, 256, 4096) if quick else (16, 64, 256, 1024, 4096, 65_536, 1_048_576):
         for executor in EXECUTORS:
             value = vector("pickenv/Reach-v0", count, seconds, executor=executor)
@@ -335,30 +292,29 @@ def main(
     }
     for count in TRAINED:
         ratios[f"ppo_adapter_vs_dummy_{count}"] = ratio(f"PPO native adapter {count}", f"PPO DummyVecEnv {count}")
-    table = Table(title=f"Environment steps per second on {os.cpu_count()} cores (torch on {device})")
-    for head in ("environment", "environments", "backend", "steps/s", "note"):
-        table.add_column(head, justify="right" if head in ("environments", "steps/s") else "left")
-    for name, row in envs.items():
-        value = row["steps_per_s"]
-        table.add_row(
-            name, f"{row['num_envs']:,}", row["backend"], "-" if value is None else f"{value:,.0f}", row["note"]
-        )
-    console = Console(width=150)
-    console.print(table)
+    rows = [
+        (name, f"{row['num_envs']:,}", row["backend"], figure(row["steps_per_s"], ",.0f"), row["note"])
+        for name, row in envs.items()
+    ]
+    print_table(
+        f"Environment steps per second on {os.cpu_count()} cores (torch on {device})",
+        ("environment", "environments", "backend", "steps/s", "note"),
+        rows,
+        words=("environment", "backend", "note"),
+    )
     for name, value in ratios.items():
         if value is not None:
-            console.print(f"{name}: {value:.1f}")
+            print(f"{name}: {value:.1f}")
     for name, cost in added.items():
-        console.print(
+        print(
             f"{name} in between: {cost['single_us']:.0f} us more per single step, a step of 4096 takes "
             f"{cost['vector_ratio']:.1f} times as long on NumPy, {cost['compiled_ratio']:.1f} times compiled, which is "
             f"{cost['compiled_steps_per_s']:,.0f} steps/s"
         )
-    console.print(f"float32 on {device} against float64: the tools are at most {apart:.2f} um apart")
+    print(f"float32 on {device} against float64: the tools are at most {apart:.2f} um apart")
     if json_file is not None:
         found = {"envs": envs, "ratios": ratios, "compensation": added, "float32_um": apart}
-        text = json.dumps(found | {"device": device, "cores": os.cpu_count()}, indent=2)
-        console.print(f"wrote {write_text(json_file, text + chr(10))}")
+        print(f"wrote {write_json(json_file, found | {'device': device, 'cores': os.cpu_count()})}")
 
 
 if __name__ == "__main__":

@@ -12,34 +12,30 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium as gym
 import typer
 from benchmark_envs import peers
+from measuring import EnvironmentPeers, JsonFile, NoPeers, figure
 from peers.run_envs import drawn_per_second
-from rich.console import Console
-from rich.table import Table
 
 import pickenv  # noqa: F401  (registers the environments)
+from pickenv.commands.showing import print_table
 from pickenv.files import write_json
 from pickenv.pictures.drawers import PLAIN, drawer_name
 
-Rates = tuple[float, float]
+Rates = Sequence[float]
 """Frames per second of processor time, and per second."""
-
-
-def frame_rates(name: str, seconds: float) -> Rates:
-    """How fast an environment draws, its first frame left out."""
-    processor, wall = drawn_per_second(gym.make(name, render_mode="rgb_array"), seconds)
-    return processor, wall
 
 
 def measured(seconds: float) -> dict[str, Any]:
     """All environments with the drawer that this process takes."""
     names = sorted(name for name in gym.registry if name.startswith("pickenv/"))
-    return {"drawer": drawer_name(), "rates": {name: frame_rates(name, seconds) for name in names}}
+    rates = {name: drawn_per_second(gym.make(name, render_mode="rgb_array"), seconds) for name in names}
+    return {"drawer": drawer_name(), "rates": rates}
 
 
 def in_another_process(seconds: float, **environment: str) -> dict[str, Any]:
@@ -51,14 +47,14 @@ def in_another_process(seconds: float, **environment: str) -> dict[str, Any]:
 
 def said(rates: Rates | None) -> list[str]:
     """Both rates as they are printed."""
-    return ["-", "-"] if rates is None else [f"{rate:.0f}" for rate in rates]
+    return [figure(rate, ".0f") for rate in rates or (None, None)]
 
 
 def main(
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
-    no_peers: Annotated[bool, typer.Option("--no-peers", help="Leave the peers out.")] = False,
+    json_file: JsonFile = None,
+    no_peers: NoPeers = False,
     seconds: Annotated[float, typer.Option(help="Of drawing, for each environment and drawer, s.", min=0.1)] = 4.0,
-    folder: Annotated[Path, typer.Option(help="Where the peers' packages are installed.")] = Path("runs/peers/envs"),
+    folder: EnvironmentPeers = Path("runs/peers/envs"),
     worker: Annotated[bool, typer.Option(hidden=True)] = False,
 ) -> None:
     """Measure and print."""
@@ -73,21 +69,14 @@ def main(
     }
     os.environ.setdefault("MUJOCO_GL", "egl")  # for the peer, which else asks for a screen
     others = {} if no_peers else peers(folder, seconds, "frames")
-    table = Table(title="Frames of 480 x 360 px: per second of processor time, and per second")
-    for head in ("environment", "VTK, processor", "VTK", "plain, processor", "plain"):
-        table.add_column(head, justify="left" if head == "environment" else "right")
-    for name, drawn in found.items():
-        table.add_row(name, *said(drawn["vtk"]), *said(drawn["plain"]))
-    console = Console(width=120)
-    console.print(table)
-    for name, each in others.items():
-        rates = each["frames_per_s"]
-        told = (
-            each["note"]
-            if rates is None
-            else f"{said(rates)[0]} per second of processor time, {said(rates)[1]} per second"
-        )
-        console.print(f"{name}, its own drawing: {told}")
+    heads = ("environment", "VTK, processor", "VTK", "plain, processor", "plain")
+    rows = [(name, *said(drawn["vtk"]), *said(drawn["plain"])) for name, drawn in found.items()]
+    title = "Frames of 480 x 360 px: per second of processor time, and per second"
+    print_table(title, heads, rows, words=("environment",))
+    for name, peer in others.items():
+        processor, wall = said(peer["frames_per_s"])
+        rates = f"{processor} per second of processor time, {wall} per second"
+        print(f"{name}, its own drawing: {rates if peer['frames_per_s'] else peer['note']}")
     if json_file is not None:
         write_json(json_file, {"frames_per_s": found, "peers": others, "cores": os.cpu_count()})
 

@@ -20,6 +20,7 @@ import matplotlib
 import numpy as np
 import typer
 from matplotlib.figure import Figure
+from measuring import ROOT, markdown_table
 
 from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_tolerances, plant_at
 from pickenv.arm.effects.drives import MeasurementNoise
@@ -30,7 +31,6 @@ from pickenv.inspect.figures.style import COLUMN, LINES, STYLE, save_figure
 from pickenv.wrappers import Compensate, Miscalibrate, geometry_in_mujoco
 from pickenv.wrappers.mujoco_arm import joints_in_mujoco
 
-ROOT = Path(__file__).parents[1]
 SITE = "robot0:grip"
 JOINTS = (
     *("torso_lift", "shoulder_pan", "shoulder_lift", "upperarm_roll"),
@@ -83,7 +83,7 @@ def arms_of(nominal: Geometry, start: Array, millimetres: float, count: int) -> 
     rng = np.random.default_rng(SEED)
     arm = Arm("fetch", "Gymnasium-Robotics", nominal, None, np.ones(nominal.joints))
     noise = MeasurementNoise(15e-6, 2e-4)
-    drawn = draw_plants(Plant("fetch", arm, nominal, measurement_noise=noise), load_tolerances("medium"), count, rng)
+    drawn = draw_plants(Plant("fetch", arm, nominal, effects=(noise,)), load_tolerances("medium"), count, rng)
     poses = around(nominal, start, rng)
     believed, found = forward(nominal, poses).position, []
     for i in range(count):
@@ -163,12 +163,13 @@ def main(
             ]
         ),
     }
-    print(
-        "| arm | mean error (mm) | within 50 mm | within 5 mm | within 3 mm | within 1 mm |\n|---|---|---|---|---|---|"
-    )
-    for name, values in ends.items():
-        shares = " | ".join(f"{np.mean(values <= most):.0%}" for most in (OWN_MM, 5.0, 3.0, 1.0))
-        print(f"| {name} | {values.mean():.2f} | {shares} |")
+    bounds = (OWN_MM, 5.0, 3.0, 1.0)
+    heads = ("arm", "mean error (mm)", *(f"within {most:g} mm" for most in bounds))
+    rows = [
+        (name, f"{values.mean():.2f}", *(f"{np.mean(values <= most):.0%}" for most in bounds))
+        for name, values in ends.items()
+    ]
+    print(markdown_table(heads, rows, ("arm",)))
     write_json(out / "ends.json", {name: values.tolist() for name, values in ends.items()})
     save_figure(drawn(ends, millimetres), out / "success.png")
 

@@ -14,17 +14,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.agents.evaluation.calibrated import CalibrationPlan, compensators
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.arm import load_plant
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.cli import app
 from pickenv.container import write_container
+from pickenv.experiments import PolicySettings, run_policies
+from pickenv.experiments.methods import CalibrationPlan, compensators
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_rows import run_study
 from pickenv.files import write_text
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.run_folder import listed_files, recorded_run, save_part
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
 
 NAMES = ("calibration.npz", "calibration_trace.npz", "figures.json")
 
@@ -232,7 +233,7 @@ def test_a_sound_study_passes_and_an_exchanged_or_stray_chunk_is_named(study: Pa
     shutil.copy(chunks[0], study / "rows" / "chunk-00007.parquet")
     assert "chunk-00007.parquet" in refused_lines(study)
     (study / "rows" / "chunk-00007.parquet").unlink()
-    shutil.copy(finished / "other" / "rows" / chunks[0].name, chunks[0])
+    shutil.copy(min((finished / "other" / "rows").glob("*.parquet")), chunks[0])
     assert chunks[0].name in refused_lines(study)
     assert checked(chunks[0])[0] == 0  # it is sound by itself
 
@@ -268,6 +269,19 @@ def test_calibrations_that_changed_places_in_a_cache_are_refused(tmp_path: Path)
     code, lines = checked(tmp_path)
     assert code == 3
     assert all("is the calibration of another arm or protocol than its name says" in line for line in lines[:2])
+
+
+def test_a_calibration_that_was_taken_out_of_a_cache_is_noticed(tmp_path: Path) -> None:
+    settings = PolicySettings(("scripted",), ("ls",), plants=("qiao2026",), arms=2, episodes=2)
+    run_policies(settings, tmp_path / "rows", cache=tmp_path / "cache")
+    assert checked(tmp_path)[0] == checked(tmp_path / "cache")[0] == 0
+    calibration, piece = next((tmp_path / "cache").glob("*.npz")), next(tmp_path.glob("rows/reaching/*.parquet"))
+    calibration.unlink()
+    assert calibration.name in refused_lines(tmp_path / "cache") and calibration.name in refused_lines(tmp_path)
+    run_policies(settings, cache=tmp_path / "cache")
+    assert checked(tmp_path)[0] == 0
+    piece.unlink()
+    assert piece.name in refused_lines(tmp_path)
 
 
 DAMAGES: dict[str, Callable[[Path], object]] = {

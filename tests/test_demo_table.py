@@ -1,16 +1,23 @@
 """The demonstration's tables on the terminal: every cell is the summary's; what a network gains on blocks held out."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from pickenv.agents.evaluation.blocked_gain import ROWS, blocked_gain, blocks_apart, grid_joints
 from pickenv.arm import load_plant
-from pickenv.calibration import error_statistics, random_joints, simulated_tracker
+from pickenv.calibration import BpnnSettings, error_statistics, random_joints, simulated_tracker
+from pickenv.calibration.pipeline.fitting import fit
 from pickenv.cli import _print_demo
 from pickenv.commands.showing import print_table
 from pickenv.errors import InputError
+from pickenv.experiments.gains import (
+    NETWORK,
+    ROWS,
+    blocked_gains,
+    blocks_apart,
+    grid_joints,
+    left_by_models,
+    random_sets,
+)
 from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.intervals import share_interval
 
@@ -22,7 +29,7 @@ def grid(monkeypatch):
     """The demonstration's grid, worked out once."""
     found = field_grid(SMOOTH.arm.nominal, 0.093, 20260)
     grids = {(SMOOTH.arm.nominal, 0.093, 20260): found}
-    monkeypatch.setattr("pickenv.agents.evaluation.blocked_gain.field_grid", lambda *asked: grids[asked])
+    monkeypatch.setattr("pickenv.experiments.gains.field_grid", lambda *asked: grids[asked])
     return found
 
 
@@ -129,33 +136,45 @@ def test_what_a_network_removes_is_of_the_rms_and_of_another_pair_of_blocks_of_e
     """Fits whose errors are made up: of arm k the network leaves k / 10 of what least squares does."""
     joints, seen = random_joints(SMOOTH.arm.nominal, 50, np.random.default_rng(0)), []
 
-    def errors(scale):
-        return SimpleNamespace(errors=lambda rows: scale * 1e-4 * np.sin(np.arange(6.0 * len(rows)).reshape(-1, 6)))
+    def left(arm, train, test, rng, **models):
+        seen.append((train, models))
+        squares = np.sum((1e-4 * np.sin(np.arange(6.0 * len(test)).reshape(-1, 6)[:, :3])) ** 2, axis=1)
+        arms = len(seen)
+        return {"LS": squares * arms**2, "LS + BPNN": squares * (0.1 * arms**2) ** 2}, None
 
-    def fit(arm, train, more, *, rng, settings):
-        seen.append((train, more, settings))
-        network = errors(0.1 * len(seen) ** 2).errors
-        return SimpleNamespace(
-            calibration=SimpleNamespace(errors=network, without_residual=lambda: errors(float(len(seen))))
-        )
-
-    monkeypatch.setattr("pickenv.agents.evaluation.blocked_gain.fit", fit)
-    gain = blocked_gain(SMOOTH, joints, np.random.default_rng(1), arms=7)
+    monkeypatch.setattr("pickenv.experiments.gains.left_by_models", left)
+    (gain,) = blocked_gains({SMOOTH.name: np.random.SeedSequence(1)}, joints, arms=7)
     one = 1e3 * np.sqrt(np.mean(np.sum((1e-4 * np.sin(np.arange(60.0).reshape(-1, 6)[:, :3])) ** 2, axis=1)))
     assert (gain.arm, gain.ls_mm) == (SMOOTH.name, pytest.approx(one * 4.0))
     assert (gain.removed, gain.lowest, gain.highest) == pytest.approx((0.6, 0.3, 0.9))
-    for k, (train, more, settings) in enumerate(seen):
+    for k, (train, models) in enumerate(seen):
         held = np.repeat([k % 10, (k + 5) % 10], 5) * 5 + np.tile(range(5), 2)
         np.testing.assert_array_equal(train.joints, np.delete(joints, held, axis=0))
-        assert more is train and settings.epochs == 50
+        assert models["learnt"] == {"LS + BPNN": "bpnn"} and models["epochs"] == 50
     assert np.abs(seen[0][0].position[5] - seen[1][0].position[0]).max() > 1e-5  # the same joints of another arm
+
+
+@pytest.mark.parametrize("network", [True, False])
+def test_what_models_leave_is_what_the_papers_calibration_leaves(network):
+    """The demonstration's models, fitted by the one function of papers."""
+    if network:
+        pytest.importorskip("torch")
+    rows = random_sets(SMOOTH, (60, 20), np.random.default_rng(3))
+    settings = BpnnSettings(epochs=2) if network else None
+    models = NETWORK | {"epochs": 2} | ({} if network else {"learnt": {}})
+    squares, _ = left_by_models(SMOOTH.arm, *rows, np.random.default_rng(4), **models)
+    rng = np.random.default_rng(4)
+    found = fit(SMOOTH.arm, rows[0], rows[0] if network else None, rng=rng, settings=settings).calibration
+    for name, calibration in {"LS": found.without_residual(), "LS + BPNN": found}.items():
+        if name in squares:
+            np.testing.assert_array_equal(squares[name], np.sum(calibration.errors(rows[1])[:, :3] ** 2, axis=1))
 
 
 @pytest.mark.slow
 def test_a_smooth_arm_flatters_a_network_and_one_like_measured_arms_does_not():
     pytest.importorskip("torch")
     joints = grid_joints(SMOOTH.arm.nominal, ROWS, np.random.default_rng(0))
-    smooth, rough = (blocked_gain(load_plant(name), joints, np.random.default_rng(1)) for name in ("qiao2026", "field"))
+    smooth, rough = blocked_gains(dict.fromkeys(("qiao2026", "field"), np.random.SeedSequence(1)), joints)
     for gain in (smooth, rough):
         assert gain.lowest < gain.removed < gain.highest
     assert smooth.removed > rough.removed + 0.2

@@ -86,7 +86,7 @@ MAKE = "import gymnasium, pickenv\ngymnasium.make"
         (("rerun",), "import pickenv\npickenv.inspect.LogRerun"),
         (("stable_baselines3",), "import pickenv\npickenv.wrappers.make_sb3_vec"),
         (("stable_baselines3",), "import pickenv\npickenv.agents.train"),
-        (("pyarrow",), "import pickenv\npickenv.study.run_study"),
+        (("pyarrow",), "import pickenv\npickenv.experiments.run_study"),
         (("skimage",), "import numpy as np\nfrom pickenv.orchard import fruit_mask\nfruit_mask(None, np.eye(3))"),
         (("cv2",), "from pickenv.calibration.camera.boards import opencv\nopencv()"),
     ],

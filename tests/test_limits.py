@@ -8,10 +8,8 @@ from typer.testing import CliRunner
 
 from pickenv.cli import app
 from pickenv.errors import InputError
+from pickenv.experiments.study import load_study
 from pickenv.limits import LIMITS, check_limit
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
-from pickenv.study.running.runners import Crew
 
 ROOT = Path(__file__).parents[1]
 STUDY = ROOT / "scripts" / "tolerance_study.toml"
@@ -80,10 +78,3 @@ def test_a_study_refuses_it_and_names_file_and_key(key, value, said, tmp_path):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=rf"study.toml, line \d+: {said}"):
         load_study(path)
-
-
-@pytest.mark.parametrize("executor", ["serial", "joblib", "batched"])
-def test_an_address_that_an_executor_would_pass_over_is_refused(executor, tmp_path):
-    with pytest.raises(InputError, match=f"address head:6379 is of a Ray cluster, and executor '{executor}'"):
-        run_study(load_study(STUDY).quick(), tmp_path / "run", executor=executor, crew=Crew(address="head:6379"))
-    assert list(tmp_path.iterdir()) == []

@@ -114,8 +114,8 @@ def recording(folder: Path) -> None:
 
 
 def studying(folder: Path) -> None:
-    from pickenv.study.design.config import load_study
-    from pickenv.study.running.run_study import run_study
+    from pickenv.experiments.study import load_study
+    from pickenv.experiments.study_rows import run_study
 
     run_study(load_study(ROOT / "scripts" / "tolerance_study.toml").quick(), folder, executor="serial")
 

@@ -40,8 +40,8 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 ELSEWHERE = {
     "make test": "it runs this very test",
     "make demo": "`pickenv demo --quick` stands above it; .ci/run types it",
-    "python3 -m venv .venv": "scripts/walks.py types it",
-    ". .venv/bin/activate": "scripts/walks.py types it",
+    "python3 -m venv .venv": ".ci/walks.py types it",
+    ". .venv/bin/activate": ".ci/walks.py types it",
     'pip install ".[rl,inspect]"': "what runs this has it; tests/journeys/test_core_install.py installs",
     "pip install .": "likewise",
     "python scripts/install_torch.py": "likewise",

@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pickenv.agents import episode_seeds
-from pickenv.agents.evaluation.grid import GridSettings
 from pickenv.agents.training.training_setup import HELD_OUT, Training, make_model
 from pickenv.errors import InputError
+from pickenv.experiments.policies import population_seed
 from pickenv.seeds import RUN, run_seed, seed_words, stream
 from pickenv.wrappers import make_sb3_vec
 
@@ -20,7 +20,7 @@ def test_evaluations_with_seeds_0_to_20_share_nothing():
     """Fruit of 64 arms, populations, policies' draws, calibrations and what the training environments begin with."""
     words: list[int] = []
     for seed in SEEDS:
-        words += [*episode_seeds(seed, 64 * 32), GridSettings(seed=seed).population_seed]
+        words += [*episode_seeds(seed, 64 * 32), population_seed(seed)]
         words += [seed_words(stream(seed, "policy", first), 1)[0] for first in range(32)]
         words += [seed_words(part, 1)[0] for arm in range(64) for part in stream(seed, "calibration", arm).spawn(2)]
         words += seed_words(stream(seed, "training"), 256)

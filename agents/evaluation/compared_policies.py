@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pickenv.agents.evaluation.rollout import PolicyMaker
 from pickenv.agents.policies import foreign
-from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
-from pickenv.agents.policies.harvest_policy import ScriptedHarvest
 from pickenv.agents.policies.learned import LearnedPolicy, load_policy
-from pickenv.agents.policies.pick_policy import ScriptedPick
 from pickenv.agents.policies.policy import Policy
 from pickenv.agents.policies.remembering import (
     RememberingPolicy,
@@ -22,14 +16,11 @@ from pickenv.agents.policies.remembering import (
     load_remembering,
     remembers,
 )
-from pickenv.agents.policies.scripted import OracleReach, RandomReach, ScriptedReach, ServoReach
 from pickenv.arm import Arm
 from pickenv.envs.shared.task import FEEDBACK
 from pickenv.errors import InputError
+from pickenv.registry import get, names
 from pickenv.wrappers.tool_steps import ToolSteps
-
-CALIBRATED_PRIOR = 0.2
-"""Share of the parameters' tolerances that an adaptive policy expects to be left behind a calibration."""
 
 SEQUENTIAL_STEPS = 30
 """Steps of an episode of a policy that learns from pick to pick: the longest way takes 20."""
@@ -57,33 +48,6 @@ class Kind:
         return SEQUENTIAL_STEPS if self.sequential else 60
 
 
-def scripted(env: Any) -> Policy:
-    """The scripted policy of an environment.
-
-    Raises:
-        InputError: If it is none of pickenv's.
-    """
-    inner = env.unwrapped
-    if hasattr(inner, "orchard"):
-        return ScriptedPick(env)
-    if hasattr(getattr(inner, "task", None), "machine"):
-        return ScriptedHarvest(env)
-    if not hasattr(inner, "task"):
-        raise InputError(f"there is no scripted policy for {type(inner).__name__}; give a policy of your own")
-    return ScriptedReach(env)
-
-
-PLAIN: Mapping[str, Callable[[Any], Policy]] = {"scripted": scripted, "oracle": OracleReach, "servo": ServoReach}
-
-KINDS: Mapping[str, Kind] = {
-    "random": Kind(("encoders",)),
-    "scripted": Kind(("encoders",)),
-    "oracle": Kind(("encoders",), raw_only=True),
-    "servo": Kind(("camera",)),
-    "adaptive": Kind(("camera",), sequential=True),
-}
-
-
 def kind_of(name: str) -> Kind:
     """What kind of policy a name stands for.
 
@@ -91,8 +55,10 @@ def kind_of(name: str) -> Kind:
         InputError: If it is no kind, no shipped policy, no policy file and no folder of one training with several
             seeds.
     """
-    if name in KINDS:
-        return KINDS[name]
+    if name in names("policy"):
+        maker, plain = get("policy", name), Kind()
+        traits = ("feedback", "sequential", "raw_only")
+        return Kind(**{trait: getattr(maker, trait, getattr(plain, trait)) for trait in traits})
     if Path(name).suffix in foreign.SUFFIXES:
         return Kind(files=(name,))
     if Path(name).is_dir():
@@ -104,7 +70,8 @@ def kind_of(name: str) -> Kind:
         if name.endswith(".npz"):
             raise
         raise InputError(
-            f"unknown policy '{name}'; give {', '.join(KINDS)}, a shipped baseline, a file or a folder of trainings"
+            f"unknown policy '{name}'; give {', '.join(names('policy'))}, a shipped baseline, a file or a folder of "
+            "trainings"
         ) from error
     return replace(_kind_of_policy(policy), files=(name,))
 
@@ -118,19 +85,15 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
     """How a policy is made for an environment, from a seed.
 
     Args:
-        name: Of `KINDS`, of a shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
+        name: Of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
         camera_noise_mm: Noise that an adaptive policy expects, per axis.
         compensation: What it stands behind.
     """
 
     def make(env: Any, seed: int) -> Policy:
-        if name == "random":
-            return RandomReach(env, np.random.default_rng(seed))
-        if name in PLAIN:
-            return PLAIN[name](env)
-        if name == "adaptive":
-            prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
-            return AdaptiveReach(env, AdaptiveSettings(camera_std=camera_noise_mm * 1e-3, prior=prior))
+        if name in names("policy"):
+            known = {"camera_noise_mm": camera_noise_mm, "compensation": compensation}
+            return foreign.registered_policy(name, env, seed, known if kind_of(name).sequential else {})
         if Path(name).suffix in foreign.SUFFIXES:
             return foreign.foreign_policy(name, env, seed)
         policy = load_any(name, env.unwrapped.task.plant.arm)

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 from pickenv.agents.evaluation.compared_policies import kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.rollout import PolicyMaker
 from pickenv.agents.policies.policy import Policy
+from pickenv.arm import Arm
 from pickenv.calibration import Calibration
 from pickenv.container import read_container
 from pickenv.errors import InputError
@@ -93,6 +94,18 @@ def contenders_of(
         found.append(Contender(label, make, compensator, calibration))
     check_labels(names)
     return sorted(found, key=lambda each: policy_rank(each.label))
+
+
+def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) -> Compensate:
+    """The compensator of a calibration file, for environments whose fruit stand in the arm's own base frame.
+
+    Raises:
+        InputError: If the file is missing, damaged or of another arm, or if something stands against its calibration
+            that ``allow`` does not name (`pickenv.reservations`).
+    """
+    calibration = Calibration.load(path, arm)
+    obey(calibration.reservations(), allow)
+    return calibration.compensator()
 
 
 def check_labels(labels: Sequence[str]) -> None:

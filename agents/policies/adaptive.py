@@ -12,13 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.agents.policies.policy import ObservationParts, camera_of, read_observation
+from pickenv.agents.policies.policy import ObservationParts, Policy, camera_of, read_observation, with_traits
 from pickenv.agents.policies.scripted import ScriptedReach
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration import link_model, random_joints
 from pickenv.calibration.compensation.compensator import aimed
 from pickenv.calibration.identification import extended_kalman_filter
+from pickenv.registry import register
+
+CALIBRATED_PRIOR = 0.2
+"""Share of the parameters' tolerances that an adaptive policy expects to be left behind a calibration."""
 
 ARRIVED = 0.02
 """The arm stands where its largest action is below this share of an increment."""
@@ -139,3 +143,11 @@ class AdaptiveReach(LookingReach):
         # The fruit is seen once per episode, the gap in every picture.
         std = float(np.sqrt(chosen.camera_std**2 * (1.0 + 1.0 / count) + chosen.unmodelled_std**2))
         return extended_kalman_filter.update(state, joints, seen, MeasurementNoise(std, 0.0), gate=chosen.gate)
+
+
+@register("policy", "adaptive")
+@with_traits(("camera",), sequential=True)
+def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation: str = "raw") -> Policy:
+    """The filter that expects this noise of the camera, and less of an arm behind a compensation."""
+    prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
+    return AdaptiveReach(env, AdaptiveSettings(camera_std=camera_noise_mm * 1e-3, prior=prior))

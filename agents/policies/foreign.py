@@ -1,6 +1,6 @@
-"""Policies that others trained or wrote: a zip of Stable-Baselines3, or a Python file that defines `make_policy`.
+"""Policies that others trained or wrote: registered ones, a zip of Stable-Baselines3, a file with `make_policy`.
 
-Both execute what they hold, so load only what you trust; a policy file (.npz) of `pickenv train` executes nothing.
+All execute what they hold, so load only what you trust; a policy file (.npz) of `pickenv train` executes nothing.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import json
+import sys
 import traceback
 import zipfile
 from collections.abc import Iterator, Mapping
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 from pickenv.agents.policies.policy import Policy
 from pickenv.errors import InputError
 from pickenv.extras import require
+from pickenv.registry import get
 from pickenv.wrappers.gap import Scaling
 
 SUFFIXES = (".zip", ".py")
@@ -118,10 +120,33 @@ def _written(path: Path, env: Any, seed: int) -> Policy:
     if make is None:
         raise InputError(f"{path} defines no {MAKER}(env, seed); let it return an object with act and reset")
     with _faults_of(path):
-        policy: Policy = make(env, seed)
+        policy = make(env, seed)
+    return _checked(policy, f"{MAKER} of {path}")
+
+
+def registered_policy(name: str, env: Any, seed: int, known: Mapping[str, Any]) -> Policy:
+    """Make a registered policy for an environment.
+
+    Args:
+        name: Its name.
+        env: The environment, single or vector.
+        seed: Of the policy's own draws.
+        known: Keywords that a policy takes which learns from episode to episode.
+
+    Raises:
+        InputError: If the lines of another package fail, or what they return is no policy.
+    """
+    maker = get("policy", name)
+    with _faults_of(Path(getattr(sys.modules[maker.__module__], "__file__", name))):
+        policy = maker(env, seed, **known)
+    return _checked(policy, f"policy '{name}'")
+
+
+def _checked(policy: Any, maker: str) -> Policy:
     if not callable(getattr(policy, "act", None)) or not callable(getattr(policy, "reset", None)):
-        raise InputError(f"what {MAKER} of {path} returns has no act(observation) or no reset(); give it both")
-    return policy
+        raise InputError(f"what {maker} returns has no act(observation) or no reset(); give it both")
+    checked: Policy = policy
+    return checked
 
 
 @contextmanager
@@ -129,6 +154,8 @@ def _faults_of(path: Path) -> Iterator[None]:
     """What somebody else's lines raise is said with the file and its line."""
     try:
         yield
+    except InputError:
+        raise
     except Exception as error:
         own = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = error.lineno if isinstance(error, SyntaxError) else own[-1] if own else None

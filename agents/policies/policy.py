@@ -6,14 +6,16 @@ environment and a native vector environment.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.envs.shared.task import FEEDBACK
 from pickenv.errors import InputError
 
 
@@ -27,6 +29,28 @@ class Policy(Protocol):
     def act(self, observation: NDArray[np.float32], /) -> NDArray[np.float32]:
         """The next action, or actions."""
         ...
+
+
+Maker = TypeVar("Maker", bound=Callable[..., Policy])
+
+
+def with_traits(
+    feedback: tuple[str, ...] = FEEDBACK, *, sequential: bool = False, raw_only: bool = False
+) -> Callable[[Maker], Maker]:
+    """Say of a function ``(env, seed)`` that makes a policy what comparisons must know; a class has the attributes.
+
+    Args:
+        feedback: What the policy can use: "encoders", "camera".
+        sequential: Whether it learns from episode to episode; the function then takes the keywords ``camera_noise_mm``,
+            per axis, and ``compensation``, what it stands behind, too.
+        raw_only: Whether a compensator would only stand in its way.
+    """
+
+    def keep(maker: Maker) -> Maker:
+        vars(maker).update(feedback=feedback, sequential=sequential, raw_only=raw_only)
+        return maker
+
+    return keep
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.agents.policies.policy import ObservationParts, ReachController, camera_of, read_observation
+from pickenv.agents.policies.harvest_policy import ScriptedHarvest
+from pickenv.agents.policies.pick_policy import ScriptedPick
+from pickenv.agents.policies.policy import (
+    ObservationParts,
+    Policy,
+    ReachController,
+    camera_of,
+    read_observation,
+    with_traits,
+)
 from pickenv.arm import Pose, displace_pose, forward, inverse, joint_jacobian, pose_error
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.errors import InputError
+from pickenv.registry import register
 
 
 class ScriptedReach(ReachController):
@@ -171,3 +181,45 @@ class ServoReach(ScriptedReach):
             wanted = wanted + np.einsum("...ij,...j->...i", self._back, self._correction)
         wanted = wanted.clip(self.geometry.lower, self.geometry.upper)
         return self.action(wanted - reading.joints)
+
+
+# The same by name, for comparisons: how each is made for an environment.
+
+
+@register("policy", "random")
+@with_traits(("encoders",))
+def random(env: Any, seed: int) -> Policy:
+    """Even random actions."""
+    return RandomReach(env, np.random.default_rng(seed))
+
+
+@register("policy", "scripted")
+@with_traits(("encoders",))
+def scripted(env: Any, seed: int = 0) -> Policy:
+    """The scripted policy of an environment, which draws nothing.
+
+    Raises:
+        InputError: If the environment is none of pickenv's.
+    """
+    inner = env.unwrapped
+    if hasattr(inner, "orchard"):
+        return ScriptedPick(env)
+    if hasattr(getattr(inner, "task", None), "machine"):
+        return ScriptedHarvest(env)
+    if not hasattr(inner, "task"):
+        raise InputError(f"there is no scripted policy for {type(inner).__name__}; give a policy of your own")
+    return ScriptedReach(env)
+
+
+@register("policy", "oracle")
+@with_traits(("encoders",), raw_only=True)
+def oracle(env: Any, seed: int) -> Policy:
+    """The policy that knows the true arm."""
+    return OracleReach(env)
+
+
+@register("policy", "servo")
+@with_traits(("camera",))
+def servo(env: Any, seed: int) -> Policy:
+    """Visual servoing with its usual gain."""
+    return ServoReach(env)

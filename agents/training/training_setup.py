@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.calibrated import load_compensator
+from pickenv.agents.evaluation.contenders import load_compensator
 from pickenv.agents.evaluation.reaches import FRUIT, pick_canopies
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy

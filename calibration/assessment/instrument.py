@@ -24,13 +24,12 @@ from pickenv.calibration.model.kinds import DistanceObservations
 from pickenv.calibration.model.measurements import (
     OWN,
     InstrumentStation,
-    Measurements,
     Stacked,
     frame_columns,
     random_joints,
 )
 from pickenv.calibration.model.observations import Observations, origins_of
-from pickenv.calibration.model.pixels import PixelObservations, with_lens
+from pickenv.calibration.model.pixels import with_lens
 from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZEROS, PriorModel
 
 # What a calibration with fitted base and tool leaves open: the error in the robot's own base frame. An instrument
@@ -130,14 +129,17 @@ LENS_MATTERS = 0.2
 
 def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObservations, Observations]]:
     """Each wire's zero that is said to be known: its name as an unknown, the wire, and the data with it unknown."""
-    if isinstance(data, DistanceObservations):
-        if data.zero_std == 0.0 and data.surface != "plane" and np.ptp(data.length) > 0.0 and data.scale_std == 0.0:
-            yield "zero", data, replace(data, zero_std=np.inf)
-    elif isinstance(data, Stacked):
-        for i, station in enumerate(data.stations):
-            for name, part, other in with_zeros_fitted(station.data):
-                stations = (*data.stations[:i], replace(station, data=other), *data.stations[i + 1 :])
-                yield name + station.suffix, part, replace(data, stations=stations)
+    if (
+        isinstance(data, DistanceObservations)
+        and data.zero_std == data.scale_std == 0.0
+        and data.surface != "plane"
+        and np.ptp(data.length) > 0.0
+    ):
+        yield "zero", data, replace(data, zero_std=np.inf)
+    for i, station in enumerate(data.stations):
+        for name, part, other in with_zeros_fitted(station.data):
+            stations = (*data.stations[:i], replace(station, data=other), *data.stations[i + 1 :])
+            yield name + station.suffix, part, Stacked(stations)
 
 
 def said_of_instruments(
@@ -164,12 +166,12 @@ def said_of_instruments(
                 f"{value * 1e3:.4g} ± {std * 1e3:.2g} mm, and the links have taken up the difference; say zero = "
                 '"fitted" in [wire]',
             )
-    if isinstance(data, PixelObservations) and not data.lens_std.any():
-        other = with_lens(data, "free")
+    if data.views is not None and not data.views.lens_std.any():
+        other = with_lens(data.views, "free")
         freed = identify(model, found.arm_model, [other])
         given, fitted = (
             np.sqrt(np.mean(views.pixel_errors(fit.arm_model, np.array(list(fit.unknowns.values()))) ** 2))
-            for views, fit in ((data, found), (other, freed))
+            for views, fit in ((data.views, found), (other, freed))
         )
         if freed.converged and fitted < (1.0 - LENS_MATTERS) * given:
             yield (
@@ -198,7 +200,7 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
         data: What it was made from.
     """
     rows: list[dict[str, Any]] = []
-    for station in data.stations if isinstance(data, Stacked) else (InstrumentStation(data),):
+    for station in data.stations or (InstrumentStation(data),):
         unknowns = np.array([found.unknowns[name] for name in station.unknowns()])
         there = station.seen(found.arm_model, unknowns)[0].geometry
         moved = {name: apart(getattr(found.geometry, name), getattr(there, name)) for name in station.frames}
@@ -332,13 +334,13 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
 
 def _region(found: Identification, data: Observations) -> Iterator[str]:
     """Whether one step at a joint's angle explains most of what remains."""
-    if not isinstance(data, Measurements) or len(data) < len(STEPS):
+    if len(data.joints) < len(STEPS) or data.poses is None:
         return
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     steps = [(*_step(data.joints[:, joint], misses), joint) for joint in range(data.joints.shape[1])]
     share, at, size, joint = max(steps)
     if share > ONE_STEP:
-        unit, scale = ("mm", 1e3) if data.prismatic[joint] else ("deg", float(np.degrees(1.0)))
+        unit, scale = ("mm", 1e3) if data.poses.prismatic[joint] else ("deg", float(np.degrees(1.0)))
         yield (
             f"where {found.geometry.joint_names[joint]} is above {at * scale:.3g} {unit} the arm behaves otherwise: "
             f"rows there lie {size * 1e3:.3g} mm from those below, beyond what any geometry explains; look for what "

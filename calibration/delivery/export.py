@@ -5,8 +5,7 @@ What a file cannot hold of a calibration is told with it (`Delivery.notes`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 from pickenv.errors import InputError
 from pickenv.extras import require
 from pickenv.files import write_whole
+from pickenv.registry import get, names, register
 
 # The learnt residual as ONNX, for programs without pickenv; needs the extra ``export``.
 
@@ -110,12 +110,6 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
     return model
 
 
-KINDS = (
-    *("toml", "urdf", "mjcf", "onnx", "kinematics-yaml", "table"),
-    *("offsets", "ros2-control", "lerobot", "transforms"),
-)
-"""What a calibration is handed over as."""
-
 BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".xml": "mjcf", ".onnx": "onnx"}
 """Kinds that a new file's name tells."""
 
@@ -144,6 +138,29 @@ class Delivery:
     beside: tuple[Path, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class Order:
+    """What an exporter is asked for beside the calibration.
+
+    Attributes:
+        out: The file to write.
+        onto: The robot's own file, in which only what the calibration corrects is changed; None for a new file.
+        tip: The link named behind it.
+        arm: The arm, where it was given.
+        counts_per_turn: Encoder counts per turn, for tables of offsets.
+        sample: Arms that the data allow, written beside a new MJCF.
+        seed: Of the sample.
+    """
+
+    out: Path
+    onto: Path | None = None
+    tip: str | None = None
+    arm: Arm | None = None
+    counts_per_turn: int | None = None
+    sample: int = 0
+    seed: int = 0
+
+
 def export(
     calibration: Calibration,
     out: str | Path,
@@ -160,7 +177,7 @@ def export(
     Args:
         calibration: The calibration.
         out: The file to write.
-        kind: One of `KINDS`; told by the name of ``onto`` or ``out`` where left out.
+        kind: A registered exporter; told by the name of ``onto`` or ``out`` where left out.
         onto: The robot's own file (URDF, kinematics YAML, LeRobot's JSON, a description with ros2_control), in which
             only what the calibration corrects is changed; of "robot.urdf#link" the link is the tip.
         arm: The arm, whose speeds a new arm file or URDF tells; found by its name where it is a shipped one.
@@ -176,45 +193,86 @@ def export(
     if own is not None and own.exists() and not own.is_file():
         raise InputError(f"{own} is no file on a disk; give --onto the robot's own file")
     chosen = kind or _kind(own, out)
-    if chosen not in KINDS:
-        raise InputError(f"there is no kind '{chosen}' of file; give one of {', '.join(KINDS)}")
+    exporter = get("exporter", chosen)
     if counts_per_turn is not None and (chosen != "offsets" or counts_per_turn < 1):
         raise InputError("counts per turn are a whole number above zero and belong to --as offsets")
     if own is not None and chosen in ("toml", "onnx", "table", "offsets"):
         raise InputError(f"a file of kind '{chosen}' is written anew; leave --onto out, or give another --as")
     if sample and (chosen != "mjcf" or own is not None):
         raise InputError("--sample goes with a new MJCF; leave it and --onto out, or give --as mjcf")
-    if own is None and chosen == "lerobot":
+    made: Document | Delivery = exporter(calibration, Order(out, own, tip, arm, counts_per_turn, sample, seed))
+    if isinstance(made, Document):
+        data = made.data
+        made = Delivery(write_whole(out, lambda temporary: temporary.write_bytes(data)), made.notes)
+    caution = () if calibration.caution is None else (f"caution: {calibration.caution}",)
+    return replace(made, notes=(*caution, *made.notes))
+
+
+# The exporters: a calibration and an order make the one document, or the files that were written.
+
+
+@register("exporter", "toml")
+def _toml(calibration: Calibration, order: Order) -> Delivery:
+    path = onto_files.write_arm_toml(calibration, _arm(calibration, order.arm), order.out)
+    return Delivery(path, _without(calibration))
+
+
+@register("exporter", "urdf")
+def _urdf(calibration: Calibration, order: Order) -> Document | Delivery:
+    if order.onto is not None:
+        return onto_files.onto_urdf(calibration, order.onto, order.tip, order.out)
+    path = onto_files.write_arm_urdf(calibration, _arm(calibration, order.arm), order.out)
+    return Delivery(path, (*_without(calibration), SKELETON))
+
+
+@register("exporter", "mjcf")
+def _mjcf(calibration: Calibration, order: Order) -> Document | Delivery:
+    if order.onto is not None:
+        return onto_files.onto_mjcf(calibration, order.onto, order.tip, order.out)
+    arm = _arm(calibration, order.arm)
+    path, *beside = onto_files.export_mjcf(calibration, arm, order.out, sample=order.sample, seed=order.seed)
+    return Delivery(path, (*_without(calibration), SKELETON), tuple(beside))
+
+
+@register("exporter", "onnx")
+def _onnx(calibration: Calibration, order: Order) -> Delivery:
+    return Delivery(write_onnx(calibration, order.out), ())
+
+
+@register("exporter", "kinematics-yaml")
+def _kinematics_yaml(calibration: Calibration, order: Order) -> Document:
+    if order.onto is None:
+        return onto_files.ur_kinematics_yaml(calibration)
+    return onto_files.onto_kinematics_yaml(calibration, order.onto)
+
+
+@register("exporter", "table")
+def _table(calibration: Calibration, order: Order) -> Document:
+    return dh_table(calibration, order.out)
+
+
+@register("exporter", "offsets")
+def _offsets(calibration: Calibration, order: Order) -> Document:
+    return offset_table(calibration, joint_offsets(calibration), order.out, order.counts_per_turn)
+
+
+@register("exporter", "ros2-control")
+def _ros2_control(calibration: Calibration, order: Order) -> Document:
+    return ros2_offsets(calibration, joint_offsets(calibration), order.onto)
+
+
+@register("exporter", "lerobot")
+def _lerobot(calibration: Calibration, order: Order) -> Document:
+    if order.onto is None:
         raise InputError(
             "a LeRobot file keeps ids and ranges of your motors; give --onto the one that lerobot-calibrate wrote"
         )
-    caution = () if calibration.caution is None else (f"caution: {calibration.caution}",)
-    writers: dict[str, Callable[[], list[Path]]] = {
-        "toml": lambda: [onto_files.write_arm_toml(calibration, _arm(calibration, arm), out)],
-        "urdf": lambda: [onto_files.write_arm_urdf(calibration, _arm(calibration, arm), out)],
-        "mjcf": lambda: onto_files.export_mjcf(calibration, _arm(calibration, arm), out, sample=sample, seed=seed),
-        "onnx": lambda: [write_onnx(calibration, out)],
-    }
-    if own is None and chosen in writers:
-        path, *beside = writers[chosen]()
-        return Delivery(path, (*caution, *_new_file_notes(calibration, chosen)), tuple(beside))
-    makers: dict[str, Callable[[], Document]] = {
-        "urdf": lambda: onto_files.onto_urdf(calibration, Path(str(own)), tip, out),
-        "mjcf": lambda: onto_files.onto_mjcf(calibration, Path(str(own)), tip, out),
-        "kinematics-yaml": lambda: (
-            onto_files.ur_kinematics_yaml(calibration)
-            if own is None
-            else onto_files.onto_kinematics_yaml(calibration, own)
-        ),
-        "table": lambda: dh_table(calibration, out),
-        "offsets": lambda: offset_table(calibration, joint_offsets(calibration), out, counts_per_turn),
-        "ros2-control": lambda: ros2_offsets(calibration, joint_offsets(calibration), own),
-        "lerobot": lambda: onto_lerobot(joint_offsets(calibration), Path(str(own))),
-        "transforms": lambda: onto_files.static_transforms(calibration, own, tip),
-    }
-    document = makers[chosen]()
-    path = write_whole(out, lambda temporary: temporary.write_bytes(document.data))
-    return Delivery(path, (*caution, *document.notes))
+    return onto_lerobot(joint_offsets(calibration), order.onto)
+
+
+@register("exporter", "transforms")
+def _transforms(calibration: Calibration, order: Order) -> Document:
+    return onto_files.static_transforms(calibration, order.onto, order.tip)
 
 
 def _own_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
@@ -234,7 +292,9 @@ def _kind(own: Path | None, out: Path) -> str:
         )
     found = endings.get(path.suffix.lower())
     if found is None:
-        raise InputError(f"the name {path} does not tell what to write; give --as one of {', '.join(KINDS)}")
+        raise InputError(
+            f"the name {path} does not tell what to write; give --as one of {', '.join(names('exporter'))}"
+        )
     return found
 
 
@@ -249,12 +309,9 @@ def _arm(calibration: Calibration, arm: Arm | None) -> Arm:
     return arm
 
 
-def _new_file_notes(calibration: Calibration, kind: str) -> tuple[str, ...]:
-    if kind == "onnx":
-        return ()
-    notes = left_out(calibration, "not in the file, because no geometry can hold it")
-    if kind in ("urdf", "mjcf"):
-        notes.append(
-            "a skeleton without meshes or true masses, from the robot's base; --onto patches a robot's own file"
-        )
-    return tuple(notes)
+SKELETON = "a skeleton without meshes or true masses, from the robot's base; --onto patches a robot's own file"
+
+
+def _without(calibration: Calibration) -> tuple[str, ...]:
+    """What a new file lacks of the calibration, a sentence each."""
+    return tuple(left_out(calibration, "not in the file, because no geometry can hold it"))

@@ -223,10 +223,10 @@ def _far_rows(
     if not len(rows):
         return []
     missed, attitude, why = found.misses_of(data), None, None
-    if isinstance(data, Measurements):
-        why = mixed_unit(arm, found, data, rows)
-        if data.rotation is not None:
-            attitude = np.linalg.norm(data.difference(found.identification.arm_model)[:, 3:], axis=1)
+    if data.poses is not None:
+        why = mixed_unit(arm, found, data.poses, rows)
+        if data.poses.rotation is not None:
+            attitude = np.linalg.norm(data.poses.difference(found.identification.arm_model)[:, 3:], axis=1)
     return [
         LeftOut(
             *origins_of(data).place(row),
@@ -278,11 +278,11 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> It
 
 def said_of_stations(found: Identification, data: Observations) -> Iterator[tuple[Literal["caution"], str]]:
     """A caution for each station that is missed by far more than the others, wherever its base and tool may be."""
-    if not isinstance(data, Stacked) or len({part.miss_unit for part in data.parts}) > 1:
+    if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
     left = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
-    owners = data.places[data.rows_of_misses]
-    usual = [float(np.median(left[owners == i])) for i in range(len(data.stations))]
+    ends = np.cumsum([len(part.rows_of_misses) for part in data.parts])
+    usual = [float(np.median(misses)) for misses in np.split(left, ends[:-1])]
     for number, part in enumerate(data.parts):
         others = float(np.median(usual[:number] + usual[number + 1 :])) if len(usual) > 1 else usual[number]
         if usual[number] > ANOTHER_ARM * others:
@@ -299,13 +299,13 @@ def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, te
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
     scale, shown = MISS_UNITS[test.miss_unit], test.miss_unit
     away = f"{np.median(found.misses_of(test)) * scale:.3g} {shown}"
-    if isinstance(test, Measurements):
-        unit = mixed_unit(arm, found, test, np.arange(len(test)))
+    if test.poses is not None:
+        unit = mixed_unit(arm, found, test.poses, np.arange(len(test.joints)))
         if unit is not None:
             return f"{files}: the held-out rows fit the training rows only if {unit}; write both in one unit"
         geometry = found.geometry
         try:
-            moved = align(geometry, test, frames_model(geometry)).geometry
+            moved = align(geometry, test.poses, frames_model(geometry)).geometry
         except InputError:
             moved = geometry
         moved_fit = replace(found.identification, arm_model=replace(found.identification.arm_model, geometry=moved))
@@ -363,13 +363,13 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
 
 def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
     """Rows of any kind; pictures, of one station or several, without the views that tell too little."""
-    if isinstance(data, PixelObservations):
-        return telling_views(data)
-    if not isinstance(data, Stacked):
+    if data.views is not None:
+        return telling_views(data.views)
+    if not data.stations:
         return data, ()
     each = [without_blind_views(part) for part in data.parts]
     stations = zip(data.stations, each, strict=True)
-    kept = replace(data, stations=tuple(replace(station, data=part) for station, (part, _) in stations))
+    kept = Stacked(tuple(replace(station, data=part) for station, (part, _) in stations))
     return kept, tuple(item for _, left in each for item in left)
 
 

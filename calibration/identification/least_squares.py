@@ -9,11 +9,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, solve_triangular
+from scipy.linalg import solve_triangular
 
 from pickenv.arm import Geometry
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array
@@ -32,8 +33,14 @@ OFFSET = 1e-3
 """Parameters count as found when a further step would move them by less than this share of their uncertainty."""
 
 
+NEAR = 5.0
+"""Steps of less than so many of the parameters' uncertainties, each a tenth of the last, keep the derivatives."""
+
 REDUNDANCY_TOLERANCE = 1e-3
 """A parameter is redundant when what it adds, for a deviation of one tolerance, is below this share of the largest."""
+
+BLOCK = 1600
+"""Equations that are brought to a triangle at a time: so many stay near the processor."""
 
 NOTHING = 1e-7
 """A parameter of which neither rows nor priors say so much, as a share of the clearest one, stays where it is."""
@@ -201,20 +208,23 @@ def identify(
     names = own + model.names
     tolerance = np.concatenate([*(part.tolerances() for part in sets), model.tolerance])
     whiten = whiten or np.asarray
-    matrix, weighted = _system(model, sets, arm, unknowns, tolerance, whiten), whiten(_stacked(sets, arm, unknowns))
+    weighted = whiten(_stacked(sets, arm, unknowns))
+    columns = _system(model, sets, arm, unknowns, tolerance, whiten)
+    matrix, right = triangle(columns, weighted)
     poses = sum(len(part.joints) for part in sets)
     if every:
         found = identifiability(matrix, names, tolerance, poses, NOTHING)
     else:
-        found = identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
+        rows = matrix if any(part.framed for part in sets) else columns
+        found = identifiable_parameters(model, sets, arm, unknowns, rows, names, tolerance, rank_tolerance)
         _enough_poses(model, arm, sets, unknowns, found.rank, len(weighted))
     kept, scale = found.kept, tolerance[found.kept]
     iterates, unknown_iterates = [arm], [begun]
     history = [_rms(weighted)]
-    converged, damping, judged = False, 0.0, every or not own
+    converged, damping, offset, judged = False, 0.0, np.inf, every or not own
     for _ in range(max_iterations if judged else 2 * max_iterations):
-        whole = _solve(matrix[:, kept], weighted, 0.0)
-        step = _solve(matrix[:, kept], weighted, damping) if damping else whole
+        whole = _solve(matrix[:, kept], right, 0.0)
+        step = _solve(matrix[:, kept], right, damping) if damping else whole
         change = np.zeros(len(names))
         change[kept] = step * scale
         moved, moved_unknowns = _moved(arm, unknowns, model, change)
@@ -241,7 +251,13 @@ def identify(
         if settled and judged:
             converged = True
             break
-        matrix = _system(model, sets, arm, unknowns, tolerance, whiten)
+        near, offset = every and progress.offset < min(NEAR**2, offset / 100.0), progress.offset
+        if near and not settled:
+            q, r = np.linalg.qr(matrix[:, kept])
+            right = q @ solve_triangular(r, (columns.T @ weighted)[kept], trans=1)
+        else:
+            columns = _system(model, sets, arm, unknowns, tolerance, whiten)
+            matrix, right = triangle(columns, weighted)
         if settled:
             # Where a kind's unknowns start, a parameter may have no effect that has one where they end: a tip that
             # starts in the flange's middle hides how the flange turns. So the rank is judged once more with them, of
@@ -351,9 +367,14 @@ def _system(
 ) -> Array:
     """Whitened, scaled Jacobian: unknowns first, then the model's columns."""
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
-    by_arm = np.concatenate([columns[:, model.columns] for columns, _ in parts])
-    by_unknown = block_diag(*(columns for _, columns in parts))
-    return whiten(np.hstack([by_unknown, by_arm])) * tolerance
+    whole = np.zeros((len(tolerance), sum(len(by_arm) for by_arm, _ in parts))).T
+    row, own, first = 0, 0, len(tolerance) - len(model.columns)
+    for by_arm, by_own in parts:
+        rows, places = slice(row, row + len(by_arm)), slice(own, own + by_own.shape[1])
+        whole[rows, places] = by_own * tolerance[places]
+        np.multiply(by_arm.T[model.columns], tolerance[first:, None], out=whole.T[first:, rows])
+        row, own = rows.stop, places.stop
+    return whiten(whole)
 
 
 def _moved(arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array) -> tuple[ArmModel, list[Array]]:
@@ -374,6 +395,14 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
     # The last column of r is q.T @ right, so that q itself is not needed.
     r = np.asarray(np.linalg.qr(np.column_stack([matrix, right]), mode="r"))
     return np.asarray(np.linalg.solve(r[:count, :count], r[:count, count]))
+
+
+def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
+    """Equations of the same least squares in as few rows as there are columns: QR of blocks of rows, then of these."""
+    ends = np.linspace(0, len(right), max(len(right) // BLOCK, 1) + 1).astype(int).tolist()
+    parts = [np.asarray(np.linalg.qr(np.column_stack([matrix[i:j], right[i:j]]), "r")) for i, j in pairwise(ends)]
+    r = parts[0] if len(parts) == 1 else np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
+    return r[:, :-1], r[:, -1]
 
 
 def _rms(values: Array) -> float:

@@ -145,13 +145,11 @@ def _offset_from_positions(chain: Pose, position: Array) -> Array:
 
 def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
     """Base and tool rotation of measured = R chain T: the null vector of measured T^T - R chain = 0."""
-    rows = []
-    for mine, theirs in zip(chain, measured, strict=True):
-        # Row-major vec: vec(A X) = (A kron 1) vec X, vec(Y B) = (1 kron B^T) vec Y.
-        rows.append(np.concatenate([np.kron(theirs, np.eye(3)), -np.kron(np.eye(3), mine.T)], axis=1))
-    gram = sum(row.T @ row for row in rows)
-    vector = np.linalg.eigh(gram)[1][:, 0]
-    first, second = vector[:9].reshape(3, 3), vector[9:].reshape(3, 3)
+    # Row-major vec: vec(A X) = (A kron 1) vec X, vec(Y B) = (1 kron B^T) vec Y. Of rotations the normal equations are
+    # [[N, -S], [-S^T, N]] with the sum S of A^T kron B^T, so that the null vector is S's first pair of singular ones.
+    across = np.einsum("nji,nlk->ikjl", measured, chain)
+    left, _, right = np.linalg.svd(across.reshape(9, 9))
+    first, second = left[:, 0].reshape(3, 3), right[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(second)) or 1.0
     turn = nearest_rotation(second * sign)
     tool = nearest_rotation(first * sign).T
@@ -444,8 +442,8 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
         InputError: If there are too few rows, or they do not fit the arm.
     """
     frames = frames_model(arm.nominal)
-    if isinstance(data, Measurements):
-        return robust_align(arm.nominal, data, frames, np.random.default_rng(0)).geometry
+    if data.poses is not None:
+        return robust_align(arm.nominal, data.poses, frames, np.random.default_rng(0)).geometry
     return robust_identify(frames, rough_start(arm.nominal, data), data).geometry
 
 

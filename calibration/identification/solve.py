@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
+from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged, triangle
 from pickenv.calibration.model.noise import RowNoise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
@@ -93,8 +93,9 @@ def solve(
         by_arm, by_own = data.jacobian(solution.arm_model, unknowns)
         stated = np.hstack([by_own, by_arm[:, model.parameters.columns]])
         if noise is None:
-            width = np.r_[np.full(len(unknowns), UNKNOWN_STD), weighed.width]
-            leverage = leverages(weights.whiten(stated) * width)
+            leverage = np.full(len(stated), solution.spent / len(stated))
+            if len(data.joints) <= MANY:
+                leverage = leverages(weights.whiten(stated) * np.r_[np.full(len(unknowns), UNKNOWN_STD), weighed.width])
             weights = noise_of(data, solution.arm_model, unknowns, leverage)
         residual = weights.whiten(data.residual(solution.arm_model, unknowns))
         average = averaged_over_scales(weighed, solution, weights.whiten(stated), residual, weights.common, free)
@@ -140,8 +141,9 @@ def averaged_over_scales(
     group = np.r_[np.full(count, ""), model.group][kept]
     moved = np.zeros(columns.shape[1])
     moved[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
-    scaled = columns[:, kept] * width
-    gram, right = scaled.T @ scaled, scaled.T @ (residual + columns @ moved)
+    upper, right = triangle(columns, residual)
+    upper, right = upper[:, kept] * width, right + upper @ moved
+    gram, right = upper.T @ upper, upper.T @ right
     member = np.array([group == name for name in free]).reshape(len(free), len(group))
     mean, std = np.zeros(len(free)), np.full(len(free), np.log(SPREAD))
     nodes = np.array(list(product(NODES, repeat=len(free))))
@@ -158,9 +160,12 @@ def averaged_over_scales(
         mean = weight @ logs
         std = np.maximum(np.sqrt(weight @ (logs - mean) ** 2), NARROWEST * std)
     some = weight > LIGHT * weight.max()
-    weight, factor, inverse = weight[some] / weight[some].sum(), factor[some], np.linalg.inv(precision[some])
+    weight, factor, root = weight[some] / weight[some].sum(), factor[some], np.linalg.inv(lower[some])
+    inverse = root.transpose(0, 2, 1) @ root
     means = factor * (inverse @ (factor * right)[..., None])[..., 0]
-    spread = common * inverse - (common - 1.0) * inverse @ inverse
+    # Rows and priors apart, each as a square: of metres that no row tells, rounding must not leave less than nothing.
+    rows = upper * factor[:, None, :] @ root.transpose(0, 2, 1) @ root
+    spread = common * rows.transpose(0, 2, 1) @ rows + inverse @ inverse
     centre = weight @ means
     covariance = np.einsum("n,ni,nij,nj->ij", weight, factor, spread, factor)
     covariance += np.einsum("n,ni,nj->ij", weight, means - centre, means - centre)

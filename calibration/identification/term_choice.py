@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -301,9 +301,11 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
     for block in range(len(equations.blocks)):
         matrix, right = equations.without(block)
         path = candidates[pursued(matrix, right, base, candidates, most)]
+        places = np.r_[base, path.ravel()]
+        matrix, right = matrix[np.ix_(places, places)], right[places]
+        few = replace(equations, matrix=equations.matrix[:, places[:, None], places], right=equations.right[:, places])
         for count in range(most + 1):
-            solution = solved(matrix, right, np.r_[base, path[:count].ravel()])
-            squares[count] += equations.left(block, solution)
+            squares[count] += few.left(block, solved(matrix, right, np.arange(len(base) + 2 * count)))
         paths.append(path)
     rms = np.sqrt(np.abs(squares))  # of nothing but rounding a sum may be negative
     count = int(np.flatnonzero(rms <= (1.0 + WITHIN) * rms.min())[0])
@@ -327,14 +329,14 @@ def refined(
     for _ in range(ROUNDS):
         wave = PeriodicTerm(wave.joints, tuple(orders.tolist()))
         linear = Linearised.of(bare, (*others, wave))
-        solution = solved(*_all_equations(linear, observations)) * linear.scale
-        sines, cosines = solution[linear.coefficients_of(len(others))].reshape(-1, 2).T.tolist()
+        columns, left, matrix, right = _with_priors(linear, observations)
+        solution = solved(matrix, right, np.arange(len(right)))
+        sines, cosines = (solution * linear.scale)[linear.coefficients_of(len(others))].reshape(-1, 2).T.tolist()
         linear = Linearised.of(bare, (*others, wave, OrderTerm(wave, tuple(sines), tuple(cosines))))
-        matrix, right, everything = _all_equations(linear, observations)
-        solution = solved(matrix, right, everything)
+        columns, left, matrix, right = _with_priors(linear, observations)
+        solution = solved(matrix, right, np.arange(len(right)))
         places = linear.coefficients_of(len(others) + 1)
         orders = np.clip(orders + (solution * linear.scale)[places], grid - 0.48 * FINE, grid + 0.48 * FINE)
-        columns, left = linear.equations(observations)
         remains = left - columns @ solution
         spare = max(len(left) - len(matrix), 1)
         scale = np.sqrt(np.diag(matrix))
@@ -343,10 +345,10 @@ def refined(
     return PeriodicTerm(wave.joints, tuple(orders.tolist()), tuple(std.tolist()))
 
 
-def _all_equations(linear: Linearised, observations: Observations) -> tuple[Array, Array, Places]:
-    """Normal equations of all rows, with priors, and the places of all parameters."""
-    matrix, right = BlockEquations.of(linear, [observations]).without(None)
-    return matrix, right, np.arange(len(right))
+def _with_priors(linear: Linearised, observations: Observations) -> tuple[Array, Array, Array, Array]:
+    """Equations of all rows, columns and what is left, and their normal equations with priors."""
+    columns, left = linear.equations(observations)
+    return columns, left, columns.T @ columns + np.diag(linear.ridge), left @ columns + linear.pull
 
 
 MARGIN = 0.03
@@ -479,6 +481,7 @@ class _Trial:
         names: Names of the terms.
         equations: Normal equations of geometry and terms by block.
         counts: What each row counts by block ``(N,)``: rows of a cluster miss alike, and are few facts.
+        harmonics: What `chosen_orders` chose beside other terms, by their names.
     """
 
     bare: Identification
@@ -486,6 +489,7 @@ class _Trial:
     names: tuple[str, ...]
     equations: BlockEquations
     counts: tuple[Array, ...]
+    harmonics: dict[tuple[str, ...], tuple[list[Places], Places]] = field(default_factory=dict)
 
     @staticmethod
     def of(arm: Arm, bare: Identification, observations: Observations, names: tuple[str, ...] | None = None) -> _Trial:
@@ -508,8 +512,10 @@ class _Trial:
         base = np.concatenate([model.fitted, *others])
         if "periodic" not in names:
             return [base] * len(self.equations.blocks), base
-        every = model.coefficients_of(self.names.index("periodic")).reshape(-1, 2)
-        paths, whole = chosen_orders(self.equations, base, every)
+        if names not in self.harmonics:
+            every = model.coefficients_of(self.names.index("periodic")).reshape(-1, 2)
+            self.harmonics[names] = chosen_orders(self.equations, base, every)
+        paths, whole = self.harmonics[names]
         return [np.r_[base, path] for path in paths], np.r_[base, whole]
 
     def score(self, names: tuple[str, ...]) -> float:

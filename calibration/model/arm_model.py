@@ -15,9 +15,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Frame, Geometry, Pose, displace_pose, forward, joint_jacobian, parameter_jacobian
-from pickenv.arm.effects.structure import Load, gravity_torques
+from pickenv.arm.effects.effect import Load, gravity_torques
 from pickenv.arm.files.arm import Arm
-from pickenv.arm.kinematics.forward import Scalar, chain_of, frames, split_joints
+from pickenv.arm.kinematics.forward import Scalar, attach, chain_of, frames, split_joints
 from pickenv.arm.kinematics.geometry import Array, identity_pose
 from pickenv.errors import InputError
 
@@ -63,6 +63,30 @@ class Term(Protocol):
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes."""
 
+    def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
+        """Pose displacement by these coefficients ``(k,)``: ``(N, 6)``."""
+        return np.asarray(self.columns(geometry, joints, conditions) @ coefficients)
+
+
+class JointTerm(Term, Protocol):
+    """An effect of which each coefficient moves one joint, to first order."""
+
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
+        """The joint of each coefficient ``(k,)``, and how far one unit of it goes ``(N, k)``, rad or m."""
+
+    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
+        """The joint Jacobian's columns times the steps; in memory the poses lie next to each other."""
+        which, steps = self.steps(geometry, joints, conditions)
+        by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
+        return np.asarray(np.moveaxis(by_joint[:, list(which)] * steps.T, -1, 0))
+
+    def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
+        """What all coefficients together move each joint by, times the joint Jacobian."""
+        which, steps = self.steps(geometry, joints, conditions)
+        moved = (coefficients * (np.arange(geometry.joints)[:, None] == list(which))) @ steps.T
+        by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
+        return np.asarray(np.einsum("ijn,jn->ni", by_joint, moved))
+
 
 @dataclass(frozen=True, eq=False)
 class ArmModel:
@@ -103,13 +127,19 @@ class ArmModel:
     def displacement(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """What the terms add to the pose ``(..., 6)``, m and rad."""
         joints = np.asarray(joints, dtype=float)
-        flat = joints.reshape(-1, joints.shape[-1])
-        return np.asarray((self._columns(flat, conditions) @ self.coefficients).reshape(*joints.shape[:-1], 6))
+        flat, first = joints.reshape(-1, joints.shape[-1]), 0
+        moved = np.zeros((len(flat), 6))
+        for term in self.terms:
+            last = first + len(term.names(self.geometry))
+            moved += term.displacement(self.geometry, flat, conditions or Conditions(), self.coefficients[first:last])
+            first = last
+        return np.reshape(moved, (*joints.shape[:-1], 6))
 
     def jacobian(self, joints: Array, conditions: Conditions | None = None) -> Array:
         """Derivative of the pose by every parameter ``(N, 6, 5n + 12 + k)``."""
-        geometric = parameter_jacobian(self.geometry, joints)
-        return np.concatenate([geometric, self._columns(joints, conditions)], axis=-1) if self.terms else geometric
+        conditions, geometric = conditions or Conditions(), parameter_jacobian(self.geometry, joints)
+        columns = [term.columns(self.geometry, joints, conditions) for term in self.terms]
+        return np.concatenate([geometric, *columns], axis=-1) if columns else geometric
 
     def pose_covariance(
         self, columns: ArrayLike, covariance: Array, joints: ArrayLike, conditions: Conditions | None = None
@@ -138,19 +168,10 @@ class ArmModel:
         """The ``delta`` that turns this model into ``other``."""
         return np.concatenate([self.geometry.difference(other.geometry), other.coefficients - self.coefficients])
 
-    def _columns(self, joints: Array, conditions: Conditions | None) -> Array:
-        conditions = conditions or Conditions()
-        return np.concatenate([term.columns(self.geometry, joints, conditions) for term in self.terms], axis=-1)
-
 
 # Parametric terms for what geometry cannot say, each linear in its coefficients, so that least squares finds them.
 # Joint compliance (1/k times torque), boom bending, prismatic lead and periodic drive errors, thermal expansion. Each
 # gives the tool's displacement per unit of its coefficients, in world axes. SI units.
-
-
-def along_joints(geometry: Geometry, joints: Array, which: ArrayLike, steps: Array) -> Array:
-    """How the tool moves ``(N, 6, k)`` where these joints ``(k,)`` go such steps ``(N, k)`` farther, to first order."""
-    return np.asarray(joint_jacobian(geometry, joints)[..., np.asarray(which, dtype=int)] * steps[:, None])
 
 
 SHOWN = 1e-3
@@ -162,7 +183,7 @@ ORDER_TOLERANCE = 0.25
 
 
 @dataclass(frozen=True)
-class ComplianceTerm:
+class ComplianceTerm(JointTerm):
     """Joints yield: dq = c tau, one coefficient c = 1/k per joint (rad/(N*m) or m/N).
 
     The torque is the measured one where the data hold it, else gravity's: from ``load`` and the payload recorded, or
@@ -188,9 +209,9 @@ class ComplianceTerm:
         """1 mrad at 10 N*m, 1 mm at 100 N."""
         return np.array([1e-5 if geometry.prismatic[i] else 1e-4 for i in self.joints])
 
-    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The joint Jacobian's columns times the torques."""
-        return along_joints(geometry, joints, self.joints, self.torques(geometry, joints, conditions)[:, self.joints])
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
+        """The torques of the joints that yield."""
+        return self.joints, self.torques(geometry, joints, conditions)[:, self.joints]
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Measured torques, or gravity's ``(N, n)``."""
@@ -205,12 +226,12 @@ class ComplianceTerm:
         chain = chain_of(geometry)
         found = frames(np, chain, split_joints(geometry.joints, joints))
         load = Load(self.load.mass, self.load.centre, payload)
-        torque = _repeated(gravity_torques(chain, found, load), len(joints))
+        torque = _repeated(gravity_torques(chain, found, load), len(joints)).T
         return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
 
 
 @dataclass(frozen=True)
-class BendingTerm:
+class BendingTerm(Term):
     """A telescopic boom bends: coefficients F/EI for the tip load and w/EI for its own weight, both 1/m^2 and 1/m^3.
 
     Attributes:
@@ -252,7 +273,7 @@ class BendingTerm:
 
 
 @dataclass(frozen=True)
-class LeadTerm:
+class LeadTerm(JointTerm):
     """Drives whose travel is off by a constant share: one coefficient (m/m or rad/rad) per joint named."""
 
     joints: tuple[int, ...]
@@ -265,13 +286,13 @@ class LeadTerm:
         """1 mm per metre."""
         return np.full(len(self.joints), 1e-3)
 
-    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The joint Jacobian's columns times the joints."""
-        return along_joints(geometry, joints, self.joints, joints[:, self.joints])
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
+        """The joints themselves."""
+        return self.joints, joints[:, self.joints]
 
 
 @dataclass(frozen=True)
-class PeriodicTerm:
+class PeriodicTerm(JointTerm):
     """Drives' periodic errors: sine and cosine coefficients (rad or m) of sin(order q) and cos(order q).
 
     Attributes:
@@ -299,15 +320,14 @@ class PeriodicTerm:
         pairs = zip(self.joints, self.orders, strict=True)
         return 1e-3 * np.repeat([1.0 if geometry.prismatic[i] else 3.0 / order for i, order in pairs], 2)
 
-    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The joint Jacobian's columns times sine and cosine."""
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
+        """Sine and cosine of each harmonic."""
         angle = joints[:, self.joints] * np.array(self.orders)
-        wave = np.stack([np.sin(angle), np.cos(angle)], -1).reshape(len(joints), -1)
-        return np.ascontiguousarray(along_joints(geometry, joints, np.repeat(self.joints, 2), wave))
+        return np.repeat(self.joints, 2).tolist(), np.stack([np.sin(angle), np.cos(angle)], -1).reshape(len(joints), -1)
 
 
 @dataclass(frozen=True)
-class OrderTerm:
+class OrderTerm(JointTerm):
     """How the tool moves as a harmonic's order does: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
 
     wave: PeriodicTerm
@@ -322,16 +342,16 @@ class OrderTerm:
         """Half the step of the grid on which orders are sought."""
         return np.full(len(self.wave.orders), ORDER_TOLERANCE)
 
-    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The joint Jacobian's columns times the slopes."""
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
+        """The slopes of the waves."""
         turned = joints[:, self.wave.joints]
         angle = turned * np.array(self.wave.orders)
-        slope = turned * (np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle))
-        return along_joints(geometry, joints, self.wave.joints, slope)
+        slope = np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle)
+        return self.wave.joints, turned * slope
 
 
 @dataclass(frozen=True)
-class ThermalTerm:
+class ThermalTerm(Term):
     """All lengths of the links grow with temperature: one coefficient, 1/K."""
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
@@ -357,7 +377,7 @@ class ThermalTerm:
 
 
 @dataclass(frozen=True)
-class GravityTerm:
+class GravityTerm(JointTerm):
     """Joints yield under the arm's own weight, with neither masses nor stiffnesses known.
 
     A joint's torque is linear in the mass and first moments of every link behind it, so c tau is linear in c m and
@@ -400,36 +420,36 @@ class GravityTerm:
         """The joint that each coefficient belongs to ``(k,)``, from 0."""
         return np.array([i for i, _, _ in self.moments(geometry)])
 
-    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The joint Jacobian's columns times each moment's torque."""
-        return along_joints(geometry, joints, self.owners(geometry), self.torques(geometry, joints, conditions))
+    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
+        """Each moment's torque."""
+        return self.owners(geometry).tolist(), self.torques(geometry, joints, conditions)
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Torque of each moment on its joint, per unit of it ``(N, k)``."""
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
-        chain = frames(np, chain_of(geometry), split_joints(geometry.joints, joints))
-        placed = np.stack([_placed(frame, len(joints)) for frame in chain], 1)
+        chain = chain_of(geometry)
+        found = frames(np, chain, split_joints(geometry.joints, joints))
+        # Axes and origin ``(4, 3, N)`` of each link, and of the tool: of what is carried. About an axis z a lever's
+        # weight turns by z . (lever x up) = lever . (up x z).
+        placed = [
+            _repeated(frame, len(joints)).reshape(4, 3, -1) for frame in (*found[1:], attach(found[-1], chain.tool))
+        ]
         up = geometry.base.rotation @ np.array(self.up)
-        tool, found = forward(geometry, joints).position, []
+        about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
+        torques = []
         for i, j, moment in self.moments(geometry):
             torque = np.zeros(len(joints))
             for k, ratio in geometry.links_of(i):
-                z, origin = placed[:, k + 1, 2], placed[:, k + 1, 3]
                 if k > j:
                     continue  # what hangs on link j is carried by the links before it
-                if moment == "m":
-                    lever = placed[:, j + 1, 3] - origin
-                elif moment == "p":
-                    lever = (tool - origin) * np.asarray(conditions.payload)[:, None]
+                if geometry.slides[k]:
+                    torque -= ratio * (up @ placed[k][2]) * (moment in "mp")
                 else:
-                    lever = placed[:, j + 1, "xyz".index(moment)]
-                if not geometry.slides[k]:
-                    torque -= ratio * np.einsum("ni,ni->n", z, np.cross(lever, up))
-                elif moment in "mp":
-                    torque -= ratio * (z @ up) * (1.0 if moment == "m" else np.asarray(conditions.payload))
-            found.append(torque)
-        return np.stack(found, 1)
+                    lever = placed[j][3] - placed[k][3] if moment in "mp" else placed[j]["xyz".index(moment)]
+                    torque -= ratio * np.einsum("in,in->n", lever, about[k])
+            torques.append(torque * np.asarray(conditions.payload) if moment == "p" else torque)
+        return np.stack(torques).T
 
     def weighed(self, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:
         """Compliance of these joints, with the moments fitted to the torques measured.
@@ -446,12 +466,12 @@ class GravityTerm:
 
 def _placed(frame: Frame, count: int) -> Array:
     """Axes and origin of a frame ``(count, 4, 3)``, one row each, where it may have plain numbers for all poses."""
-    return _repeated(frame, count).reshape(count, 4, 3)
+    return _repeated(frame, count).T.reshape(count, 4, 3)
 
 
 def _repeated(parts: Sequence[Scalar], count: int) -> Array:
-    """Components as columns ``(count, k)``, plain numbers once for each row."""
-    return np.stack([np.broadcast_to(part, count) for part in parts], 1)
+    """Components ``(k, count)``, plain numbers once for each pose."""
+    return np.stack([np.broadcast_to(part, count) for part in parts])
 
 
 KINDS: dict[str, type] = {

@@ -19,6 +19,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, Origins, Rows, Stated, point_jacobian
+from pickenv.registry import register
 
 # The point of the tool that an instrument sees or touches: where a wire is hooked, a ball's centre, a probe's tip. It
 # is stated in the tool's frame, exactly, within an uncertainty, or not at all; every instrument has its own. SI
@@ -228,6 +229,7 @@ SURFACES: dict[str, Surface] = {
 # Places that a tool point rests in, again and again: sockets, or one point that is touched in many poses. SI units.
 
 
+@register("observation", "sockets")
 @dataclass(frozen=True, eq=False)
 class SocketObservations(OneGroup):
     """The tool point rests in places that do not move: sockets, or one point touched again and again.
@@ -335,6 +337,7 @@ SCALE_TOLERANCE = 1e-3
 """Scale of a deviation of a wire's own scale."""
 
 
+@register("observation", "distances")
 @dataclass(frozen=True, eq=False)
 class DistanceObservations(OneGroup):
     """Distances of a point of the tool from a point, line or plane that does not move.
@@ -428,6 +431,7 @@ class DistanceObservations(OneGroup):
 # Reflectors on the tool, several at once: where each is seen, and where it sits, known or found. SI units.
 
 
+@register("observation", "reflectors")
 @dataclass(frozen=True, eq=False)
 class ReflectorObservations(OneGroup):
     """Positions of k reflectors fixed to the tool, some of them lost in some poses.
@@ -578,6 +582,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 """Down where the arm's base stands level."""
 
 
+@register("observation", "tilt")
 @dataclass(frozen=True, eq=False)
 class TiltObservations(OneGroup):
     """Components of the direction of gravity along K axes fixed to the tool.

@@ -24,6 +24,7 @@ from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANC
 from pickenv.calibration.model.observations import Observations, OneGroup, Origins, Rows, hash_of, origins_of
 from pickenv.errors import InputError
 from pickenv.files import write_whole
+from pickenv.registry import register
 
 POSITION_STD = 15e-6
 """Standard uncertainty of a position when a file states none, m: a laser tracker at a few metres."""
@@ -41,6 +42,7 @@ FRAMES_COLUMN = "frames"
 """Column of our own CSV format that says so, in every row."""
 
 
+@register("observation", "tracked")
 @dataclass(frozen=True, eq=False)
 class Measurements(OneGroup):
     """A data set: N poses of an arm with n joints; the commonest of `Observations`.
@@ -72,7 +74,6 @@ class Measurements(OneGroup):
     frames: Frames = "fitted"
     std_stated: bool = False
     framed = True
-    tracked = True
     per_row = ("position", "rotation")
 
     def __len__(self) -> int:
@@ -107,9 +108,11 @@ class Measurements(OneGroup):
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Eq (8), stacked and weighted."""
-        jacobian = model.jacobian(self.joints, self.conditions)[:, : self.rows_per_pose] * self.row_weights[:, None]
-        flat = jacobian.reshape(-1, jacobian.shape[-1])
-        return flat, np.zeros((len(flat), 0))
+        jacobian = np.moveaxis(model.jacobian(self.joints, self.conditions), 0, -1)
+        flat = np.empty((jacobian.shape[1], len(self), self.rows_per_pose))
+        for i, weight in enumerate(self.row_weights):
+            np.multiply(jacobian[i], weight, out=flat[..., i])
+        return flat.reshape(len(flat), -1).T, np.zeros((flat[0].size, 0))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Measured minus predicted positions."""
@@ -124,7 +127,8 @@ class Measurements(OneGroup):
         """The measured positions."""
         return self.position
 
-    def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
+    @property
+    def poses(self) -> Measurements:
         """Themselves."""
         return self
 
@@ -331,7 +335,7 @@ class Stacked:
     """
 
     stations: tuple[InstrumentStation, ...]
-    tracked = False
+    poses = views = None
 
     @property
     def rounding(self) -> float:
@@ -457,8 +461,9 @@ class Stacked:
 
     def select(self, rows: ArrayLike) -> Self:
         """The stations that hold only the given rows; those without any are left out."""
-        numbers = np.arange(len(self.places))[np.asarray(rows)]
-        owners = self.places[numbers]
+        places = np.repeat(np.arange(len(self.stations)), [len(part.joints) for part in self.parts])
+        numbers = np.arange(len(places))[np.asarray(rows)]
+        owners = places[numbers]
         some = [i for i in range(len(self.stations)) if (owners == i).any()] or [0]
         first, parts = self._first_rows(), self.stations
         kept = tuple(replace(parts[i], data=parts[i].data.select(numbers[owners == i] - first[i])) for i in some)
@@ -468,11 +473,6 @@ class Stacked:
         """The stations weighed by their scatter, relative to the first one's."""
         stations = zip(self.stations, scales, strict=True)
         return replace(self, stations=tuple(replace(each, scale=each.scale * s / scales[0]) for each, s in stations))
-
-    @property
-    def places(self) -> Rows:
-        """The place among the stations of each row ``(N,)``, from 0."""
-        return np.repeat(np.arange(len(self.stations)), [len(part.joints) for part in self.parts])
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Measurements | None:
         """Poses or positions of all stations as the first one would have measured them; None of other kinds.
@@ -484,7 +484,7 @@ class Stacked:
             model: The arm as the first station sees it.
             unknowns: Values of `unknowns`.
         """
-        parts = [part for part in self.parts if isinstance(part, Measurements)]
+        parts: list[Measurements] = [part.poses for part in self.parts if part.poses is not None]
         if len(parts) < len(self.parts):
             return None
         wide = all(part.rotation is not None for part in parts)

@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.measurements import Stacked, frame_columns
+from pickenv.calibration.model.measurements import frame_columns
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
 
 POSE = 6
@@ -145,8 +145,10 @@ def neighbours(joints: Array, length: float) -> Array:
     """How many rows each row is like ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over all rows."""
     some = equally_spaced(len(joints), NEIGHBOUR_ROWS)
     like = np.empty(len(joints))
-    for part in np.array_split(np.arange(len(joints)), max(1, len(joints) // NEIGHBOUR_ROWS)):
-        kernel = np.exp(-0.5 * cdist(joints[part], joints[some], "sqeuclidean") / length**2)
+    for part in np.array_split(np.arange(len(joints)), max(1, len(joints) // 100)):  # as much as stays near
+        kernel = cdist(joints[part], joints[some], "sqeuclidean")
+        kernel *= -0.5 / length**2
+        np.exp(kernel, out=kernel)
         kernel[part[:, None] == some] = 0.0
         like[part] = 1.0 + kernel.sum(axis=1) * (len(joints) - 1) / max(len(some) - 1, 1)
     return like
@@ -237,7 +239,5 @@ def _of_pictures(
 
 def tool_columns(data: Observations, model: ArmModel, unknowns: Array) -> Array:
     """Derivatives of the stated equations by the tool's pose, in its own axes ``(E, 6)``."""
-    whole = [(data, model, unknowns, 1.0)]
-    parts = data.seen_by_station(model, unknowns) if isinstance(data, Stacked) else whole
-    place = frame_columns(model.geometry, "tool")
+    place, parts = frame_columns(model.geometry, "tool"), data.seen_by_station(model, unknowns)
     return np.concatenate([part.jacobian(seen, own)[0][:, place] / scale for part, seen, own, scale in parts])

@@ -7,7 +7,7 @@ identified together with the arm. Rows are whitened by their covariance, so any 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, Self, TypeVar, runtime_checkable
@@ -144,8 +144,16 @@ class Observations(Equations, Protocol):
         """The data sets of the stations, or this one alone."""
 
     @property
-    def tracked(self) -> bool:
-        """Whether these are `Measurements`: poses or positions of the tool in one instrument's frame."""
+    def stations(self) -> tuple[Any, ...]:
+        """Each with its `InstrumentStation`, where these are several data sets in one fit (`Stacked`)."""
+
+    @property
+    def poses(self) -> Any:
+        """The same rows as `Measurements`: poses or positions of the tool in one instrument's frame; else None."""
+
+    @property
+    def views(self) -> Any:
+        """The same rows as `PixelObservations`: pictures of one camera; else None."""
 
     @property
     def rounding(self) -> float:
@@ -172,6 +180,14 @@ class Observations(Equations, Protocol):
 
     def readings(self) -> Array:
         """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
+
+    def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
+        """`poses`, of several stations as the first one would have measured them; None of other kinds."""
+
+    def seen_by_station(
+        self, model: ArmModel, unknowns: Array
+    ) -> Iterable[tuple[Observations, ArmModel, Array, float]]:
+        """Each station's data, the arm as it sees it, the data's own unknowns, and what its uncertainties count."""
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
         """Poses or positions (`Measurements`) that the rows are worth by themselves, to start from; None where none."""
@@ -250,7 +266,15 @@ class OneGroup:
     miss_unit = "mm"
     rounding = 5e-6
     sized = True
-    tracked = False
+    stations: tuple[Any, ...] = ()
+
+    @property
+    def poses(self) -> Any:
+        """None: other kinds are no poses."""
+
+    @property
+    def views(self) -> Any:
+        """None: nor pictures."""
 
     @property
     def parts(self) -> tuple[Self, ...]:
@@ -282,8 +306,17 @@ class OneGroup:
         """What was read in each row ``(N, k)``."""
         raise NotImplementedError
 
+    def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
+        """Themselves, where they are poses."""
+        return self.poses
+
+    def seen_by_station(self, model: ArmModel, unknowns: Array) -> Iterator[tuple[Any, ArmModel, Array, float]]:
+        """As they are."""
+        yield self, model, unknowns, 1.0
+
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """None: such readings say nothing of poses by themselves."""
+        """Themselves, where they are poses; other readings say nothing of poses by themselves."""
+        return self.poses
 
     def fingerprint(self) -> str:
         """Of joints and readings."""
@@ -330,7 +363,9 @@ class OneGroup:
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Of the same, by the model and by the unknowns."""
         numbers, free = self.numbers.whole(unknowns), self.numbers.free
-        by_arm, by_numbers = (part.reshape(-1, part.shape[-1]) for part in self.derivatives(model, numbers))
+        by_arm, by_numbers = self.derivatives(model, numbers)
+        by_arm = by_arm.reshape(-1, by_arm.shape[-1])
+        by_numbers = by_numbers.reshape(len(by_arm), -1)
         extra = np.concatenate([self.numbers.jacobian(), self.bonds(numbers)[1][:, free]])
         by_arm = np.concatenate([by_arm, np.zeros((len(extra), by_arm.shape[1]))])
         return by_arm, np.ascontiguousarray(np.concatenate([by_numbers[:, free], extra]))

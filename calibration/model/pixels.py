@@ -19,6 +19,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import OneGroup, Origins, Rows, Stated, nearest_rotation, point_jacobian
+from pickenv.registry import register
 
 # What a camera makes of a point: a pinhole, and the radial and tangential distortion of its lens. Brown 1971, with
 # the coefficients as OpenCV and ROS ("plumb_bob") order them: k1, k2, p1, p2, k3. Points lie in the camera's frame (x
@@ -121,6 +122,7 @@ Mount = Literal["hand", "world"]
 """Where the camera is: on the arm's tool, or fixed in the world with the board on the tool."""
 
 
+@register("observation", "pixels")
 @dataclass(frozen=True, eq=False)
 class PixelObservations(OneGroup):
     """V views of a board with K corners.
@@ -164,6 +166,11 @@ class PixelObservations(OneGroup):
     def numbers(self) -> Stated:
         """The numbers of the lens, as far as they are known."""
         return Stated(LENS_NAMES, self.camera.values, self.lens_std, SCALES)
+
+    @property
+    def views(self) -> PixelObservations:
+        """Themselves."""
+        return self
 
     @property
     def rows_of_misses(self) -> Rows:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,10 @@ from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, specification, term_from
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, same_poses
-from pickenv.calibration.residuals.residual_models import FITTERS, LearntResidual
+from pickenv.calibration.residuals.residual_models import LearntResidual
 from pickenv.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.errors import InputError
+from pickenv.registry import Origin, get, origin
 from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
 
 # How well the calibrated arm's tool pose is known, anywhere: u^2 = J C J^T + u_repeat^2 (GUM, JCGM 100:2008, 5.1.2).
@@ -502,6 +503,7 @@ class Calibration:
             "prismatic": self.nominal.prismatic,
             "terms": [specification(term) for term in self.model.terms],
             "residual": None if self.learnt is None else self.learnt.kind,
+            "residual_from": None if self.learnt is None else asdict(origin("residual", self.learnt.kind)),
             "record": self.record,
         }
         _from_parts(header, arrays)
@@ -510,6 +512,8 @@ class Calibration:
     @staticmethod
     def load(path: str | Path, arm: Arm | None = None, unit: str | None = None) -> Calibration:
         """Read a file that `save` wrote; nothing in it is executed.
+
+        A residual model of another package needs that package, which is imported.
 
         Args:
             path: The file, with or without its suffix.
@@ -520,15 +524,18 @@ class Calibration:
         Raises:
             InputError: If the file is missing, damaged in any byte, holds what cannot move an arm (numbers that are
                 not finite, a base that is no rotation), is of another version, of another arm or of another unit, or
-                holds a residual model of a kind that there is no more.
+                holds a residual model that is not here; the message names its package.
         """
         path = npz_path(path)
         found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
-        kind = found.header.get("residual")
-        if kind not in (None, *FITTERS):
-            raise InputError(
-                f"{path} holds the residual model '{kind}', which is none of {', '.join(FITTERS)}; {REMAKE}"
-            )
+        with refusing_damage(path, f"a {KIND} file", REMAKE):
+            kind, parts = found.header.get("residual"), found.header.get("residual_from") or {}
+            source = Origin(**{key: str(value) for key, value in parts.items()})
+        if kind is not None:
+            try:
+                get("residual", str(kind), **asdict(source))
+            except InputError as error:
+                raise InputError(f"{path}: {error}") from error
         with refusing_damage(path, f"a {KIND} file", REMAKE):
             calibration = _from_parts(found.header, found.arrays)
         if arm is not None:

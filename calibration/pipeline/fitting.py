@@ -24,7 +24,7 @@ from pickenv.calibration.identification.robust import MISFIT, SPAN, align, refus
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model, kind_of_term
 from pickenv.calibration.model.kinds import SocketObservations
-from pickenv.calibration.model.measurements import Measurements, Stacked
+from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.model.prior import PriorModel, prior_model
@@ -103,10 +103,10 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
         InputError: If the data do not fit the arm.
     """
     nominal = arm.nominal
-    if isinstance(data, Measurements):
+    if data.poses is not None:
         if not known:
-            return align(nominal, data, frames_model(nominal))
-        refuse_another_arm(nominal, data, "with base and tool taken as known")
+            return align(nominal, data.poses, frames_model(nominal))
+        refuse_another_arm(nominal, data.poses, "with base and tool taken as known")
         return None
     found = identify(frames_model(nominal), ArmModel.of(rough_start(nominal, data)), [data], max_iterations=100)
     _refuse_misfit(found, data)
@@ -284,14 +284,14 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
         test: Rows held out.
     """
     bare = next(iter(fits.values()))
-    if isinstance(test, Measurements):
-        before = test.difference(ArmModel.of(bare.calibration.nominal))
+    if test.poses is not None:
+        before = test.poses.difference(ArmModel.of(bare.calibration.nominal))
     else:
         assert bare.aligned is not None
         before = missed_by(bare.aligned, test)
     pixels: tuple[Array, ...] = ()
-    if isinstance(test, PixelObservations):
-        found, views = bare.identification, [test.select(np.array([view])) for view in range(len(test.joints))]
+    if test.views is not None:
+        found, views = bare.identification, [test.views.select(np.array([i])) for i in range(len(test.joints))]
         pixels = tuple(view.pixel_errors(found.arm_model, unknowns_of(found, view)) for view in views)
     return replace(_step_by_step(fits, before, lambda fit: what_is_left(fit, test)), pixels=pixels)
 
@@ -331,7 +331,7 @@ def held_out_elsewhere(
     return replace(_step_by_step(fits, left(nominal), left), refit=refit), at.rest
 
 
-def by_station(held_out: HeldOut, train: Stacked, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:
+def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:
     """Errors of all blocks of several stations in the order of the stations' rows, as the rows stand.
 
     Args:
@@ -340,7 +340,8 @@ def by_station(held_out: HeldOut, train: Stacked, folds: Sequence[tuple[Rows, Ro
         folds: For each block the rows fitted, and those held out.
     """
     rows = np.concatenate([held[train.select(held).rows_of_misses] for _, held in folds])
-    order = np.argsort(train.places[rows], kind="stable")
+    places = np.repeat(np.arange(len(train.parts)), [len(part.joints) for part in train.parts])
+    order = np.argsort(places[rows], kind="stable")
     errors = {name: values[order] for name, values in held_out.errors.items()}
     blocks = None if held_out.blocks is None else held_out.blocks[order]
     return replace(held_out, errors=errors, parametric=held_out.parametric[order], blocks=blocks)
@@ -390,9 +391,8 @@ def missed_by(found: Identification, data: Observations) -> Array:
 
 def tracked_rows(found: Identification, data: Observations) -> Measurements | None:
     """Poses or positions as they are, of stations as the first one would have measured them; None of other kinds."""
-    if isinstance(data, Stacked):
-        return data.from_the_first(found.arm_model, unknowns_of(found, data))
-    return data if isinstance(data, Measurements) else None
+    rows: Measurements | None = data.from_the_first(found.arm_model, unknowns_of(found, data))
+    return rows
 
 
 # How well pictures are explained, in pixels: of all views together, and of each view by a fit without it.
@@ -497,6 +497,7 @@ def lens_of(fit: Fit, data: Observations) -> Lens:
     Raises:
         InputError: If there are no pictures.
     """
-    if not isinstance(data, PixelObservations):
+    if data.views is None:
         raise InputError(f"{data.source} holds {data.kind}, no pictures, so there is no lens to write")
-    return replace(data.camera, values=data.lens_values(unknowns_of(fit.identification, data)))
+    lens: Lens = data.views.camera
+    return replace(lens, values=data.views.lens_values(unknowns_of(fit.identification, data)))

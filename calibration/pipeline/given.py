@@ -21,6 +21,7 @@ from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_observations, read_targets
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.errors import InputError
+from pickenv.registry import names
 
 # What a calibration may be asked for, and what does not go with what was measured.
 
@@ -71,7 +72,7 @@ class Choices:
 def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
     learnt = choices.residual not in ("auto", "none")
-    tracked = all(part.tracked for part in train.parts)
+    tracked = all(part.poses is not None for part in train.parts)
     options = {"--frames known": choices.frames == "known", f"--residual {choices.residual}": learnt and not tracked}
     if choices.lens is not None and train.kind != "pixels":
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
@@ -241,13 +242,13 @@ def _joined(
 ) -> Observations:
     """One data set as it is; several as stations of one arm, as asked or as poses and positions tell."""
     if stations is None:
-        tracked = [file for part in sets if isinstance(part, Measurements) for file in _files(part)]
+        tracked = [file for part in sets if part.poses is not None for file in _files(part.poses)]
         if isinstance(like, Stacked) and tracked:
             return placed(arm, like, tracked)
         free = not known and like is None and all(part.frames == "fitted" for part in tracked)
-        if len(tracked) > 1 and free and all(part.tracked for part in sets):
+        if len(tracked) > 1 and free and all(part.poses is not None for part in sets):
             several = by_set_up(arm, tracked)
-            return sets[0] if len(sets) == 1 and isinstance(several, Measurements) else several
+            return sets[0] if len(sets) == 1 and several.poses is not None else several
     return sets[0] if len(sets) == 1 else stations_of(arm, sets, STATIONS[stations or "base,tool"])
 
 
@@ -261,7 +262,8 @@ def _files(data: Measurements) -> list[Measurements]:
 def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
     """Refuse arrays that no file could have held."""
     if not hasattr(data, "joints"):
-        raise InputError(f"{type(data).__name__} are no measurements; give files, Measurements or other observations")
+        kinds = ", ".join(names("observation"))
+        raise InputError(f"{type(data).__name__} are no measurements; give files, or observations ({kinds})")
     shape, wanted = data.joints.shape, arm.nominal.joints
     if shape != (len(data.joints), wanted):
         raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {wanted} joints")

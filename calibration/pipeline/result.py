@@ -53,9 +53,7 @@ from pickenv.calibration.identification.diagnosis import (
 from pickenv.calibration.identification.robust import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel
-from pickenv.calibration.model.measurements import Measurements, Stacked
 from pickenv.calibration.model.observations import MISS_UNITS, Observations
-from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.pipeline.calibration import (
     MEASURED_REGION,
     Calibration,
@@ -200,9 +198,9 @@ class Result:
             record["harmonics"] = {"note": OWN, "found": self.harmonics}
         if self.stiffnesses:
             record["stiffnesses"] = self.stiffnesses
-        if isinstance(self.train, Measurements):
+        if self.train.poses is not None:
             repeat = None if self.floor is None else self.floor.repeat
-            record[SCATTER] = vars(scatter_of(self.train, repeat))
+            record[SCATTER] = vars(scatter_of(self.train.poses, repeat))
         if self.set_ups:
             record["stations"] = self.set_ups
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
@@ -228,9 +226,9 @@ class Result:
         if self.best.mean_ci95 is None:
             return None
         low, high = self.best.mean_ci95
-        if not isinstance(self.test, Measurements):
+        if self.test.poses is None:
             return low, high
-        noise = 3.0 * (self.test.position_std * 1e3) ** 2
+        noise = 3.0 * (self.test.poses.position_std * 1e3) ** 2
         return low * float(np.sqrt(max(0.0, 1.0 - noise / max(self.best.rms**2, 1e-300)))), high
 
     @property
@@ -279,7 +277,7 @@ class Result:
 
     def plant(self) -> Plant:
         """The arm as it was found, for every environment; see `pickenv.calibration.pipeline.twin.twin`."""
-        return twin(self.calibration, self.arm, self.train if isinstance(self.train, Measurements) else None)
+        return twin(self.calibration, self.arm, self.train.poses)
 
     def sample(self, n: int, seed: int, tolerances: str = "medium") -> Plant:
         """``n`` arms that the data allow, as one plant; what was not identified is drawn from a tolerance class."""
@@ -491,11 +489,11 @@ def assess(
     held_out = held_out or held_out_of(fits, test)
     after = list(held_out.errors.values())[-1]
     before = None if arm.name == CARRIER else held_out.errors[NOMINAL]
-    if isinstance(test, Measurements) and isinstance(train, Measurements):
-        said = "stated noise" if train.std_stated else "noise assumed, since none is stated,"
-        noise = f"{said} of {train.position_std * 1e3:.4g} mm"
+    if train.poses is not None:
+        said = "stated noise" if train.poses.std_stated else "noise assumed, since none is stated,"
+        noise = f"{said} of {train.poses.position_std * 1e3:.4g} mm"
     else:
-        stated = isinstance(train, Stacked) and all(getattr(part, "std_stated", False) for part in train.parts)
+        stated = bool(train.stations) and all(getattr(part, "std_stated", False) for part in train.parts)
         noise = "stated noise" if stated else "noise stated or assumed"
     rows_of = test.rows_of_misses
     joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
@@ -511,8 +509,8 @@ def assess(
             left = np.full_like(left, np.nan)
         base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
     pixels = None
-    if isinstance(train, PixelObservations) and isinstance(test, PixelObservations):
-        pixels = pixel_figures(bare, train, test, held_out)
+    if train.views is not None:
+        pixels = pixel_figures(bare, train.views, test.views, held_out)
     name, region = workspace or workspace_joints(None, arm.nominal)
     remains = position_rms(after) if train.miss_unit == "mm" else 0.0
     over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name, remains)

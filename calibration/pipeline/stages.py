@@ -21,7 +21,8 @@ from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term
-from pickenv.calibration.model.measurements import FRAMES, Measurements, Stacked
+from pickenv.calibration.model.measurements import FRAMES, Measurements
+from pickenv.calibration.model.noise import noise_of
 from pickenv.calibration.model.observations import (
     BLOCKS,
     Observations,
@@ -32,7 +33,7 @@ from pickenv.calibration.model.observations import (
     pose_count,
     same_poses,
 )
-from pickenv.calibration.model.pixels import PixelObservations, with_lens
+from pickenv.calibration.model.pixels import with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, prior_model
 from pickenv.calibration.pipeline.fitting import (
     Fit,
@@ -58,8 +59,8 @@ from pickenv.calibration.pipeline.given import (
 from pickenv.calibration.pipeline.result import Result, assess
 from pickenv.calibration.pipeline.verification import near_rows
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import GateReport, gate_residuals, position_rms
-from pickenv.calibration.residuals.residual_models import FITTERS, TRIAL_FITTERS, require_residual
+from pickenv.calibration.residuals.gate import AUTO, GateReport, gate_residuals, position_rms
+from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
 from pickenv.errors import InputError
 
 GATE_ROWS = 3000
@@ -172,11 +173,11 @@ def calibrate(
     known = choices.frames == "known"
     train, floor = given_rows(arm, data, columns, stations, known=known)
     rng = rng or np.random.default_rng(choices.seed)
-    if isinstance(train, PixelObservations) and choices.lens is not None:
-        train = with_lens(train, choices.lens)
+    if choices.lens is not None and train.views is not None:
+        train = with_lens(train.views, choices.lens)
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
-    few = train.tracked and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
+    few = test is None and test_rows is None and train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
@@ -250,20 +251,17 @@ def _judged_by_blocks(draft: Draft) -> Result:
         if draft.progress is not None:
             draft.progress("judging blocks", number + 1, len(folds))
     judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
-    held_out = pooled(list(whole.fits), parts)
-    if isinstance(checked.train, Stacked):
-        held_out = by_station(held_out, checked.train, folds)
-    return _assessed(judged, held_out)
+    return _assessed(judged, by_station(pooled(list(whole.fits), parts), checked.train, folds))
 
 
 def _judged_elsewhere(draft: Draft) -> Result:
     """The calibration judged on another station, whose own frames are found from a few of its rows."""
     test = draft.test
     draft = _through(STAGES, replace(draft, test=draft.train.select(np.arange(0))))
-    if not isinstance(test, Measurements):
+    if test.poses is None:
         raise InputError(f"--refit is for poses and positions, but {test.source} holds {test.kind}; leave it out")
     choices = draft.choices
-    near, left_out = near_rows(draft.best[1].calibration, test, choices.refit, choices.refit_rows)
+    near, left_out = near_rows(draft.best[1].calibration, test.poses, choices.refit, choices.refit_rows)
     held_out, rest = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
     judged = replace(draft, test=near.select(rest), left_out=(*draft.left_out, *left_out))
     return _assessed(judged, held_out)
@@ -304,12 +302,13 @@ def _check(draft: Draft) -> Draft:
         )
     left_out: tuple[LeftOut, ...] = ()
     if isinstance(train, Measurements) and isinstance(test, Measurements):
-        if choices.frames is None and train.frames != test.frames:
+        stated, others = train.frames, test.frames
+        if choices.frames is None and stated != others:
             raise InputError(
-                f"{train.source} says that base and tool are {train.frames}, {test.source} that they are "
-                f"{test.frames}; give --frames"
+                f"{train.source} says that base and tool are {stated}, {test.source} that they are {others}; give "
+                "--frames"
             )
-        choices = replace(choices, frames=choices.frames or train.frames)
+        choices = replace(choices, frames=choices.frames or stated)
     else:
         refuse_options(train, choices)
         train, left_out = without_blind_views(train)
@@ -371,7 +370,7 @@ def _learn(draft: Draft) -> Draft:
         return draft
     selected: str | None = None
     if pose_count(train.joints) >= ENOUGH_FOR_BLOCKS:
-        names = tuple(FITTERS) if choices.residual == "auto" else (choices.residual,)
+        names = AUTO if choices.residual == "auto" else (choices.residual,)
         draft = replace(draft, gate=_verdicts(draft, train, names))
         selected = draft.gate.selected if draft.gate else None
     if choices.force and choices.residual != "auto":
@@ -388,16 +387,18 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
     data = train.select(equally_spaced(len(train), GATE_ROWS))
-    expected = draft.best[1].identification.prior
+    name, best = draft.best
+    expected, whole = best.identification.prior, best.identification.arm_model
     assert expected is not None
 
     def refit(rows: Measurements) -> ArmModel:
-        return solve(expected, rows).arm_model
+        """Fit the arm to some of the rows; what these scatter by, the fit to all of them says."""
+        none, unused = np.zeros(0), np.zeros(rows.rows_per_pose * len(rows))
+        return solve(expected, rows, noise_of(rows, whole, none, unused)).arm_model
 
     told = None
     if draft.progress is not None:
-        name, best = draft.best
-        rms = 1e3 * position_rms(train.misses(best.identification.arm_model, np.zeros(0)))
+        rms = 1e3 * position_rms(train.misses(whole, np.zeros(0)))
         told = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
     return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=told)

@@ -371,24 +371,25 @@ def verify(
     Raises:
         InputError: If these are no poses or positions, or too few.
     """
-    if not isinstance(data, Measurements):
+    poses: Measurements | None = data.poses
+    if poses is None:
         raise InputError(f"{data.source} holds {data.kind}; a calibration is verified on poses or positions")
-    if len(data) < 3:
-        raise InputError(f"{data.source}: {len(data)} rows judge nothing; measure at least 3")
+    if len(poses) < 3:
+        raise InputError(f"{data.source}: {len(poses)} rows judge nothing; measure at least 3")
     nominal = replace(calibration, model=ArmModel.of(calibration.nominal), learnt=None)
-    data, left_out = near_rows(calibration, data, refit, refit_rows)
+    poses, left_out = near_rows(calibration, poses, refit, refit_rows)
     if refit:
-        at = restationed(calibration, data, refit, refit_rows)
-        errors = errors_there(at, calibration, data)
+        at = restationed(calibration, poses, refit, refit_rows)
+        errors = errors_there(at, calibration, poses)
         # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
-        before = errors_there(restationed(nominal, data, refit, refit_rows, at.used), nominal, data)
+        before = errors_there(restationed(nominal, poses, refit, refit_rows, at.used), nominal, poses)
     else:
-        at = Restationed(calibration, np.arange(0), np.arange(len(data)), promised(calibration, data), {}, {})
-        errors, before = calibration.errors(data), nominal.errors(data)
+        at = Restationed(calibration, np.arange(0), np.arange(len(poses)), promised(calibration, poses), {}, {})
+        errors, before = calibration.errors(poses), nominal.errors(poses)
     rest, expected = at.rest, at.expected
     blocks = np.arange(len(rest)) * BLOCKS // len(rest) if len(rest) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
-    judged = data.select(rest)
+    judged = poses.select(rest)
     inside = measured_there(calibration.record, calibration.model, judged)
     measured = None if inside is None else float(inside.mean())
     known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
@@ -401,7 +402,7 @@ def verify(
         len(rest),
         len(at.used),
         at.moved,
-        _since(data, rest, errors, expected) if known else None,
+        _since(poses, rest, errors, expected) if known else None,
         left_out,
         next(no_gain(before, errors, np.arange(len(rest)), "mm", len(rest), "rows"), None),
         measured,

@@ -23,9 +23,7 @@ from pickenv.calibration.identification.robust import align, robust_identify, ro
 from pickenv.calibration.identification.solve import UNKNOWN_STD
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, complete_model, frames_model
 from pickenv.calibration.model.kinds import DistanceObservations, SocketObservations
-from pickenv.calibration.model.measurements import Measurements, Stacked
 from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.model.pixels import PixelObservations
 from pickenv.calibration.model.prior import FRAMES, PriorModel
 from pickenv.calibration.planning.plan import (
     DRAWS,
@@ -83,11 +81,11 @@ def first_rows(arm: Arm, data: Observations) -> FirstRows:
         InputError: If the rows are of several kinds, too few, or do not fit the arm.
     """
     data, _ = without_blind_views(data)
-    if isinstance(data, Stacked):
+    if data.stations:
         raise InputError(f"{data.source} holds {data.kind}; plan for one instrument, from a file of its rows alone")
     frames = frames_model(arm.nominal)
-    if isinstance(data, Measurements):
-        return FirstRows(data, ArmModel.of(align(arm.nominal, data, frames).geometry), np.zeros(0))
+    if data.poses is not None:
+        return FirstRows(data, ArmModel.of(align(arm.nominal, data.poses, frames).geometry), np.zeros(0))
     found = robust_identify(frames, rough_start(arm.nominal, data), data).identification
     return FirstRows(data, found.arm_model, unknowns_of(found, data))
 
@@ -126,7 +124,7 @@ def measurable(
         move: Whether they may be moved; else they are judged where they are, to a millimetre.
     """
     data = first.data
-    if isinstance(data, PixelObservations):
+    if data.views is not None:
         return joints, _shown(first, joints)
     if not isinstance(data, SocketObservations | DistanceObservations):
         return joints, np.ones(len(joints), dtype=bool)
@@ -162,8 +160,7 @@ def _short_of(first: FirstRows, joints: Array) -> Array:
 
 def _shown(first: FirstRows, joints: Array) -> NDArray[np.bool_]:
     """Which views ``(N,)`` would show enough of the board, about as far off as in the first ones."""
-    asked, taken = asked_at(first, joints), first.data
-    assert isinstance(asked, PixelObservations) and isinstance(taken, PixelObservations)
+    asked, taken = asked_at(first, joints).views, first.data.views
     depths = taken.in_camera(first.model)[..., 2].mean(axis=1)
     depth = asked.in_camera(first.model)[..., 2].mean(axis=1)
     good = (depth > depths.min() / FOCUS) & (depth < depths.max() * FOCUS)
@@ -174,10 +171,10 @@ def asked_at(first: FirstRows, joints: Array) -> Observations:
     """What the instrument would be asked at other joints; of a board the corners that are seen there."""
     data: Any = first.data  # all kinds but stations can be imagined, which `first_rows` refuses
     asked: Observations = data.imagined(joints)
-    if isinstance(asked, PixelObservations):
+    if asked.views is not None:
         off = data.pixel_errors(first.model, first.unknowns)
         margin = WARY * float(np.sqrt(np.mean(off**2)))
-        return replace(asked, seen=asked.visible(first.model, first.unknowns, margin))
+        asked = replace(asked.views, seen=asked.views.visible(first.model, first.unknowns, margin))
     return asked
 
 

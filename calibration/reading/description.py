@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, make_dataclass
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, get_args, get_type_hints
 
 from pickenv.arm import Geometry
 from pickenv.calibration.camera.boards import Board
@@ -19,6 +19,7 @@ from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, j
 from pickenv.calibration.model.pixels import Mount
 from pickenv.calibration.reading.csv_table import CONVENTIONS, expression_tree
 from pickenv.errors import InputError
+from pickenv.registry import load_all, names
 from pickenv.texts import is_file, shortened
 from pickenv.toml_tables import DEG, MM, NUMBER, TO_SI, WHOLE, Check, Key, Then, Unit, fault, read, toml_table
 
@@ -161,10 +162,11 @@ class TiltTable:
 # What a column description's file holds, table by table; `description` says what it means.
 
 
-KINDS = (
-    *("position", "reflectors", "wire", "bar", "sphere", "edge", "plane", "dial", "touches", "sockets", "tilt"),
-    "pixels",
-)
+def kinds() -> tuple[str, ...]:
+    """What can be measured, each a section of a description: what registered instruments read, and pictures."""
+    return (*names("instrument"), "pixels")
+
+
 LENSES = ("fixed", "free", "prior")
 PIXELS = Unit(most=1e6).positive
 MASSES = {"kg": 1.0, "g": 1e-3}
@@ -338,7 +340,7 @@ class ConditionsTable:
 
 @toml_table
 class DescriptionFile:
-    """What a column description holds: exactly one of the sections of `KINDS`."""
+    """What a column description holds: exactly one of the sections of `kinds`."""
 
     joints: JointsTable | None = None
     description: str = ""
@@ -366,22 +368,22 @@ class DescriptionFile:
     def __post_init__(self) -> None:
         if self.decimal == self.separator:
             raise InputError(f"decimal is {self.decimal!r}; give '.' or ',', and not the separator")
-        kinds = [kind for kind in KINDS if getattr(self, kind) is not None]
-        if len(kinds) > 1:
-            raise InputError(f"sections [{kinds[0]}] and [{kinds[1]}] are both given; one file holds one kind")
-        if not kinds:
-            raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(KINDS))
+        sections = [kind for kind in kinds() if getattr(self, kind, None) is not None]
+        if len(sections) > 1:
+            raise InputError(f"sections [{sections[0]}] and [{sections[1]}] are both given; one file holds one kind")
+        if not sections:
+            raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(kinds()))
         self._check_views()
-        fits, wanted = COUNTS.get(kinds[0], (lambda _: True, ""))
+        fits, wanted = COUNTS.get(sections[0], (lambda _: True, ""))
         count = len(getattr(self.measured, "position", ()))
         if not fits(count):
-            raise InputError(f"[{kinds[0]}] needs {wanted}")
+            raise InputError(f"[{sections[0]}] needs {wanted}")
         stds = len(getattr(self.measured, "position_std_columns", ()))
         if stds and stds != count:
-            raise InputError(f"[{kinds[0]}] has {count} columns but {stds} std_columns; give one each")
+            raise InputError(f"[{sections[0]}] has {count} columns but {stds} std_columns; give one each")
         if self.rotation is not None:
             if self.position is None:
-                raise InputError(f"[rotation] belongs to [position], not to [{kinds[0]}]")
+                raise InputError(f"[rotation] belongs to [position], not to [{sections[0]}]")
             self.rotation.unit()
         torques, n = self.conditions.torques, 0 if self.joints is None else len(self.joints.columns)
         if torques is not None and (len(torques.columns), len(torques.each or torques.columns)) != (n, n):
@@ -402,14 +404,26 @@ class DescriptionFile:
 
     @property
     def kind(self) -> str:
-        """What was measured, one of `KINDS`."""
-        return next(kind for kind in KINDS if getattr(self, kind) is not None)
+        """What was measured, one of `kinds`."""
+        return next(kind for kind in kinds() if getattr(self, kind, None) is not None)
 
     @property
     def measured(self) -> Section:
         """The section of that kind."""
         section: Section = getattr(self, self.kind)
         return section
+
+
+def description_file() -> type[DescriptionFile]:
+    """What a column description holds, with the sections of other packages' instruments.
+
+    A section's class is what the parameter ``section`` of its reader is annotated with.
+    """
+    readers = {name: reader for name, reader in load_all("instrument").items() if not hasattr(DescriptionFile, name)}
+    sections = [(name, get_type_hints(reader)["section"] | None, None) for name, reader in readers.items()]
+    if not sections:
+        return DescriptionFile
+    return toml_table(make_dataclass("DescriptionFile", sections, bases=(DescriptionFile,), frozen=True))
 
 
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
@@ -439,7 +453,7 @@ class ColumnDescription:
         names: Column names of a file without a header, or None.
         joints: Expressions of the joint columns, in joint order.
         joint_units: Their units.
-        kind: What was measured, one of `KINDS`.
+        kind: What was measured, one of `kinds`.
         position: Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number.
         position_unit: mm or m; of a tilt deg, rad or g.
         position_std: Standard uncertainty of a coordinate, of a length, or of a ball's rest, m; of a tilt, rad.
@@ -494,7 +508,7 @@ def load_description(name: str | Path) -> ColumnDescription:
         raise InputError(
             f"unknown column description '{given}'; give one of {shipped_descriptions()} or a path (.toml)"
         )
-    file = read(DescriptionFile, path)
+    file = read(description_file(), path)
     section = file.measured
     own: dict[str, Any] = {key: value for key, value in vars(section).items() if key in MEASURED and value is not None}
     joints, joint_units = ((), ()) if file.joints is None else (file.joints.columns, file.joints.each)

@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -43,6 +42,7 @@ from pickenv.calibration.reading.description import (
 )
 from pickenv.errors import InputError
 from pickenv.limits import LIMITS, check_limit
+from pickenv.registry import register
 from pickenv.texts import read_text, yaml_content
 from pickenv.toml_tables import TO_SI
 
@@ -399,7 +399,7 @@ def _refuse_other_unit(files: Files, data: DistanceObservations) -> None:
         )
 
 
-KIND_READERS: dict[str, Callable[[Files, Any], Observations]] = {
+_READERS: dict[str, Callable[..., Observations]] = {
     "reflectors": _reflectors,
     "wire": _wire,
     **dict.fromkeys(("bar", "sphere", "edge", "plane"), _kept),
@@ -408,7 +408,8 @@ KIND_READERS: dict[str, Callable[[Files, Any], Observations]] = {
     "sockets": _sockets,
     "tilt": _tilt,
 }
-"""How each of these kinds is read, of its files and its section."""
+for _name, _reader in _READERS.items():
+    register("instrument", _name)(_reader)
 
 
 # Views of a board: pictures with the arm's joints or finished poses beside them, or a table of corners found in them.

@@ -6,7 +6,7 @@ what the file itself says about noise: repeat sigma and the size of its last dig
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,9 @@ from pickenv.calibration.reading.csv_table import (
     rotations,
 )
 from pickenv.calibration.reading.description import LENGTHS, ColumnDescription, load_description, own_description
-from pickenv.calibration.reading.kind_readers import KIND_READERS, Files, read_views
+from pickenv.calibration.reading.kind_readers import Files, read_views
 from pickenv.errors import InputError
+from pickenv.registry import get, register
 from pickenv.texts import listed
 from pickenv.toml_tables import TO_SI
 
@@ -82,9 +83,10 @@ def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path 
         InputError: Names the file, row, column or unit at fault.
     """
     rows = read_observations([path], geometry, columns).observations
-    if not isinstance(rows, Measurements):
+    poses: Measurements | None = rows.poses
+    if poses is None:
         raise InputError(f"{path}: holds {rows.kind}, not poses or positions; use read_observations")
-    return rows
+    return poses
 
 
 def read_observations(
@@ -119,7 +121,7 @@ def read_observations(
     origins = Origins(tuple(table.where for table in tables), groups, lines)
     kind_readers.refuse_repeated_joints(given, joints, geometry)
     frames = {"frames": _frames(tables)} if description is None else {}
-    rows: Any = READERS[files.first.kind](files, files.first.section)
+    rows: Any = get("instrument", files.first.kind)(files, files.first.section)
     rows = replace(rows, source=source, conditions=_conditions(files), origins=origins, **frames)
     kind_readers.refuse_duplicates(joints, rows, origins)
     return FileReading(rows, _floor(files))
@@ -159,6 +161,7 @@ def _conditions(files: Files) -> Conditions:
     return Conditions(**found)
 
 
+@register("instrument", "position")
 def _poses(files: Files, _section: Any) -> Measurements:
     """Poses or positions; unnamed attitude conventions are refused with what each would leave."""
     first, position = files.first, files.values()
@@ -204,10 +207,6 @@ def _attitudes(table: Table, description: ColumnDescription) -> Array:
             f"{np.abs(values[bad, column]):.0f} rad, which no rotation needs; {hint}"
         )
     return values
-
-
-READERS: dict[str, Callable[[Files, Any], Observations]] = {"position": _poses, **KIND_READERS}
-"""How each kind of `pickenv.calibration.reading.description.KINDS` but pictures is read."""
 
 
 def _floor(files: Files) -> NoiseFloor:

@@ -7,18 +7,20 @@ L2 1e-5, 500 epochs, batches of 16. Trained with torch; run afterwards as a NumP
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.calibration.model.observations import equally_spaced
 from pickenv.calibration.residuals.gaussian_process import column_std
 from pickenv.errors import InputError
 from pickenv.extras import is_there, require
+from pickenv.registry import register
 from pickenv.threads import torch_on_one_thread
 
 if TYPE_CHECKING:
@@ -55,6 +57,9 @@ SCALES = ("input_mean", "input_std", "output_mean", "output_std", "loss")
 ROWS = 512
 """Poses that go through the network together: what a core's second cache holds."""
 
+SLOW_ROWS = 2000
+"""Training rows at most, for the time that they take grows too fast."""
+
 
 def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
     """Values ``(..., in)`` through a network with ReLU between its layers."""
@@ -65,6 +70,7 @@ def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(values @ weight + bias)
 
 
+@register("residual", "bpnn")
 @dataclass(frozen=True, eq=False)
 class Bpnn:
     """A trained network: joints in, pose residual out, in plain arrays.
@@ -88,6 +94,24 @@ class Bpnn:
     output_std: Array
     loss: Array
     fast: bool = False
+    needs: ClassVar[tuple[str, ...]] = ("torch",)
+
+    @staticmethod
+    def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
+        """Train the paper's network as printed up to 400 poses; larger batches, fewer epochs do as well with more.
+
+        It learns from no more rows than its time allows.
+        """
+        rows = equally_spaced(len(inputs), SLOW_ROWS)
+        paper = settings = BpnnSettings()
+        if len(rows) > 400:
+            epochs, batch_size = 48_000 // len(rows), 2 * paper.batch_size
+            settings = replace(paper, epochs=epochs, batch_size=batch_size, learning_rate=2 * paper.learning_rate)
+        return train_bpnn(inputs[rows], targets[rows], rng, settings)
+
+    def faster(self) -> Bpnn:
+        """The same network for control loops: see ``fast``."""
+        return replace(self, fast=True)
 
     def predict(self, joints: ArrayLike) -> Array:
         """Residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.

@@ -22,14 +22,18 @@ from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Rows, blocked_split, contiguous_folds, same_poses
 from pickenv.calibration.residuals.gaussian_process import Fitter
-from pickenv.calibration.residuals.residual_models import FITTERS, fit_residual
+from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.errors import InputError
+from pickenv.registry import names
 
 MARGIN = 0.02
 """A residual model must cut the blocked RMS by more than this share; less is no gain."""
 
 FOLDS = 5
 """Contiguous folds of the cross-validation within the training rows."""
+
+AUTO = ("bpnn", "rbf", "gp")
+"""The models that are tried where none is named: another package does not change what they come to."""
 
 SLOW = ("bpnn",)
 """Models that take seconds to learn: tried last, and of several only where another one gains on the held-out blocks."""
@@ -97,7 +101,7 @@ def gate_residuals(
     refit: Refit,
     rng: np.random.Generator,
     *,
-    models: Sequence[str] = tuple(FITTERS),
+    models: Sequence[str] = AUTO,
     fitters: Mapping[str, Fitter] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> GateReport:
@@ -114,7 +118,7 @@ def gate_residuals(
         measurements: Poses or positions, in the order they were measured.
         refit: Identifies the arm from training rows.
         rng: Seeds every fit.
-        models: Names of `FITTERS`.
+        models: Names of registered residual models.
         fitters: Other ways to fit a named model, such as with other settings.
         progress: Called with (models judged, models in all).
 
@@ -122,7 +126,7 @@ def gate_residuals(
         InputError: If there are no models, or too few rows to hold blocks out.
     """
     if not models:
-        raise InputError(f"no residual model was named; give some of {', '.join(FITTERS)}")
+        raise InputError(f"no residual model was named; give some of {', '.join(names('residual'))}")
     seeds = {name: int(rng.integers(2**63)) for name in models}
     blocks = blocked_split(same_poses(measurements.joints), len(measurements) // 5)
     blocked = _Trial.of(measurements, counted(measurements.joints), refit, *blocks)

@@ -21,6 +21,7 @@ from scipy.linalg.lapack import dpotri
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.errors import InputError
+from pickenv.registry import register
 from pickenv.threads import single_threaded
 
 # What all regressors of residuals share: what is asked of them, arrays by name for saving, and standardising.
@@ -30,13 +31,25 @@ CONSTANT = 1e-9
 
 
 class Regressor(Protocol):
-    """What the registry needs of a model: numbers in, numbers out, and all of it in plain arrays."""
+    """What a residual model is: fitted to numbers, it gives numbers, and all of it is kept in plain arrays.
+
+    Two methods may be left out: ``faster()`` returns the model for control loops, and ``predict_std(inputs)`` the
+    standard deviation of `predict`.
+    """
+
+    @staticmethod
+    def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Regressor:
+        """Fit standardised inputs ``(N, F)`` to residuals ``(N, k)``, m and rad; every draw comes from ``rng``."""
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Outputs ``(..., k)`` at standardised inputs ``(..., F)``."""
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
-        """All numbers by name, for saving without pickle; the class's ``from_arrays`` is the inverse."""
+        """All numbers by name, for saving without pickle."""
+
+    @staticmethod
+    def from_arrays(named: Mapping[str, NDArray[Any]]) -> Regressor:
+        """The inverse of `arrays`."""
 
 
 Fitter = Callable[[Array, Array, np.random.Generator], Regressor]
@@ -73,6 +86,7 @@ def column_std(values: Array, constant: float) -> Array:
 # (Golub, Heath and Wahba 1979), which costs one singular value decomposition per width. Inputs are standardised.
 
 
+@register("residual", "rbf")
 @dataclass(frozen=True, eq=False)
 class Rbf(SavedArrays):
     """A fitted network in plain arrays; far from its centres it predicts the mean.
@@ -88,6 +102,11 @@ class Rbf(SavedArrays):
     width: float
     weights: Array
     offset: Array
+
+    @staticmethod
+    def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Rbf:
+        """Fit it as `fit_rbf` does."""
+        return fit_rbf(inputs, targets, rng)
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
@@ -207,6 +226,7 @@ class GaussianProcessSettings:
     noise: tuple[float, float] = (1e-3, 2.0)
 
 
+@register("residual", "gp")
 @dataclass(frozen=True, eq=False)
 class GaussianProcess(SavedArrays):
     """A fitted process in plain arrays; far from its rows it predicts the mean.
@@ -228,6 +248,11 @@ class GaussianProcess(SavedArrays):
     weights: Array
     output_mean: Array
     output_std: Array
+
+    @staticmethod
+    def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> GaussianProcess:
+        """Fit it as `fit_gaussian_process` does."""
+        return fit_gaussian_process(inputs, targets, rng)
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""

@@ -15,27 +15,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.model.observations import equally_spaced
-from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.gaussian_process import (
     Fitter,
     GaussianProcess,
     GaussianProcessSettings,
-    Rbf,
     Regressor,
     column_std,
     fit_gaussian_process,
-    fit_rbf,
 )
 from pickenv.container import named_part, part_of
 from pickenv.errors import InputError
 from pickenv.extras import require
+from pickenv.registry import get
 
 PERIODIC_SPAN = 1.5 * np.pi
 """A revolute joint whose training rows span more than this, rad, enters by sine and cosine, so that turns close."""
-
-SLOW_ROWS = 2000
-"""Training rows at most of the network, whose time grows too fast."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,16 +114,14 @@ class LearntResidual:
         return self.model.predict(self.inputs(joints, conditions))
 
     def faster(self) -> LearntResidual:
-        """The same residual for control loops: see `Bpnn.fast`; other models stay as they are."""
-        if not isinstance(self.model, Bpnn):
-            return self
-        return replace(self, model=replace(self.model, fast=True))
+        """The same residual for control loops: see `Bpnn.fast`; a model without ``faster`` stays as it is."""
+        faster = getattr(self.model, "faster", None)
+        return self if faster is None else replace(self, model=faster())
 
     def standard_deviation(self, joints: ArrayLike, conditions: ArrayLike | None = None) -> Array | None:
-        """Standard deviation of `predict`, or None where the model does not know it (all but the Gaussian process)."""
-        if not isinstance(self.model, GaussianProcess):
-            return None
-        return self.model.predict_std(self.inputs(joints, conditions))
+        """Standard deviation of `predict`, or None where the model does not know it (of ours all but "gp")."""
+        predict_std = getattr(self.model, "predict_std", None)
+        return None if predict_std is None else np.asarray(predict_std(self.inputs(joints, conditions)))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All numbers by name, for saving without pickle."""
@@ -142,20 +134,7 @@ class LearntResidual:
         """The inverse of `arrays`."""
         kind = str(named["kind"])
         inputs = JointInputs(named["periodic"], int(named["conditions"]), named["mean"], named["std"])
-        return LearntResidual(kind, inputs, CLASSES[kind].from_arrays(part_of(named, "model_")))
-
-
-def _fit_bpnn(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
-    """The paper's network as printed up to 400 poses; with more, larger batches and fewer epochs do as well sooner.
-
-    It learns from no more rows than its time allows.
-    """
-    rows = equally_spaced(len(inputs), SLOW_ROWS)
-    paper = settings = BpnnSettings()
-    if len(rows) > 400:
-        epochs, batch_size = 48_000 // len(rows), 2 * paper.batch_size
-        settings = replace(paper, epochs=epochs, batch_size=batch_size, learning_rate=2 * paper.learning_rate)
-    return train_bpnn(inputs[rows], targets[rows], rng, settings)
+        return LearntResidual(kind, inputs, get("residual", kind).from_arrays(part_of(named, "model_")))
 
 
 def _fit_trial_process(inputs: Array, targets: Array, rng: np.random.Generator) -> GaussianProcess:
@@ -163,16 +142,8 @@ def _fit_trial_process(inputs: Array, targets: Array, rng: np.random.Generator) 
     return fit_gaussian_process(inputs, targets, rng, GaussianProcessSettings(likelihood_rows=200, starts=4))
 
 
-FITTERS: Mapping[str, Fitter] = MappingProxyType({"bpnn": _fit_bpnn, "rbf": fit_rbf, "gp": fit_gaussian_process})
-"""The residual models by name: how each is fitted."""
-
 TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType({"gp": _fit_trial_process})
 """How models are fitted that are only to be compared, on split after split."""
-
-CLASSES: Mapping[str, type[Bpnn | Rbf | GaussianProcess]] = MappingProxyType(
-    {"bpnn": Bpnn, "rbf": Rbf, "gp": GaussianProcess}
-)
-"""What each is, to be read back."""
 
 
 def require_residual(name: str) -> None:
@@ -181,10 +152,7 @@ def require_residual(name: str) -> None:
     Raises:
         InputError: If there is none of this name, or the package is missing that fits it.
     """
-    if name not in FITTERS:
-        raise InputError(f"unknown residual model '{name}'; give one of {', '.join(FITTERS)}")
-    if name == "bpnn":
-        require("torch")
+    require(*getattr(get("residual", name), "needs", ()))
 
 
 def fit_residual(
@@ -201,7 +169,7 @@ def fit_residual(
     """Fit a residual model by name.
 
     Args:
-        name: One of `FITTERS`: "bpnn", "rbf", "gp".
+        name: A registered one: "bpnn", "rbf", "gp", or another package's.
         joints: Training joints ``(N, n)``, rad or m.
         residuals: Measured minus identified ``(N, 6)`` or ``(N, 3)``, m and rad (eq (17)).
         prismatic: Joint types.
@@ -217,5 +185,5 @@ def fit_residual(
     if not (np.isfinite(joints).all() and np.isfinite(residuals).all()):
         raise InputError(f"joints or residuals for the residual model '{name}' are not all finite; remove those rows")
     inputs = joint_inputs(joints, prismatic, conditions, periodic_span=periodic_span)
-    model = (fitter or FITTERS[name])(inputs(joints, conditions), residuals, rng)
+    model = (fitter or get("residual", name).fit)(inputs(joints, conditions), residuals, rng)
     return LearntResidual(name, inputs, model)

@@ -2,6 +2,8 @@
 
 from types import ModuleType as _ModuleType
 
+from pickenv.arm.effects.effect import Effect as Effect
+from pickenv.arm.effects.effect import Passage as Passage
 from pickenv.arm.files.arm import Arm as Arm
 from pickenv.arm.files.load import load_arm as load_arm
 from pickenv.arm.files.load import shipped_arms as shipped_arms

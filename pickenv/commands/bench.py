@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -42,48 +41,47 @@ def calibration(
     from dataclasses import replace
     from datetime import date
 
-    from pickenv.bench.bench_tables import (
+    from pickenv.experiments.robot_tables import (
         GAIN_HEADS,
         agreement_words,
         bench_json,
         bench_page,
         blocked_json,
         gain_cells,
+        peer_cells,
+        spread_table,
     )
-    from pickenv.bench.run_bench import QUICK, ROWS, Bench, BenchSettings, run_bench
-    from pickenv.bench.spread_rows import spread_table
+    from pickenv.experiments.robots import QUICK, ROWS, BenchSettings, run_bench
     from pickenv.extras import require
     from pickenv.inspect.runs.run_folder import listed_files
 
     page, blocked = out / "bench.md", out / "measured_gains.json"
     separate({}, {"--out": [page, blocked], "--json": json_file})
-    require("torch", *(["joblib"] if workers > 1 else []))
+    require("torch", "pyarrow", *(["joblib"] if workers > 1 else []))
     settings = replace(BenchSettings.quick() if quick else BenchSettings(), seed=seed)
     names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
 
-    def show(found: Bench) -> None:
-        if found.gains:
+    def show() -> None:
+        if made.gains:
             words = GAIN_HEADS[:3]
-            print_table("Gains predicted and measured", GAIN_HEADS, gain_cells(found), words=words)
-            print(agreement_words(found))
-        if found.spread:
-            print(spread_table(found.spread))
-        for name, errors in found.peers.items():
-            left = f"{errors['held_out_rms_mm']:.4f} mm RMS on 200 rows of the UR5"
-            print(f"{name}: {left}, {errors['random_poses_mean_mm']:.4f} mm on its 20 random poses")
-        for name, reason in found.skipped.items():
+            print_table("Gains predicted and measured", GAIN_HEADS, gain_cells(made), words=words)
+            print(agreement_words(made))
+        if len(made.models):
+            print(spread_table(made.models))
+        for name, held_out, poses, _ in peer_cells(made):
+            print(f"{name}: {held_out} mm RMS on 200 rows of the UR5, {poses} mm on its 20 random poses")
+        for name, reason in made.skipped.items():
             print(f"not made: {name}: {reason}")
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
-            told = partial(report, "calibrations")
-            found = run_bench(names, settings, data, out, peers, workers=workers, progress=told)
+            made = run_bench(names, settings, data, out, peers, workers=workers, progress=report)
         saves = [
-            (page, lambda path: write_text(path, bench_page(found))),
-            (blocked, lambda path: write_json(path, blocked_json(found, date.today().isoformat()))),
-            (json_file, lambda path: write_json(path, bench_json(found))),
+            (page, lambda path: write_text(path, bench_page(made))),
+            (blocked, lambda path: write_json(path, blocked_json(made, date.today().isoformat()))),
+            (json_file, lambda path: write_json(path, bench_json(made))),
         ]
-        deliver(saves, lambda: show(found))
+        deliver(saves, show)
 
 
 @bench.command()
@@ -110,17 +108,15 @@ def policies(
         Literal["serial", "joblib", "ray"], typer.Option(help="What computes; it does not change the figures.")
     ] = "serial",
     workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
-    address: Annotated[
-        str | None, typer.Option(help="Ray cluster, host:port or ray://host:port; a local one if left out.")
-    ] = None,
 ) -> None:
     """Policies raw and calibrated, with interquartile means over arms that no two seeds share; picks per hour too."""
     from dataclasses import replace
     from itertools import groupby
 
-    from pickenv.agents.evaluation.leaderboard import (
+    from pickenv.experiments.policy_tables import (
+        LEADERBOARD,
+        QUICK,
         WORDS,
-        LeaderboardSettings,
         leaderboard_cells,
         leaderboard_heads,
         leaderboard_tables,
@@ -128,13 +124,11 @@ def policies(
     )
     from pickenv.extras import require
     from pickenv.inspect.runs.run_folder import listed_files
-    from pickenv.study.running.runners import Crew, load_executor
 
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
-    require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
-    crew, compute = Crew(workers, address).for_executor(executor), load_executor(executor)
-    usual = LeaderboardSettings.quick() if quick else LeaderboardSettings()
+    require("torch", "pyarrow", *({"joblib": ["joblib"], "ray": ["ray"]}.get(executor, [])))
+    usual = QUICK if quick else LEADERBOARD
     settings = replace(
         usual,
         policies=(*usual.policies, *dict.fromkeys(policy or [])),
@@ -152,7 +146,8 @@ def policies(
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
-            rows = run_leaderboard(settings, out, report, lambda numbers, work: compute(numbers, work, crew))
+            backend = "loky" if executor == "joblib" else executor
+            rows = run_leaderboard(settings, out, backend=backend, workers=workers, progress=report)
         saves = [
             (page, lambda path: write_text(path, leaderboard_tables(rows))),
             (json_file, lambda path: write_json(path, {"rows": rows})),

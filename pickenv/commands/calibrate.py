@@ -33,7 +33,7 @@ def calibrate(
     arm: Annotated[
         str | None,
         typer.Option(
-            help="Arm name or file: .toml, .urdf#link, .xml#body (MJCF), UR .yaml; not for finished poses.",
+            help="Arm name, or file ({arm_format}; .urdf#link, .xml#body); not for finished poses.",
             show_default=False,
         ),
     ] = None,
@@ -109,7 +109,9 @@ def calibrate(
             "arm's own weight), periodic (drives' harmonics, of orders that the data show), thermal joined by +."
         ),
     ] = "auto",
-    residual: Annotated[Literal["auto", "none", "bpnn", "rbf", "gp"], typer.Option(help="Residual model.")] = "auto",
+    residual: Annotated[
+        str, typer.Option(metavar="NAME", help="Residual model: auto (the best of ours, if it wins), none, {residual}.")
+    ] = "auto",
     force: Annotated[
         bool, typer.Option("--force", help="Use the named residual model even if it does not win.")
     ] = False,

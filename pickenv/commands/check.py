@@ -93,29 +93,33 @@ def findings_of(path: Path) -> list[Finding]:
 
 def folder_findings(folder: Path) -> list[Finding]:
     """What is found about every file of a run, of a study, or of another folder that holds runs or sealed files."""
-    from pickenv.agents.evaluation.grid_tables import GRID
+    from pickenv.experiments.engine import RECORD as EXPERIMENT
+    from pickenv.experiments.engine import check_experiment
+    from pickenv.experiments.policy_tables import EPISODES
     from pickenv.inspect.runs.run_folder import LIST, PARTS, RECORD, STUDY
 
     if (folder / RECORD).exists():
         return run_findings(folder)
     if (folder / LIST).exists():
         return listed_findings(folder)
+    if (folder / EXPERIMENT).exists():
+        return [Finding(str(path), "file of an experiment", reason=reason) for path, reason in check_experiment(folder)]
     pages = [name for name in BENCH_PAGES if (folder / name).exists()]
     if pages:
         return [Finding(str(folder / LIST), "list of files", reason=f"is missing beside {pages[0]}; {REMAKE}")]
     if (folder / STUDY).exists():
-        from pickenv.study.results.study_folder import check_folder
+        from pickenv.experiments.study_rows import check_folder
 
         return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
-    runs = {record.parent for record in folder.rglob(RECORD)}
+    runs = {record.parent for name in (RECORD, LIST, EXPERIMENT) for record in folder.rglob(name)}
     runs = {run for run in runs if not runs & set(run.parents)}
     held = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
     held = [path for path in held if not runs & set(path.parents)]
     if not held and not runs:
         return [Finding(str(folder), "folder", reason="holds neither a complete run nor any file with a seal")]
-    found = [finding for run in sorted(runs) for finding in run_findings(run)]
+    found = [finding for run in sorted(runs) for finding in folder_findings(run)]
     for path in held:
-        lost = path.name in {GRID, *PARTS.values()}
+        lost = path.name in {EPISODES, *PARTS.values()}
         reason = f"its run is not complete: {path.parent / RECORD} is missing; {REMAKE}"
         found.append(Finding(str(path), "file of a run", reason=reason) if lost else file_finding(path))
     return found
@@ -192,8 +196,8 @@ def _twin(path: Path) -> tuple[int | None, str]:
 
 
 def _calibration(path: Path) -> tuple[int | None, str]:
-    from pickenv.agents.evaluation.calibrated import ORIGIN
     from pickenv.calibration.pipeline.calibration import FORMAT, Calibration
+    from pickenv.experiments.methods import ORIGIN
 
     found = Calibration.load(path)
     origin = found.record.get(ORIGIN)
@@ -237,14 +241,13 @@ def _chunk(path: Path) -> tuple[int | None, str]:
 
 
 def _saved(path: Path) -> tuple[int | None, str]:
-    from pickenv.agents.evaluation.grid import PolicyGrid
     from pickenv.inspect.runs import saved
     from pickenv.inspect.runs.calibration_trace import CalibrationTrace
     from pickenv.inspect.runs.comparison_summary import Comparison
     from pickenv.inspect.runs.harvest_trace import HarvestTrace
     from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 
-    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, PolicyGrid, HarvestTrace, RecordedEpisodes)
+    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, HarvestTrace, RecordedEpisodes)
     name = read_container(path, None, remake=REMAKE).kind
     saved.load_numbers(path, next(kind for kind in kinds if kind.__name__ == name), "the command that wrote it")
     return saved.FORMAT, "the numbers behind figures"
@@ -257,6 +260,6 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
     "policy with a memory": _remembering,
     "checkpoint": _checkpoint,
     "chunk of a study": _chunk,
-    **dict.fromkeys(("CalibrationTrace", "Comparison", "PolicyGrid", "HarvestTrace", "RecordedEpisodes"), _saved),
+    **dict.fromkeys(("CalibrationTrace", "Comparison", "HarvestTrace", "RecordedEpisodes"), _saved),
 }
 """How each kind of file is verified: its version, and a few words about it."""

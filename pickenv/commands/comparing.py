@@ -6,10 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
 from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import print_table, progress_bars
+from pickenv.commands.showing import CommandOfNames, print_table, progress_bars
 from pickenv.files import separate, write_json
 
 if TYPE_CHECKING:
@@ -19,7 +18,7 @@ SEVERAL = ("--compensate", "--label")
 """Options that may be followed by several values."""
 
 
-class SeveralValues(TyperCommand):
+class SeveralValues(CommandOfNames):
     """A command whose options `SEVERAL` take all values up to the next option, or may be repeated."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -40,7 +39,7 @@ def compare(
         list[str],
         typer.Argument(
             metavar="POLICY...",
-            help="scripted, random, oracle, servo, adaptive, a shipped baseline, a policy file (.npz), a model of "
+            help="{policy}, a shipped baseline, a policy file (.npz), a model of "
             "Stable-Baselines3 (.zip), a Python file with make_policy(env, seed), a calibration (the scripted policy "
             "behind it), or the folder of a training or of a comparison.",
             show_default=False,
@@ -61,7 +60,9 @@ def compare(
     env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
     episodes: Annotated[int, typer.Option(help="Episodes of each policy.", min=1)] = 20,
     seed: Annotated[int, typer.Option(help="Seed of fruit, and of policies that draw.", min=0)] = 0,
-    gripper: Annotated[str, typer.Option(help="Gripper that says whether a reach picks; a name or a file.")] = "li_cup",
+    gripper: Annotated[
+        str, typer.Option(help="Gripper that says whether a reach picks; a name, or a file of kind {gripper}.")
+    ] = "li_cup",
     plant: Annotated[
         str | None, typer.Option(help="Plant preset or file; the environment's if left out.", show_default=False)
     ] = None,

@@ -27,7 +27,7 @@ def conditions(
     tolerances: Annotated[str, typer.Option(help="Tolerance class that arms are drawn from.")] = "medium",
     sessions: Annotated[int, typer.Option(help="Training sessions, each under other conditions.", min=2)] = 12,
     poses: Annotated[int, typer.Option(help="Poses of a session.", min=5)] = 25,
-    residual: Annotated[str, typer.Option(help="What learns the rest: rbf, bpnn, gp.")] = "rbf",
+    residual: Annotated[str, typer.Option(help="What learns the rest: {residual}.")] = "rbf",
     allow: Annotated[
         list[str] | None, typer.Option(help="Judge the calibration in spite of this: fitted-frames, do-not-use.")
     ] = None,
@@ -36,10 +36,10 @@ def conditions(
     out: Annotated[Path | None, typer.Option(help="Run folder with figure and page.")] = None,
 ) -> None:
     """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves."""
-    from pickenv.agents.evaluation.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
     from pickenv.arm import load_plant
     from pickenv.calibration import Calibration
     from pickenv.commands.showing import print_table, progress_bars
+    from pickenv.experiments.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
     numbers = {"--payload": (payload, "payload_kg"), "--hours": (hours, "hours"), "--arms": (arms, "arms")}
@@ -47,26 +47,18 @@ def conditions(
     for option, (value, quantity) in (numbers | {"--seed": (seed, "seed")}).items():
         check_limit(option, value, quantity)
     judged = subject.endswith(".npz")
-    separate(
-        {"SUBJECT": subject, "--plant": plant},
-        {"--out": [] if out is None else [out / RECORD, out / CONDITIONS], "--json": json_file},
-    )
-    chosen = load_plant(plant if judged else subject)
-    fitted = Calibration.load(subject, chosen.arm) if judged else None
+    folder = [] if out is None else [out / RECORD, out / CONDITIONS]
+    separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
+    machine = load_plant(plant if judged else subject)
+    fitted = Calibration.load(subject, machine.arm) if judged else None
     if fitted is not None:
         obey(fitted.reservations(), allow or ())
-    settings = ConditionsSettings(
-        ConditionRanges(payload, weather, hours), arms, tolerances, sessions, poses, residual, seed
-    )
+    ranges = ConditionRanges(payload, weather, hours)
+    settings = ConditionsSettings(ranges, arms, tolerances, sessions, poses, residual, seed)
     with progress_bars() as report:
-        result = conditions_study(chosen, settings, fitted, report)
-    options: dict[str, object] = {
-        "payload": payload,
-        "weather": weather,
-        "hours": hours,
-        "sessions": sessions,
-        "poses": poses,
-    }
+        result = conditions_study(machine, settings, fitted, report)
+    options: dict[str, object] = {"payload": payload, "weather": weather, "hours": hours}
+    options |= {"sessions": sessions, "poses": poses}
     options |= {"plant": plant} if judged else {"arms": arms, "tolerances": tolerances, "residual": residual}
     command = command_line("pickenv", "conditions", subject, **options, seed=seed)
 

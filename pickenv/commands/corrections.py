@@ -15,7 +15,7 @@ from pickenv.files import separate, write_json
 from pickenv.limits import check_limit
 from pickenv.reservations import DO_NOT_USE, obey
 
-ARM = typer.Option(help="Arm name or file (.toml, .urdf, .xml, .yaml).", show_default=False)
+ARM = typer.Option(help="Arm name or file ({arm_format}).", show_default=False)
 UNIT = typer.Option(help="Serial number of the robot, which must be the calibration's.", show_default=False)
 ALLOW = typer.Option(help="Use the calibration in spite of this reservation: do-not-use.", show_default=False)
 UNREACHED = 3
@@ -194,8 +194,7 @@ def export(
         str | None,
         typer.Option(
             "--as",
-            help="toml, urdf, mjcf, onnx, kinematics-yaml, table, offsets, ros2-control, lerobot or transforms; told "
-            "by the file's name if left out.",
+            help="{exporter}; told by the file's name if left out.",
             show_default=False,
         ),
     ] = None,

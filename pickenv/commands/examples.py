@@ -45,6 +45,7 @@ EXAMPLES: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
             ("pickenv compare scripted scripted --compensate none my_arm.npz --episodes 20 --out runs/compare",),
         ),
         "study": ("tolerance-studies.md", ("pickenv study scripts/tolerance_study.toml --quick --out runs/study",)),
+        "experiment": ("experiments.md", ("pickenv experiment noise_cost.toml --quick --json noise_cost.json",)),
         "inspect": ("recordings.md", ("pickenv inspect runs/demo", "pickenv inspect runs/demo --web")),
         "film": ("films.md", ("pickenv film runs/compare --out film.gif",)),
         "figures": ("figures-and-reports.md", ("pickenv figures runs/demo --format pdf --out figures",)),

@@ -80,7 +80,7 @@ def _record(run: Run, policy: str | None) -> Path:
     if run.kind == "demo":
         return record_comparison(load_part(run, Comparison), run.folder / "errors.rrd")
     if run.kind == "study":
-        from pickenv.study.analysis.study_recording import record_study
+        from pickenv.experiments.study_report import record_study
 
         return record_study(run.folder, 0, run.folder / "arms.rrd")
     raise InputError(f"a run of kind '{run.kind}' has no recording; see its figures with `pickenv report {run.folder}`")
@@ -88,22 +88,22 @@ def _record(run: Run, policy: str | None) -> Path:
 
 def _record_evaluation(run: Run, policy: str | None) -> Path:
     """One policy's compensations side by side, on the first plant and with the first feedback."""
-    from pickenv.agents.evaluation.grid_tables import read_grid
     from pickenv.arm import load_plant
+    from pickenv.experiments.policies import reaches_in
+    from pickenv.experiments.policy_tables import read_episodes
     from pickenv.inspect.colours import policy_key
     from pickenv.inspect.recordings.inspections import inspect_evaluation
 
-    grid = read_grid(run)
-    names = list(dict.fromkeys(cell.policy for cell in grid.cells))
+    rows = read_episodes(run)
+    names = [name for (name,) in rows.levels("policy")]
     name = names[0] if policy is None else policy
     if name not in names:
         raise InputError(f"{run.folder} holds no policy '{name}'; it holds {', '.join(names)}")
-    cells = [cell for cell in grid.cells if cell.policy == name]
-    first = cells[0]
-    chosen = [cell for cell in cells if (cell.plant, cell.feedback) == (first.plant, first.feedback)]
+    plant, feedback = rows.where(policy=name).levels("plant", "feedback")[0]
+    cells = rows.where(policy=name, plant=plant, feedback=feedback, training=0)
     return inspect_evaluation(
-        {cell.compensation: cell.rollout.reaches for cell in chosen},
-        load_plant(first.plant),
+        {behind: reaches_in(cells.where(compensation=behind)) for (behind,) in cells.levels("compensation")},
+        load_plant(plant),
         run.folder / f"{policy_key(name)}.rrd",
-        seed=grid.settings.seed,
+        seed=int(rows["seed"][0]),
     )

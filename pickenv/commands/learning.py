@@ -17,7 +17,6 @@ from pickenv.errors import InputError
 from pickenv.files import separate, write_json
 
 if TYPE_CHECKING:
-    from pickenv.agents.evaluation.grid import PolicyGrid
     from pickenv.agents.training.training_setup import Training
 
 
@@ -148,13 +147,18 @@ def evaluate(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="Policy, baseline, policy file, or folder of one training with several seeds; may be repeated."
+            help="{policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated."
         ),
     ] = None,
-    compensation: Annotated[list[str] | None, typer.Option(help="raw, ls, ls_bpnn, best; may be repeated.")] = None,
+    compensation: Annotated[
+        list[str] | None,
+        typer.Option(help="raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated."),
+    ] = None,
     feedback: Annotated[list[str] | None, typer.Option(help="encoders, camera; may be repeated.")] = None,
     plant: Annotated[list[str] | None, typer.Option(help="Plant preset; may be repeated.")] = None,
-    gripper: Annotated[list[str] | None, typer.Option(help="Gripper preset; may be repeated.")] = None,
+    gripper: Annotated[
+        list[str] | None, typer.Option(help="Gripper, by name or as a file of kind {gripper}; may be repeated.")
+    ] = None,
     arms: Annotated[int, typer.Option(help="Arms drawn for each plant.", min=1)] = 64,
     episodes: Annotated[int, typer.Option(help="Fruits per arm.", min=1)] = 32,
     tolerances: Annotated[str, typer.Option(help="Tolerance class of the arms.")] = "coarse",
@@ -174,58 +178,57 @@ def evaluate(
     On each of 64 arms, least squares take 0.1 s of processor time, a Gaussian process 3 s and a network 3 s: with all
     defaults about ten minutes on two cores; fewer --arms or --compensation take less, --cache keeps them.
     """
-    from pickenv.agents.evaluation.calibrated import CalibrationPlan
     from pickenv.agents.evaluation.compared_policies import kind_of
-    from pickenv.agents.evaluation.grid import GridSettings, run_grid
-    from pickenv.agents.evaluation.grid_tables import GRID, ROWS, content_of, write_grid, write_rows
+    from pickenv.experiments import policy_tables as tables
+    from pickenv.experiments.engine import write_rows
+    from pickenv.experiments.methods import CalibrationPlan, residual_of
+    from pickenv.experiments.policies import PolicySettings, run_policies
+    from pickenv.extras import require
+    from pickenv.inspect.figures.run_drawings import write_drawings
     from pickenv.inspect.runs.run_folder import RECORD
 
+    written = [] if out is None else [out / name for name in (RECORD, tables.EPISODES, tables.ROWS)]
     separate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
-        {"--out": [] if out is None else [out / RECORD, out / GRID, out / ROWS], "--json": json_file, "--table": table},
+        {"--out": written, "--json": json_file, "--table": table},
     )
     given: dict[str, Any] = {"policies": policy, "compensations": compensation, "feedback": feedback, "plants": plant}
     given["grippers"] = gripper
     names: dict[str, Any] = {key: tuple(value) for key, value in given.items() if value}
-    settings = GridSettings(
+    settings = PolicySettings(
         arms=arms,
         episodes=episodes,
-        seed=seed,
+        seeds=(seed,),
         tolerances=tolerances,
         camera_noise_mm=camera_noise,
         fruit_noise_mm=fruit_noise,
-        protocol=CalibrationPlan(epochs=epochs, seed=seed),
+        plan=CalibrationPlan(epochs=epochs),
         **names,
     )
 
     seen = "camera" in settings.feedback and any("camera" in kind_of(name).feedback for name in settings.policies)
     if _was_given(context, "camera_noise") and not seen:
         raise InputError(NO_CAMERA)
-
+    require(*([] if out is None else ["pyarrow"]))
+    workers = workers or os.cpu_count() or 1
+    backend = "loky" if workers > 1 and any(map(residual_of, settings.compensations)) else "serial"
     with progress_bars() as report:
-        grid = run_grid(settings, cache, report, workers or os.cpu_count() or 1)
-    content = content_of(grid)
+        rows = run_policies(settings, cache=cache, backend=backend, workers=workers, progress=report)
+    content = tables.evaluation_content(settings, rows)
     deliver(
         [
             (json_file, lambda path: write_json(path, content)),
-            (table, lambda path: write_rows(path, content["rows"])),
-            (out, lambda folder: write_grid(grid, folder)),
-            (figures, lambda folder: _draw(grid, folder)),
+            (table, lambda path: write_rows(path, tables.flat_rows(content["rows"]))),
+            (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
+            (figures, lambda folder: write_drawings(tables.evaluation_drawings(rows), folder)),
         ],
         lambda: _print(**content),
     )
 
 
-def _draw(grid: PolicyGrid, folder: Path) -> list[Path]:
-    from pickenv.agents.evaluation.grid_figures import grid_drawings
-    from pickenv.inspect.figures.run_drawings import write_drawings
-
-    return write_drawings(grid_drawings(grid), folder)
-
-
 def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]) -> None:
     """Print the rows, and what each compensation is worth."""
-    from pickenv.agents.evaluation.grid_tables import HEADS, KEYS, cells_of, gain_words
+    from pickenv.experiments.policy_tables import HEADS, KEYS, cells_of, gain_words
 
     episodes = rows[0]["episodes"] // (rows[0]["trainings"] or 1)
     title = f"{episodes} reaches per cell on {rows[0]['arms']} arms, seed {rows[0]['seeds'][0]}"

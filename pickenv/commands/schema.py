@@ -25,11 +25,12 @@ def kinds() -> dict[str, Any]:
     """The classes of all kinds of files; of orchard presets a file of one's own is meant."""
     from pickenv import orchard
     from pickenv.arm.files.arm_file import ArmFile
-    from pickenv.arm.plant.plant_file import PlantFile
+    from pickenv.arm.plant.plant_file import plant_file
     from pickenv.arm.plant.tolerances import Tolerances
     from pickenv.calibration.camera.boards import Board
-    from pickenv.calibration.reading.description import DescriptionFile
+    from pickenv.calibration.reading.description import description_file
     from pickenv.envs.harvesting.harvest_task import Rules
+    from pickenv.experiments.study import StudyConfig
     from pickenv.harvester.machine import MachineFile
     from pickenv.harvester.optimiser import Effort
     from pickenv.harvester.pick_point import Search
@@ -37,16 +38,16 @@ def kinds() -> dict[str, Any]:
     from pickenv.harvester.trees import Lab, TreesTable
     from pickenv.harvester.zones import Grid
     from pickenv.orchard.camera import CameraFile
-    from pickenv.orchard.gripper import GripperFile
+    from pickenv.orchard.gripper import gripper_file
     from pickenv.orchard.occlusion import Station
-    from pickenv.study.design.config import StudyConfig
+    from pickenv.registry import load_all
     from pickenv.toml_tables import toml_table
 
     return {
         "arm": ArmFile,
-        "plant": PlantFile,
+        "plant": plant_file(tuple(load_all("effect"))),
         "tolerances": Tolerances,
-        "description": DescriptionFile,
+        "description": description_file(),
         "board": toml_table(make_dataclass("BoardFile", [("board", Board)])),
         "study": StudyConfig,
         "branch": orchard.Branch,
@@ -55,7 +56,7 @@ def kinds() -> dict[str, Any]:
         "detachment": orchard.Detachment,
         "fruit": orchard.FruitMap,
         "fruit_size": orchard.FruitSize,
-        "gripper": GripperFile,
+        "gripper": gripper_file(),
         "look": orchard.Look,
         "station": Station,
         "vision": orchard.StereoCamera,

@@ -1,14 +1,30 @@
-"""What commands show: progress bars on standard error, so that standard output stays clean, and tables."""
+"""What commands show: progress bars on standard error, so that standard output stays clean, tables, names in help."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
+from typing import Any
 
+from typer.core import TyperArgument, TyperCommand, TyperOption
+
+from pickenv.registry import names
 from pickenv.texts import screen_width, side_by_side
 
 WIDTH = 150
 """Characters of a table that goes elsewhere than to a terminal."""
+
+
+class CommandOfNames(TyperCommand):
+    """A command whose help says ``{residual}`` where the names of all registered residual models belong."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Put the names in, which are looked for only now."""
+        for param in self.params:
+            if isinstance(param, TyperOption | TyperArgument) and param.help:
+                param.help = re.sub(r"\{(\w+)\}", lambda match: ", ".join(names(match[1])), param.help)
+        super().format_help(ctx, formatter)
 
 
 @contextmanager

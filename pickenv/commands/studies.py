@@ -12,12 +12,13 @@ import typer
 
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import print_table, progress_bars
+from pickenv.extras import require
 from pickenv.files import separate, write_json
 from pickenv.limits import check_limit
 from pickenv.locks import locked
 
 if TYPE_CHECKING:
-    from pickenv.study.design.config import StudyConfig
+    from pickenv.experiments.study import StudyConfig
 
 TERMINAL = 80
 """Characters of a line of the usual terminal."""
@@ -30,9 +31,6 @@ def study(
         Literal["serial", "joblib", "ray", "batched"], typer.Option(help="What computes the arms.")
     ] = "joblib",
     workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
-    address: Annotated[
-        str | None, typer.Option(help="Ray cluster, host:port or ray://host:port; a local one if left out.")
-    ] = None,
     device: Annotated[Literal["cpu", "cuda"], typer.Option(help="Where batched computes.")] = "cpu",
     out: Annotated[Path, typer.Option(help="Results folder; a study that it holds already goes on.")] = Path(
         "runs/study"
@@ -49,9 +47,9 @@ def study(
     ] = 2048,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
-    from pickenv.study.design.config import load_study
-    from pickenv.study.running.run_study import run_study
-    from pickenv.study.running.runners import Crew
+    require("pyarrow", "joblib")
+    from pickenv.experiments.study import load_study
+    from pickenv.experiments.study_rows import run_study
 
     check_limit("--samples", samples, "samples")
     chosen = load_study(config)
@@ -66,7 +64,7 @@ def study(
                 asked,
                 out,
                 executor=executor,
-                crew=Crew(workers, address),
+                workers=workers,
                 device=device,
                 progress=partial(report_progress, "arms"),
                 warn=lambda text: print(f"warning: {text}", file=sys.stderr),
@@ -80,15 +78,15 @@ def study(
 
 
 def _write_outputs(folder: Path, sobol: int) -> list[Path]:
-    from pickenv.study.analysis.study_report import write_outputs
+    from pickenv.experiments.study_report import write_outputs
 
     return write_outputs(folder, sobol)
 
 
 def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
     """The yields, what their differences come from, and where the rest stands; 80 characters wide."""
+    from pickenv.experiments.study_findings import study_verdict
     from pickenv.inspect.reports.report_words import between
-    from pickenv.study.analysis.study_verdict import study_verdict
 
     rows = summary["yield"]
     errors = {

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, Geometry, Plant, Pose, forward, load_plant
 from pickenv.arm.kinematics.backend import ONE
 from pickenv.arm.kinematics.forward import Frame, Scalar, attach, split_joints
-from pickenv.arm.plant.plant import EFFECTS
 from pickenv.errors import InputError
 from pickenv.harvester.machine import SHIPPED, Machine, MachineFile, composed, shifted
 from pickenv.toml_tables import read
@@ -65,7 +64,7 @@ class TrueMachine:
 
     def ideal(self) -> TrueMachine:
         """The machine if it were as drawn: no errors at all."""
-        plants = [replace(plant.without(EFFECTS), geometry=plant.arm.nominal) for plant in (self.master, *self.slaves)]
+        plants = [replace(plant, geometry=plant.arm.nominal, effects=()) for plant in (self.master, *self.slaves)]
         return replace(self, master=plants[0], slaves=tuple(plants[1:]), repeatability=0.0)
 
     def frame3(self, master: ArrayLike) -> Pose:

@@ -7,20 +7,46 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, Protocol, Union
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pickenv.errors import InputError
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array
+from pickenv.registry import get, load_all, names, register
 from pickenv.toml_tables import DEG, NUMBER, REQUIRED, Check, Kinds, Unit, toml_table
 
-KIND = Check(lambda value: value in ("cup", "hand"), "'cup' or 'hand'")
+KIND = Check(lambda value: value in names("gripper"), "'cup' or 'hand'")
 
 
+class Gripper(Protocol):
+    """What a gripper must have; a class of them is registered, and read from files by its field ``kind``."""
+
+    @property
+    def name(self) -> str:
+        """What it is called in tables."""
+        ...
+
+    @property
+    def kind(self) -> str:
+        """The name that its class is registered by."""
+        ...
+
+    def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
+        """Probability that it takes the fruit, from sizes of misalignment, m and rad, of shapes that broadcast."""
+        ...
+
+    @property
+    def tolerance(self) -> float:
+        """How far aside of the tool's axis a fruit may lie, m."""
+        ...
+
+
+@register("gripper", "cup")
 @toml_table
 class Cup(checks.Preset):
     """A rigid cup: it takes the fruit if every misalignment stays within its tolerance.
@@ -43,7 +69,19 @@ class Cup(checks.Preset):
     angle: Annotated[float, DEG.positive]
     kind: Annotated[Literal["cup"], KIND, REQUIRED] = "cup"
 
+    def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
+        """1 inside the tolerances, 0 outside; without a diameter the fruit is the one that it is meant for."""
+        fruit = self.fruit if diameter is None else checks.numbers("the fruit diameter (m)", diameter, lowest=0.0)
+        inside = (lateral <= (self.opening - fruit) / 2) & (axial <= self.axial) & (angle <= self.angle)
+        return np.asarray(inside, dtype=np.float64)
 
+    @property
+    def tolerance(self) -> float:
+        """How far aside a fruit is always taken, m."""
+        return (self.opening - self.fruit) / 2.0
+
+
+@register("gripper", "hand")
 @toml_table
 class CompliantHand(checks.Preset):
     """A hand with soft fingers: logit of success = intercept − lateral·|x| − axial·|z| − angle·|φ|.
@@ -66,8 +104,15 @@ class CompliantHand(checks.Preset):
     angle: Annotated[float, Unit("per_10deg", 18.0 / math.pi).not_negative]
     kind: Annotated[Literal["hand"], KIND, REQUIRED] = "hand"
 
+    def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
+        """The logistic curve; the fruit's diameter does not matter."""
+        logit = self.intercept - self.lateral * lateral - self.axial * axial - self.angle * angle
+        return np.asarray(0.5 * (1.0 + np.tanh(logit / 2)))
 
-Gripper: TypeAlias = Cup | CompliantHand
+    @property
+    def tolerance(self) -> float:
+        """How far aside a fruit is taken one time in two, m."""
+        return max(self.intercept / self.lateral, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +151,7 @@ def capture_probability(
     """Probability that the gripper takes the fruit.
 
     Args:
-        gripper: A cup (0 or 1) or a hand.
+        gripper: A cup (0 or 1), a hand, or another package's.
         lateral: Across the tool's axis, m; sign does not matter. Shapes broadcast.
         axial: Along the tool's axis, m.
         angle: Between tool and wanted axis, rad.
@@ -118,30 +163,44 @@ def capture_probability(
     x = np.abs(checks.numbers("the lateral misalignment (m)", lateral))
     z = np.abs(checks.numbers("the axial misalignment (m)", axial))
     phi = np.abs(checks.numbers("the angular misalignment (rad)", angle))
-    if isinstance(gripper, CompliantHand):
-        logit = gripper.intercept - gripper.lateral * x - gripper.axial * z - gripper.angle * phi
-        return np.asarray(0.5 * (1.0 + np.tanh(logit / 2)))
-    fruit = gripper.fruit if diameter is None else checks.numbers("the fruit diameter (m)", diameter, lowest=0.0)
-    inside = (x <= (gripper.opening - fruit) / 2) & (z <= gripper.axial) & (phi <= gripper.angle)
-    return np.asarray(inside, dtype=np.float64)
+    return gripper.probability(x, z, phi, diameter)
 
 
 def lateral_tolerance(gripper: Gripper) -> float:
     """How far aside of the tool's axis a fruit may lie, m: always taken by a cup, one time in two by a hand."""
-    if isinstance(gripper, CompliantHand):
-        return max(gripper.intercept / gripper.lateral, 0.0)
-    return (gripper.opening - gripper.fruit) / 2.0
+    return gripper.tolerance
 
 
 def load_gripper(name: str | Path) -> Gripper:
-    """Read a gripper by name (`shipped("gripper")`) or from a path to a TOML file."""
-    return preset_files.load("gripper", name, gripper_kind)
+    """Read a gripper by name (`shipped("gripper")`), from a path to a TOML file, or a registered one as it is made.
+
+    Raises:
+        InputError: If there is none of that name, it needs a file with its numbers, or the file is at fault.
+    """
+    if str(name) not in names("gripper"):
+        gripper: Gripper = preset_files.load("gripper", name, gripper_kind)
+        return gripper
+    try:
+        gripper = get("gripper", str(name))()
+    except TypeError as error:
+        raise InputError(f"gripper '{name}' has numbers; give a file (.toml) with kind = '{name}' and them") from error
+    return gripper
 
 
-def gripper_kind(table: Mapping[str, Any]) -> type[Gripper]:
-    """Which gripper a table of a file is."""
-    return CompliantHand if table.get("kind") == "hand" else Cup
+def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
+    """Which gripper a table of a file is.
+
+    Raises:
+        InputError: If there is no such kind.
+    """
+    kind = table.get("kind", "cup")
+    if kind not in names("gripper"):
+        raise InputError(f"kind is {kind!r}; give {' or '.join(map(repr, names('gripper')))}")
+    registered: type[Any] = get("gripper", kind)
+    return registered
 
 
-GripperFile: TypeAlias = Annotated[Cup | CompliantHand, Kinds(gripper_kind)]
-"""What a gripper file holds."""
+def gripper_file() -> Any:
+    """What a gripper file holds: the union of all registered classes."""
+    kinds = tuple(kind for kind in load_all("gripper").values() if is_dataclass(kind))
+    return Annotated[Union[kinds], Kinds(gripper_kind)]  # noqa: UP007 - their number is not known before

@@ -55,5 +55,8 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
                 f"unknown {kind} '{shortened(name)}'; give one of {shipped(kind)} or a path to a {kind} file (.toml)"
             )
         table, label = tables[str(name)], str(name)
-    kind_of_thing = thing if isinstance(thing, type) else thing(table)
+    try:
+        kind_of_thing = thing if isinstance(thing, type) else thing(table)
+    except InputError as error:
+        raise InputError(f"{path.name}: {error}") from error
     return made(kind_of_thing, table, path.name, name=label, text=text if path == Path(name) else "")

@@ -34,7 +34,6 @@ from pickenv.arm.kinematics.geometry import Array, behind, from_standard_dh, ide
 from pickenv.arm.plant.campaign import Pace, moved, switched_on
 from pickenv.arm.plant.named_plants import draw_arms
 from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.bench.real_sets import SETS
 from pickenv.calibration import (
     Choices,
     Measurements,
@@ -50,6 +49,7 @@ from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.errors import InputError
+from pickenv.experiments.robots import SETS
 from pickenv.files import write_text
 
 MM = 1e3

@@ -107,15 +107,18 @@ def main(solve: Callable[[Problem], Solved]) -> None:
 
 
 class Clock:
-    """Time since it was made."""
+    """Time since it was made, of which a package's solver call is the last part."""
 
     def __init__(self) -> None:
         self._begin, self._cpu = time.perf_counter(), time.process_time()
+        self._solver = self._begin
 
-    def seconds(self) -> float:
-        """Time passed, s."""
-        return time.perf_counter() - self._begin
+    def solver_starts(self) -> None:
+        """From here on the solver works."""
+        self._solver = time.perf_counter()
 
-    def cpu_seconds(self) -> float:
-        """Processor time used by this process, s."""
-        return time.process_time() - self._cpu
+    def stopped(self) -> dict[str, float]:
+        """Times of `Solved` up to here, s."""
+        now, cpu = time.perf_counter(), time.process_time()
+        times = {"seconds": now - self._begin, "solve_seconds": now - self._solver}
+        return times | {"cpu_seconds": cpu - self._cpu}

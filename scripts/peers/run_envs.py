@@ -8,6 +8,7 @@ import json
 import sys
 import time
 import warnings
+from collections.abc import Callable
 
 import gymnasium as gym
 
@@ -15,20 +16,27 @@ SIZE = {"width": 480, "height": 360}
 PEERS = {"FetchReach-v4": "gymnasium_robotics", "PandaReach-v3": "panda_gym"}
 
 
-def steps_per_second(name: str, seconds: float) -> float:
-    """Steps per second of the processor's time of a single environment with Gymnasium's standard wrappers."""
-    env = gym.make(name)
+def stepper(env: gym.Env) -> Callable[[], int]:
+    """A function that takes a random step, and begins again where an episode ends."""
     env.reset(seed=0)
     env.action_space.seed(0)
-    steps, begin = 0, time.process_time()
-    while time.process_time() - begin < seconds:
+
+    def step() -> int:
         _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        steps += 1
         if terminated or truncated:
             env.reset()
-    rate = steps / (time.process_time() - begin)
-    env.close()
-    return rate
+        return 1
+
+    return step
+
+
+def steps_per_second(name: str, seconds: float) -> float:
+    """Steps per second of the processor's time of a single environment with Gymnasium's standard wrappers."""
+    step = stepper(gym.make(name))
+    steps, begin = 0, time.process_time()
+    while time.process_time() - begin < seconds:
+        steps += step()
+    return steps / (time.process_time() - begin)
 
 
 def frames_per_second(name: str, seconds: float) -> list[float]:
@@ -39,14 +47,11 @@ def frames_per_second(name: str, seconds: float) -> list[float]:
 
 def drawn_per_second(env: gym.Env, seconds: float) -> list[float]:
     """The same of an environment, the first frame left out; it is closed."""
-    env.reset(seed=0)
-    env.action_space.seed(0)
+    step = stepper(env)
     env.render()
     frames, processor, wall = 0, 0.0, 0.0
     while wall < seconds:
-        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        if terminated or truncated:
-            env.reset()
+        step()
         begin, began = time.process_time(), time.perf_counter()
         env.render()
         processor, wall = processor + time.process_time() - begin, wall + time.perf_counter() - began

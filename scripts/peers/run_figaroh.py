@@ -67,9 +67,9 @@ def solve(problem: Problem) -> Solved:
         calibration = Calibration(robot, str(config))
         calibration.calib_config |= {"known_baseframe": False, "known_tipframe": False}  # no file can hold these two
         calibration.initialize()
-        prepared = clock.seconds()
+        clock.solver_starts()
         result = calibration.solve(enable_logging=False)
-        seconds, cpu = clock.seconds(), clock.cpu_seconds()
+        times = clock.stopped()
 
     def predict(joints: np.ndarray) -> np.ndarray:
         settings = dict(calibration.calib_config, NbSample=len(joints))
@@ -78,9 +78,7 @@ def solve(problem: Problem) -> Solved:
 
     excluded = calibration.evaluation_metrics["n_outliers"]
     return Solved(
-        seconds=seconds,
-        solve_seconds=seconds - prepared,
-        cpu_seconds=cpu,
+        **times,
         predict=predict,
         parameters=len(result.x),
         iterations=f"{result.nfev} residual evaluations",

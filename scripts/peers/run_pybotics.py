@@ -35,16 +35,14 @@ def solve(problem: Problem) -> Solved:
         world_mask=[True] * 6,
     )
     start = handler.generate_optimization_vector()
-    prepared = clock.seconds()
+    clock.solver_starts()
     result = scipy.optimize.least_squares(
         optimize_accuracy, start, args=(handler, problem.joints, position), max_nfev=EVALUATIONS
     )
     handler.apply_optimization_vector(result.x)
-    seconds, cpu = clock.seconds(), clock.cpu_seconds()
+    times = clock.stopped()
     return Solved(
-        seconds=seconds,
-        solve_seconds=seconds - prepared,
-        cpu_seconds=cpu,
+        **times,
         predict=lambda joints: np.array([handler.robot.fk(q)[:3, 3] for q in joints]) * 1e-3,
         parameters=len(start),
         iterations=f"{result.nfev} evaluations with {result.njev} finite-difference Jacobians",

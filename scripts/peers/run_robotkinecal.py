@@ -23,16 +23,14 @@ def solve(problem: Problem) -> Solved:
         clock = Clock()
         calibration = SerialRobotKineCal(robot, ee_name="tool")
         calibration.set_observations(list(problem.joints), list(problem.position))
-        prepared = clock.seconds()
+        clock.solver_starts()
         result = calibration.solve()
-        seconds, cpu = clock.seconds(), clock.cpu_seconds()
+        times = clock.stopped()
     tip = calibration.N_JOINTS + 1
     dropped = words.getvalue().count("is not identifiable") // result.nb_iterations_executed
     ends = {(True, False): "", (False, True): "reports divergence"}
     return Solved(
-        seconds=seconds,
-        solve_seconds=seconds - prepared,
-        cpu_seconds=cpu,
+        **times,
         predict=lambda joints: np.array([calibration.forward_kinematics(tip, q).t for q in joints]),
         parameters=calibration.N_PARAMS - dropped,
         iterations=f"{result.nb_iterations_executed} iterations",

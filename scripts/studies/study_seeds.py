@@ -25,10 +25,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from pickenv.experiments import StudyConfig, load_study, read_rows, run_study
 from pickenv.intervals import mean_interval
-from pickenv.study.design.config import StudyConfig, load_study
-from pickenv.study.results.study_folder import read_rows
-from pickenv.study.running.run_study import run_study
 
 AXES = ("it_grade", "poses")
 """Numbers whose order is compared."""
@@ -64,33 +62,25 @@ def seeds_agree(yields: Sequence[Sequence[dict[str, Any]]], within: Sequence[np.
         yields: For each seed, the yields of its settings.
         within: For each seed, whether each arm is within specification in each setting ``(settings, arms)``.
     """
-    shares = np.array([[row["yield"] for row in rows] for rows in yields])
-    held = 0
-    for seed, rows in enumerate(yields):
-        others = np.delete(shares, seed, axis=0).mean(axis=0)
-        held += sum(row["yield_low"] <= other <= row["yield_high"] for row, other in zip(rows, others, strict=True))
-    reordered = contradicted = pairs = 0
-    for i, j in combinations(range(shares.shape[1]), 2):
-        one, other = yields[0][i], yields[0][j]
-        differ = [name for name in SETTING if one[name] != other[name]]
-        if len(differ) != 1 or differ[0] not in AXES:
-            continue
-        pairs += 1
+    keys = ("yield", "yield_low", "yield_high")
+    shares, low, high = (np.array([[row[key] for row in rows] for rows in yields]) for key in keys)
+    others = np.stack([np.delete(shares, seed, axis=0).mean(axis=0) for seed in range(len(shares))])
+    pairs = [
+        (i, j) for (i, one), (j, other) in combinations(enumerate(yields[0]), 2)
+        if [name for name in SETTING if one[name] != other[name]] in [[axis] for axis in AXES]
+    ]  # fmt: skip
+    reordered = contradicted = 0
+    for i, j in pairs:
         gains = [seed[i].astype(float) - seed[j] for seed in within]
-        signs = {float(np.sign(gain.mean())) for gain in gains}
-        ends = [found for gain in gains if (found := mean_interval(gain)) is not None]
-        reordered += {-1.0, 1.0} <= signs
-        contradicted += any(low > 0.0 for low, _ in ends) and any(high < 0.0 for _, high in ends)
-    return Agreement(held, shares.size, reordered, contradicted, pairs, _dispersion(shares, within[0].shape[1]))
-
-
-def _dispersion(shares: np.ndarray, arms: int) -> float | None:
-    """See `Agreement`; shares ``(seeds, settings)``."""
+        ends = [interval for gain in gains if (interval := mean_interval(gain)) is not None]
+        reordered += {-1.0, 1.0} <= {float(np.sign(gain.mean())) for gain in gains}
+        contradicted += any(end[0] > 0.0 for end in ends) and any(end[1] < 0.0 for end in ends)
     mean = shares.mean(axis=0)
     some = (mean > 0.0) & (mean < 1.0)
-    if not some.any():
-        return None
-    return float(np.mean(shares[:, some].var(axis=0, ddof=1) / (mean * (1.0 - mean) / arms)[some]))
+    ratios = shares[:, some].var(axis=0, ddof=1) / (mean * (1.0 - mean) / within[0].shape[1])[some]
+    dispersion = float(np.mean(ratios)) if some.any() else None
+    held = int(np.sum((low <= others) & (others <= high)))
+    return Agreement(held, shares.size, reordered, contradicted, len(pairs), dispersion)
 
 
 def dispersion_by_chance(seeds: int) -> tuple[float, float]:
@@ -99,46 +89,16 @@ def dispersion_by_chance(seeds: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def studied(config: StudyConfig, seeds: Sequence[int], out: Path) -> list[dict[str, Any]]:
-    """The summaries of a study at these seeds, each in a folder of its own."""
-    found = []
+def agreement(config: StudyConfig, seeds: Sequence[int], out: Path) -> Agreement:
+    """Run a study at several seeds, each in a folder of its own, and compare them."""
+    yields, within = [], []
     for seed in seeds:
         print(f"{out.name}, seed {seed} …", file=sys.stderr, flush=True)
-        found.append(run_study(replace(config, seed=seed), out / f"seed-{seed}", executor="batched"))
-    return found
-
-
-def within_specification(folder: Path, share: float) -> np.ndarray:
-    """Whether each arm of a study is within specification in each setting ``(settings, arms)``."""
-    table = (
-        read_rows(folder)
-        .to_table(columns=["setting", "arm", "share_within"])
-        .sort_by([("setting", "ascending"), ("arm", "ascending")])
-    )
-    good = table["share_within"].to_numpy() >= share
-    return np.asarray(good.reshape(len(table["setting"].unique()), -1))
-
-
-def agreement(config: StudyConfig, seeds: Sequence[int], out: Path) -> Agreement:
-    """Run a study at several seeds and compare them."""
-    summaries = studied(config, seeds, out)
-    within = [within_specification(out / f"seed-{seed}", config.share) for seed in seeds]
-    return seeds_agree([summary["yield"] for summary in summaries], within)
-
-
-def sentence(name: str, seeds: Sequence[int], found: Agreement) -> str:
-    """What was counted, in words."""
-    varied = ""
-    if found.dispersion is not None:
-        low, high = dispersion_by_chance(len(seeds))
-        varied = f"; yields vary {found.dispersion:.2f} times as much as of independent arms ({low:.2f} to {high:.2f} "
-        varied += "by chance)"
-    return (
-        f"{name}, {len(seeds)} seeds: {found.held} of {found.intervals} yield intervals "
-        f"({100 * found.held / found.intervals:.0f} %) hold the mean of the other seeds; of {found.pairs} pairs of "
-        f"grades or numbers of poses {found.reordered} change their order between seeds, {found.contradicted} of them "
-        f"with intervals that exclude one another{varied}"
-    )
+        yields.append(run_study(replace(config, seed=seed), out / f"seed-{seed}", executor="batched")["yield"])
+        rows = read_rows(out / f"seed-{seed}").to_table(columns=["setting", "arm", "share_within"])
+        rows = rows.sort_by([("setting", "ascending"), ("arm", "ascending")])
+        within.append((rows["share_within"].to_numpy() >= config.share).reshape(len(yields[0]), -1))
+    return seeds_agree(yields, within)
 
 
 def in_groups(config: StudyConfig, seeds: Sequence[int], size: int, out: Path) -> list[Agreement]:
@@ -146,17 +106,31 @@ def in_groups(config: StudyConfig, seeds: Sequence[int], size: int, out: Path) -
     return [agreement(config, seeds[first : first + size], out) for first in range(0, len(seeds), size)]
 
 
-def sentence_of_groups(name: str, size: int, found: Sequence[Agreement]) -> str:
+def sentence(name: str, seeds: Sequence[int], counts: Agreement) -> str:
+    """What was counted, in words."""
+    varied = ""
+    if counts.dispersion is not None:
+        low, high = dispersion_by_chance(len(seeds))
+        varied = f"; yields vary {counts.dispersion:.2f} times as much as of independent arms ({low:.2f} to {high:.2f} "
+        varied += "by chance)"
+    return (
+        f"{name}, {len(seeds)} seeds: {counts.held} of {counts.intervals} yield intervals "
+        f"({100 * counts.held / counts.intervals:.0f} %) hold the mean of the other seeds; of {counts.pairs} pairs of "
+        f"grades or numbers of poses {counts.reordered} change their order between seeds, {counts.contradicted} of "
+        f"them with intervals that exclude one another{varied}"
+    )
+
+
+def sentence_of_groups(name: str, size: int, groups: Sequence[Agreement]) -> str:
     """How many intervals hold in groups of seeds, in words."""
-    shares = np.array([100 * each.held / each.intervals for each in found])
+    shares = np.array([100 * group.held / group.intervals for group in groups])
     ends = mean_interval(shares)
     spread = f"95 % interval over groups {ends[0]:.0f} to {min(ends[1], 100.0):.0f}; " if ends else ""
-    apart = sum(each.contradicted for each in found)
     return (
-        f"{name}, {len(found)} groups of {size} seeds: {shares.mean():.0f} % of yield intervals ({spread}least "
+        f"{name}, {len(groups)} groups of {size} seeds: {shares.mean():.0f} % of yield intervals ({spread}least "
         f"{shares.min():.0f}, most {shares.max():.0f}) hold the mean of their group's other seeds; of "
-        f"{sum(each.pairs for each in found)} pairs of grades or numbers of poses {apart} change their order with "
-        "intervals that exclude one another"
+        f"{sum(group.pairs for group in groups)} pairs of grades or numbers of poses "
+        f"{sum(group.contradicted for group in groups)} change their order with intervals that exclude one another"
     )
 
 
@@ -170,13 +144,10 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/seeds"))
     arguments = parser.parse_args()
     for path in arguments.configs:
-        config = load_study(path)
-        if arguments.arms:
-            config = replace(config, arms=arguments.arms)
-        out = arguments.out / path.stem
-        if arguments.group:
-            found = in_groups(config, arguments.seeds, arguments.group, out)
-            print(sentence_of_groups(path.stem, arguments.group, found), flush=True)
+        config, size, out = load_study(path), arguments.group, arguments.out / path.stem
+        config = replace(config, arms=arguments.arms or config.arms)
+        if size:
+            print(sentence_of_groups(path.stem, size, in_groups(config, arguments.seeds, size, out)), flush=True)
         else:
             print(sentence(path.stem, arguments.seeds, agreement(config, arguments.seeds, out)), flush=True)
 

@@ -11,11 +11,11 @@ import pytest
 
 import pickenv  # noqa: F401
 from pickenv.agents.evaluation.compared_policies import load_any
-from pickenv.agents.evaluation.grid import GridSettings, run_grid
 from pickenv.agents.policies.learned import BASELINES, FORMAT, load_policy, shipped_baselines
 from pickenv.arm import load_arm
 from pickenv.container import read_container, write_container
 from pickenv.errors import InputError
+from pickenv.experiments import PolicySettings, evaluation_rows, run_policies
 from pickenv.sealed import seal
 from pickenv.wrappers.gap import GapScaling, Scaling
 
@@ -200,8 +200,8 @@ def test_the_wrapper_shows_what_the_vector_environment_shows(policy):
 def test_a_shipped_baseline_meets_its_card(name):
     """The row on raw arms, made again."""
     feedback = "camera" if name.endswith("camera") else "encoders"
-    options = {"policies": (name,), "compensations": ("raw",), "feedback": (feedback,), "plants": ("qiao2026",)}
-    found = run_grid(GridSettings(**options)).rows()[0]
+    settings = PolicySettings((name,), ("raw",), (feedback,), ("qiao2026",))
+    found = evaluation_rows(settings, run_policies(settings))[0]
     card = (BASELINES / f"{name}.md").read_text(encoding="utf-8")
     row = [cell.strip() for cell in next(line for line in card.splitlines() if line.startswith("| raw |")).split("|")]
     assert f"{found['arms']} arms" in card and found["interval_over"] in card

@@ -16,8 +16,8 @@ from pickenv.calibration.pipeline.result import assess
 
 pytestmark = pytest.mark.slow
 DYNAMIC = load_plant("qiao2026")
-CENTRED = None if DYNAMIC.measurement_noise is None else replace(DYNAMIC.measurement_noise, centring_std=0.0)
-GEOMETRY = replace(load_plant("geometry_only"), measurement_noise=CENTRED)
+CENTRED = replace(DYNAMIC.effect("measurement_noise"), centring_std=0.0)
+GEOMETRY = load_plant("geometry_only").with_effect(CENTRED)
 """With a target that is mounted truly: what all readings have alike no interval over readings can hold."""
 
 

@@ -80,7 +80,7 @@ def test_share_of_the_fruit_of_many_arms(repeats: Any, arms: int, alike: float, 
 
 @pytest.mark.parametrize(("arms", "seeds"), [(LEAST, LEAST_RUNS), (64, LEAST_RUNS), (16, 10)])
 @pytest.mark.parametrize("spreads", [(1.0, 1.0, 1.0), (1.0, 0.3, 0.3), (0.3, 1.0, 0.3)])
-def test_mean_over_arms_and_training_seeds(repeats: Any, arms: int, seeds: int, spreads: tuple[float, ...]) -> None:
+def test_mean_estimate_and_training_seeds(repeats: Any, arms: int, seeds: int, spreads: tuple[float, ...]) -> None:
     arm, seed, both = spreads
 
     def draw(rng: np.random.Generator) -> Any:

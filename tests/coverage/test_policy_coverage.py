@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from pickenv.agents.evaluation.statistics import MANY
-from pickenv.intervals import LEAST, LEAST_RUNS
+from pickenv.experiments import compensations_compared, evaluation_rows
+from pickenv.intervals import LEAST, LEAST_RUNS, MANY
 from pickenv.orchard.gripper import capture_probability, load_gripper
-from tests.agents.synthetic import FRUIT, grid_of
+from tests.experiments.synthetic import FRUIT, SETTINGS, rows_of
 
 SPREAD = 0.5
 """Of the logarithm of arms' mean errors: simulated arms have 0.4 to 0.6."""
@@ -42,7 +42,9 @@ def test_errors_over_arms(repeats: Any, key: str, count: int) -> None:
     truth, most = TRUTHS[key]
     if (key, count) == ("p95_arm_ci95", LEAST):
         pytest.skip("ten arms bound no 95th percentile from above, and from below hardly")
-    repeats.check(lambda rng: grid_of(arms_of(rng, count, 2.0)).rows()[0][key], truth, most, share=0.1)
+    repeats.check(
+        lambda rng: evaluation_rows(SETTINGS, rows_of(arms_of(rng, count, 2.0)))[0][key], truth, most, share=0.1
+    )
 
 
 @pytest.mark.parametrize("typical_mm", [4.0, 15.0, 30.0])
@@ -50,13 +52,18 @@ def test_errors_over_arms(repeats: Any, key: str, count: int) -> None:
 def test_success_over_arms(repeats: Any, arms: int, most: float, typical_mm: float) -> None:
     """Chances vary less than tries, so that few arms have intervals on the safe side."""
     truth = chance_of_the_hand(typical_mm)
-    repeats.check(lambda rng: grid_of(arms_of(rng, arms, typical_mm)).rows()[0]["success_ci95"], truth, most, share=0.1)
+    repeats.check(
+        lambda rng: evaluation_rows(SETTINGS, rows_of(arms_of(rng, arms, typical_mm)))[0]["success_ci95"],
+        truth,
+        most,
+        share=0.1,
+    )
 
 
 def test_differences_of_compensations(repeats: Any) -> None:
     def draw(rng: np.random.Generator) -> Any:
         raw = arms_of(rng, 64, 2.0)
-        return grid_of(raw, 0.3 * raw * np.exp(SPREAD * rng.normal(size=(64, 1, 1)))).comparisons()[0]["ci95"]
+        return compensations_compared(rows_of(raw, 0.3 * raw * np.exp(SPREAD * rng.normal(size=(64, 1, 1)))))[0]["ci95"]
 
     mean = 2.0 * np.exp(SPREAD**2 / 2)
     repeats.check(draw, 0.3 * mean * np.exp(SPREAD**2 / 2) - mean, share=0.1)
@@ -69,6 +76,6 @@ def test_a_policy_of_five_trainings(repeats: Any, arms: int) -> None:
     def draw(rng: np.random.Generator) -> Any:
         each = 3.0 + 0.3 * rng.normal(size=(arms, 1)) + 0.5 * rng.normal(size=LEAST_RUNS)
         each = each + 0.1 * rng.normal(size=(arms, LEAST_RUNS))
-        return grid_of(each[:, :, None] * FRUIT, learned=True).rows()[0]["ci95"]
+        return evaluation_rows(SETTINGS, rows_of(each[:, :, None] * FRUIT, learned=True))[0]["ci95"]
 
     repeats.check(draw, 3.0, share=0.1)

@@ -13,10 +13,15 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.study.analysis.sensitivity import ARMS_PER_TERM, sensitivities_of
-from pickenv.study.analysis.sobol import LEAST, SAMPLES, sobol_indices
-from pickenv.study.results.quantiles import variance_indices
-from pickenv.study.running import components
+from pickenv.experiments import study_variance
+from pickenv.experiments.study_variance import (
+    ARMS_PER_TERM,
+    LEAST_SAMPLES,
+    SAMPLES,
+    sensitivities_of,
+    sobol_indices,
+    variance_indices,
+)
 
 DEVIATIONS = 24
 SLOPES = {0: (1.0, 0.5), 1: (0.5, 0.8), 2: (0.3, 0.0), 3: (0.1, 0.2), 12: (0.2, 0.0)}
@@ -67,7 +72,7 @@ def test_shares(repeats: Any, arms: int) -> None:
 ISHIGAMI = {"first_order": (0.3139, 0.4424, 0.0), "total": (0.5576, 0.4424, 0.2437)}
 
 
-@pytest.mark.parametrize("samples", [LEAST, SAMPLES])
+@pytest.mark.parametrize("samples", [LEAST_SAMPLES, SAMPLES])
 def test_sobol_indices(repeats: Any, samples: int) -> None:
     def model(even: np.ndarray, _rows: np.ndarray) -> np.ndarray:
         x = np.pi * (2 * even - 1)
@@ -84,7 +89,7 @@ def test_sobol_indices(repeats: Any, samples: int) -> None:
         assert (counts / times >= 0.93 - chance).all() and (counts / times <= 0.97 + chance).all(), (key, counts)
 
 
-@pytest.mark.parametrize("arms", [components.LEAST, components.MOST])
+@pytest.mark.parametrize("arms", [study_variance.LEAST_ARMS, study_variance.MOST_ARMS])
 def test_components(repeats: Any, arms: int) -> None:
     """Arms half, fruit a quarter alone and three eighths in all."""
     times, rng = (4000 if repeats.full else 100), np.random.default_rng(20261125)

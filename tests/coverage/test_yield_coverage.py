@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from pickenv.experiments.study import load_study, prepared_study
+from pickenv.experiments.study_batched import evaluate_batch
 from pickenv.intervals import share_interval
-from pickenv.study.design.config import load_study
-from pickenv.study.design.protocol import prepared_study
-from pickenv.study.running.batched import evaluate_batch
 
 STUDY = Path(__file__).parents[2] / "scripts/tolerance_grades.toml"
 
@@ -23,7 +22,7 @@ def test_the_interval_of_a_yield_holds_what_all_seeds_give(repeats: Any) -> None
     within = []
     for seed in range(5000, 5000 + seeds):
         rows = evaluate_batch(prepared_study(replace(config, seed=seed)), 0)
-        within.append(int(np.sum(rows["share_within"].to_numpy() >= config.share)))
+        within.append(int(np.sum(rows["share_within"] >= config.share)))
     share = np.mean(within) / arms
     dispersion = np.var(np.array(within) / arms, ddof=1) / (share * (1.0 - share) / arms)
     assert abs(dispersion - 1.0) < 3.0 * np.sqrt(2.0 / (seeds - 1)), f"yields vary {dispersion:.2f} times too much"

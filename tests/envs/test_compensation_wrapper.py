@@ -173,7 +173,7 @@ def test_readings_of_real_encoders_are_mapped_back_to_nominal_joints(reach):
     shift = 0.01  # rad and m; a hundred counts and more
     bare, wrapped = reach(plant="orchard"), None
     wrapped = CompensationWrapper(reach(plant="orchard"), lambda joints: joints + shift)
-    counts = np.array(bare.unwrapped.plant.encoder.resolution)
+    counts = np.array(bare.unwrapped.plant.effect("encoder").resolution)
     assert (counts < shift / 10).all()
     task = bare.unwrapped.task
     half = (np.array(task.upper) - task.lower) / 2

@@ -21,13 +21,11 @@ from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.reaching.reach import ReachEnv
 from pickenv.envs.reaching.reach_goal import ReachGoalEnv
 from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachVectorEnv
+from pickenv.experiments.study import RAW, Noise, StudyConfig, prepared_study
+from pickenv.experiments.study_arms import chunk_rows, evaluate_arm
+from pickenv.experiments.study_batched import judge_batch
 from pickenv.harvester.picking import attempt, draw_luck
 from pickenv.orchard import capture_probability
-from pickenv.study.design.config import RAW, Noise, StudyConfig
-from pickenv.study.design.protocol import prepared_study
-from pickenv.study.results.outcomes import chunk_table
-from pickenv.study.running.arm_by_arm import evaluate_arm
-from pickenv.study.running.batched import judge_batch
 
 ARMS, FRUIT = 3, 5
 TOLERANCE_MM, TOLERANCE_DEG = 1.0, 10.0
@@ -115,7 +113,7 @@ def test_pose_error_reward_and_success_are_the_studys(kind, protocol, given, pla
     np.testing.assert_allclose(rewards, wanted, rtol=0, atol=1e-12)
     assert info["is_success"].tolist() == success.tolist()
     assert 0 < success.sum() < len(ROWS)
-    table = chunk_table(protocol, range(ARMS), [(plants, [together])])
+    table = chunk_rows(protocol, range(ARMS), [(plants, [together])])
     np.testing.assert_allclose(table["share_within"], success.reshape(ARMS, FRUIT).mean(axis=1))
     _, sparse = shown(kind, given, reward="sparse")
     assert sparse.tolist() == np.where(success, 0.0, -1.0).tolist()

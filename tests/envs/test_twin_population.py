@@ -80,7 +80,7 @@ def test_an_episode_s_arm_is_the_one_of_that_number(path):
 def test_effects_of_a_twin_can_be_switched_off(path):
     bare = gym.make("pickenv/Reach-v0", plant=path, without=["residual", "gravity_yield", "transmission_error"])
     known = bare.unwrapped.plant
-    assert known.residual is known.gravity_yield is known.transmission_error is None
+    assert not {"residual", "gravity_yield", "transmission_error"} & set(known.names)
 
 
 @pytest.mark.parametrize("name", ["Reach-v0", "ReachGoal-v0", "Pick-v0"])

@@ -100,7 +100,7 @@ def test_the_verdict_comes_first_and_in_words(page, evidence, plant, sets):
     assert text.index("Good: the calibration can be used") < text.index("Errors on held-out rows")
     assert f"the tool stood {figure(mean)} mm" in text and "40 measured poses that the fit never saw" in text
     away = np.linalg.norm(sets[0].position - load_instrument("laser_tracker").stand, axis=1).mean()
-    stated = plant.measurement_noise.position_std + plant.measurement_noise.range_std * away
+    stated = plant.effect("measurement_noise").position_std + plant.effect("measurement_noise").range_std * away
     assert f"times the stated noise of {figure(1e3 * stated)} mm" in text
 
 

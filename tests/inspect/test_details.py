@@ -101,8 +101,8 @@ def test_joints_at_points_are_near_and_leave_nanometres(comparison: Comparison) 
 
 def firm(comparison: Comparison) -> Comparison:
     """The comparison's own arm, neither warm nor late, on ground that never gives way."""
-    ground = replace(load_plant("orchard").base_tilt, stiffness=(1e15, 1e15), settlement=0.0)
-    return replace(comparison, plant=replace(comparison.plant, base_tilt=ground))
+    ground = replace(load_plant("orchard").effect("base_tilt"), stiffness=(1e15, 1e15), settlement=0.0)
+    return replace(comparison, plant=comparison.plant.with_effect(ground))
 
 
 def test_a_filter_learns_the_arm_that_a_policy_left(comparison: Comparison) -> None:
@@ -144,8 +144,8 @@ def test_the_days_words_hold_its_means(comparison: Comparison) -> None:
 def test_only_the_same_arm_borrows_the_orchards_drift(comparison: Comparison) -> None:
     borrowed = drifting_plant(comparison.plant)
     assert borrowed.name == "orchard"
-    assert borrowed.joint_compliance is comparison.plant.joint_compliance
-    assert borrowed.backlash is None
+    assert borrowed.effect("joint_compliance") is comparison.plant.effect("joint_compliance")
+    assert borrowed.effect("backlash") is None
     moved = replace(comparison.nominal, a=comparison.nominal.a + 0.1)
     assert drifting_plant(replace(comparison.plant, arm=replace(comparison.plant.arm, nominal=moved))) is None
 

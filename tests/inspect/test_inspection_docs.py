@@ -21,7 +21,7 @@ CONTAINER = "ContainerBlueprint:display_name"
 def test_every_link_and_script_exists() -> None:
     links = re.findall(r"\]\(([^)\s#]+)\)", PAGE)
     assert [link for link in links if not (ROOT / "docs" / link).exists()] == []
-    assert [name for name in re.findall(r"scripts/\w+\.py", PAGE) if not (ROOT / name).is_file()] == []
+    assert [name for name in re.findall(r"(?:scripts|\.ci)/\w+\.py", PAGE) if not (ROOT / name).is_file()] == []
 
 
 def test_every_picture_is_shown_and_small() -> None:

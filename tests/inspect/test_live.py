@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.agents.evaluation.grid import GridSettings, run_grid
-from pickenv.agents.evaluation.grid_tables import write_grid
 from pickenv.commands.inspection import inspect, recordings_of
 from pickenv.errors import InputError
+from pickenv.experiments import PolicySettings, run_policies
+from pickenv.experiments.policy_tables import write_evaluation
 from pickenv.inspect.recordings import live
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.recordings.live import Live, open_live
@@ -89,16 +89,15 @@ def test_a_policy_is_asked_only_of_evaluations(run: Path) -> None:
 def test_an_evaluation_shows_one_policy_with_all_its_compensations(
     reader: Callable[[Path], Any], tmp_path: Path
 ) -> None:
-    settings = GridSettings(
-        policies=("scripted", "oracle"), compensations=("raw",), plants=("qiao2026",), arms=2, episodes=3, seed=4
+    settings = PolicySettings(
+        policies=("scripted", "oracle"), compensations=("raw",), plants=("qiao2026",), arms=2, episodes=3, seeds=(4,)
     )
-    grid = run_grid(settings)
-    write_grid(grid, tmp_path)
+    rows = run_policies(settings)
+    write_evaluation(settings, rows, tmp_path)
     (path,) = recordings_of(tmp_path, "oracle")
     assert path.name == "oracle.rrd"
-    cell = next(cell for cell in grid.cells if cell.policy == "oracle")
     errors = reader(path).values("/metrics/error_mm/1_raw", "Scalars:scalars")
-    np.testing.assert_allclose(errors, cell.rollout.reaches.position_error_mm, rtol=6e-4)
+    np.testing.assert_allclose(errors, rows.where(policy="oracle")["error_mm"], rtol=6e-4)
     with pytest.raises(InputError, match="holds no policy 'ppo'; it holds scripted, oracle"):
         recordings_of(tmp_path, "ppo")
 

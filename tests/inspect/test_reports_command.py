@@ -24,7 +24,8 @@ from pickenv.inspect import drawings_of, page_of
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
-from pickenv.inspect.runs.run_folder import ISO9283, KINDS, Run, read_run, recorded_run, save_part
+from pickenv.inspect.runs.run_folder import ISO9283, Run, read_run, recorded_run, run_kind, save_part
+from pickenv.registry import names
 
 LITERATURE = {
     "error_per_test_pose",
@@ -103,14 +104,14 @@ def harvest(tmp_path: Path) -> Run:
         curves=JointCurves(time, {"master d2": time}, ()),
         tree_count=12,
     )
-    with recorded_run(tmp_path / "harvest", "harvest", "python scripts/reproduce_li2016.py --quick", 2016) as run:
+    with recorded_run(tmp_path / "harvest", "harvest", "python -m papers.li2016 --quick", 2016) as run:
         save_part(run.folder, trace, 2016)
     return run
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", names("report"))
 def test_every_kind_of_run_has_a_module_with_its_figures_and_its_page(kind: str) -> None:
-    module = import_module(KINDS[kind].pages)
+    module = import_module(run_kind(kind).pages)
     assert callable(module.drawings)
     assert callable(module.page)
 
@@ -118,7 +119,8 @@ def test_every_kind_of_run_has_a_module_with_its_figures_and_its_page(kind: str)
 def test_a_report_enters_the_page_of_its_kind_and_no_other() -> None:
     code = "import sys, pickenv.inspect.reports.iso9283_report; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
-    assert set(loaded) & {kind.pages for kind in KINDS.values()} == {"pickenv.inspect.reports.iso9283_report"}
+    pages = {run_kind(name).pages for name in names("report")}
+    assert set(loaded) & pages == {"pickenv.inspect.reports.iso9283_report"}
 
 
 def test_figures_are_written_in_each_format_and_named(iso: Run) -> None:

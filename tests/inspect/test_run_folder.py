@@ -18,7 +18,6 @@ from pickenv.inspect.runs import saved
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.run_folder import (
-    KINDS,
     Run,
     added_to,
     faults_of,
@@ -26,8 +25,10 @@ from pickenv.inspect.runs.run_folder import (
     load_part,
     read_run,
     recorded_run,
+    run_kind,
     save_part,
 )
+from pickenv.registry import names
 
 
 def assert_same(one, other):
@@ -184,7 +185,7 @@ def test_a_record_that_cannot_be_read_is_refused(folder: Path, text: str, words:
 def test_a_path_that_is_no_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere is no folder; make a run folder with one of"):
         read_run(tmp_path / "nowhere")
-    assert all(kind.made_by.split()[-1] == "RUN" for kind in KINDS.values())
+    assert all(run_kind(name).made_by.split()[-1] == "RUN" for name in names("report"))
 
 
 def test_what_holds_code_cannot_be_saved(tmp_path: Path, comparison: Comparison) -> None:

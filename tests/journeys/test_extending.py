@@ -1,4 +1,4 @@
-"""docs/extending.md in an empty folder: arm, plant, instrument, environment and exporter work as printed."""
+"""docs/extending.md in an empty folder: what it shows of each kind of extension works as printed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BLOCKS = re.findall(r"^```(\w+)(?: +(\S+))?\n(.*?)^```$", PAGE, re.MULTILINE | r
 
 def test_every_block_is_a_named_file_or_python() -> None:
     assert {(kind, bool(name)) for kind, name, _ in BLOCKS} == {("toml", True), ("python", False)}
-    assert len(re.findall(r"^In pickenv: ", PAGE, re.MULTILINE)) == len(re.findall(r"^## ", PAGE, re.MULTILINE)) == 5
+    assert len(re.findall(r"^In pickenv: ", PAGE, re.MULTILINE)) == len(re.findall(r"^## ", PAGE, re.MULTILINE)) == 11
 
 
 @pytest.mark.slow
@@ -28,7 +28,11 @@ def test_what_is_added_works(tmp_path: Path) -> None:
         done = subprocess.run([sys.executable, "-c", text], cwd=tmp_path, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
         said.append(done.stdout)
-    _, missed, calibrated, _, table = said
+    door, _, dh, missed, effect, calibrated, kind, height, _, residual, policies, chance, table, page, steps = said
+    assert door.splitlines()[0] == "bpnn rbf gp" and door.splitlines()[1].startswith("the package pickenv ")
+    assert (dh, effect, kind) == ("('J1', 'J2', 'J3', 'J4')\n", "soft_ground\n", "laser\n")
+    assert (residual, policies, chance, page, steps) == ("neighbours\n", "scripted patient\n", "0.75\n", "1\n", "4\n")
+    assert height.startswith("verdict: ")
     assert float(missed.split()[0]) > 10.0
     before, after = (float(number) for number in re.findall(r"([\d.]+) to ([\d.]+) mm", calibrated)[0])
     assert after < 0.25 * before  # the plant's springs are among the terms that are sought

@@ -19,17 +19,14 @@ import numpy as np
 import pytest
 from scipy.stats import rankdata
 
+from papers.qiao2026.equations import PAPER
+from papers.qiao2026.methods import METHODS
 from pickenv.inspect.reports.harvest_report import page
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.run_folder import load_part, read_run
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/papers.md").read_text(encoding="utf-8")
-sys.path.insert(0, str(ROOT / "scripts"))
-
-from papers.qiao2026_equations import PAPER  # noqa: E402
-from papers.qiao2026_methods import METHODS  # noqa: E402
-
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
 VERDICTS = ("reproduced", "not reproduced", "fitted")
 KINDS = {"Table": "tables", "Equation": "equations", "Figure": "figures", "Experiment": "experiments"}
@@ -69,10 +66,10 @@ class Captions(HTMLParser):
 
 def walked(name: str, folder: Path) -> tuple[Found, Captions]:
     """The page's command for a paper, in its quick form, in an empty folder: its JSON and its page."""
-    (line,) = re.findall(rf"^python scripts/(reproduce_{name}\.py .*)$", PAGE, re.MULTILINE)
-    script, option, file = shlex.split(line)
+    (line,) = re.findall(rf"^python -m (papers\.{name} .*)$", PAGE, re.MULTILINE)
+    module, option, file = shlex.split(line)
     assert option == "--json" and f"`runs/{name}/reproduction.html`" in PAGE
-    words = [sys.executable, str(ROOT / "scripts" / script), option, file, "--quick"]
+    words = [sys.executable, "-m", module, option, file, "--quick"]
     done = subprocess.run(words, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
     text = (folder / file).read_text(encoding="utf-8")

@@ -19,10 +19,9 @@ import numpy as np
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.study.design.config import load_study
-from pickenv.study.design.protocol import prepared_study
-from pickenv.study.results.quantiles import yields_of
-from pickenv.study.running.batched import evaluate_batch
+from pickenv.experiments.study import load_study, prepared_study
+from pickenv.experiments.study_batched import evaluate_batch
+from pickenv.experiments.study_rows import yields_of
 
 ROOT = Path(__file__).parents[2]
 ASKED = 0.83
@@ -67,7 +66,7 @@ def test_intervals_of_small_studies_hold_at_other_seeds(tmp_path: Path) -> None:
     config, yields = load_study(path), []
     for seed in range(24):
         rows = evaluate_batch(prepared_study(replace(config, seed=seed)), 0)
-        yields.append(yields_of(ds.dataset(rows), config.share).to_pylist())
+        yields.append(yields_of(ds.dataset(rows.arrow()), config.share).to_pylist())
     assert 0.2 < np.mean([rows[0]["yield"] for rows in yields]) < 0.95  # else the interval has no work to do
     assert confirmed(yields) >= ASKED
 

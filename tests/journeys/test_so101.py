@@ -22,7 +22,7 @@ from pickenv.arm.plant.named_plants import draw_arms
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration import Calibration
 from pickenv.cli import app
-from pickenv.study.design.config import load_study
+from pickenv.experiments.study import load_study
 from tests.calibration.camera.conftest import render
 from tests.journeys.test_camera import BOARD, DIM, LENS, after, back, call, set_up, views_of
 

@@ -1,6 +1,6 @@
 """Four newcomers: what each of them types stands in the README, is few, and is what the commands take.
 
-`python scripts/walks.py` walks in fresh environments and makes the table of docs/installation.md; the README's blocks
+`python .ci/walks.py` walks in fresh environments and makes the table of docs/installation.md; the README's blocks
 are run by tests/test_readme.py.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,12 @@ import typer
 
 from pickenv.cli import app
 from pickenv.extras import EXTRAS
-from scripts import walks
 
 ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / ".ci"))
+
+import walks  # noqa: E402
+
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 INSTALLATION = (ROOT / "docs/installation.md").read_text(encoding="utf-8")
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]

@@ -62,7 +62,7 @@ def test_the_table_names_units(benchmark_run):
 def test_without_data_it_says_what_to_give(tmp_path):
     ended = run("--no-peers", "--data", tmp_path)
     assert ended.returncode == 2
-    assert "does not exist; give the folder of data sets with --data" in ended.stderr
+    assert "name the folder of the data sets in PICKENV_DATA" in ended.stderr
     assert "Traceback" not in ended.stderr
 
 

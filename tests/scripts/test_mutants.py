@@ -1,12 +1,13 @@
 """Changes to the lines that make numbers: which there are, and that each is one change to a file that can be read."""
 
 import ast
+import json
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("mutmut", reason="the extra pickenv[mutants] is not installed")
-SCRIPTS = Path(__file__).parents[2] / "scripts/mutation"
+SCRIPTS = Path(__file__).parents[2] / ".ci/mutation"
 
 CODE = '''
 def mean(values: list[float] | None, scale: float = 2.0) -> float:
@@ -119,25 +120,40 @@ def test_verdicts_hold_while_the_file_does_and_those_of_survivors_while_the_test
     assert [key.split(":")[1][0] for key in script.of_todays_files(verdicts)] == ["1", "2", "4"]
 
 
-def test_the_page_gives_each_rooms_rate_with_its_interval_and_what_was_left_out(script):
+def test_the_summary_gives_each_rooms_rate_with_its_interval_and_what_was_left_out(script):
     now = script.score_of("plant", 120, ["failed"] * 17 + ["passed"] * 2 + ["took too long"])
     assert (now.tried, now.killed, now.late) == (20, 18, 1)
     equivalents = {("a.py", "x = y | z", "1 -> 2"): "the second is never read"}
-    page = script.page_of([now], [], ["a.py:4 1 -> 2"], equivalents)
-    assert "| plant | 120 | – | – | – | – | 20 | 18 | 1 | 90.0 % (70 to 97) |" in page  # Wilson 1927
-    assert "- `a.py:4 1 -> 2`" in page and "What survives now: 1" in page
-    assert "| a.py | `x = y \\| z` | `1 -> 2` | the second is never read |" in page
+    summary = script.summary_of([now], [], ["a.py:4 1 -> 2"], equivalents)
+    figures = {"mutants": 120, "tried": 20, "killed": 18, "late": 1, "seed": None}
+    assert summary["rooms"]["plant"]["now"] == figures | {"score": "90.0 % (70 to 97)"}  # Wilson 1927
+    assert summary["survivors"] == ["a.py:4 1 -> 2"]
+    reason = {"file": "a.py", "line": "x = y | z", "change": "1 -> 2", "reason": "the second is never read"}
+    assert summary["make_no_difference"] == [reason]
     assert script.table([now]).splitlines()[1].endswith(" 120     20      18              1  90.0 % (70 to 97)")
 
 
-def test_beside_what_stands_now_the_page_gives_the_first_sample_and_every_fresh_one(script):
+def test_beside_what_stands_now_stand_the_first_sample_and_every_fresh_one(script):
     drawn = [("plant", 1, 77), ("plant", 3, 78), ("plant", 4, 79), ("gate", 4, 77)]
     samples = [script.score_of(r, 90, ["failed"] * n + ["passed"] * (4 - n), seed) for r, n, seed in drawn]
-    page = script.page_of([script.score_of("plant", 90, ["failed"] * 4)], samples, [], {})
-    whole = "100.0 % (51 to 100)"
-    fresh = f"78; 79 | 3 of 4: 75.0 % (30 to 95); 4 of 4: {whole}"
-    assert f"| plant | 90 | 77 | 1 of 4: 25.0 % (5 to 70) | {fresh} | 4 | 4 | 0 | {whole} |" in page
-    assert f"| gate | 90 | 77 | 4 of 4: {whole} | – | – | – | – | – | not tried since |" in page
+    summary = script.summary_of([script.score_of("plant", 90, ["failed"] * 4)], samples, ["a.py:4 1 -> 2"], {})
+    plant, gate = summary["rooms"]["plant"], summary["rooms"]["gate"]
+    assert (plant["first"]["seed"], plant["first"]["score"]) == (77, "25.0 % (5 to 70)")
+    assert [(one["seed"], one["score"]) for one in plant["fresh"]] == [
+        (78, "75.0 % (30 to 95)"),
+        (79, "100.0 % (51 to 100)"),
+    ]
+    assert gate["now"] is None and gate["first"]["killed"] == 4 and gate["fresh"] == []
+    page = script.page_of(summary)
+    assert "| 8 | 5 | 62.5 % |" in page and "| 8 | 7 | 87.5 % |" in page and "| 4 | 4 | 100.0 % |" in page
+    assert "2 rooms" in page and "1 change survives" in page
+
+
+def test_the_page_is_what_its_numbers_say(script):
+    docs = script.ROOT / "docs"
+    summary = json.loads((docs / "_static/mutants.json").read_text(encoding="utf-8"))
+    assert script.page_of(summary) == (docs / "mutants.md").read_text(encoding="utf-8")
+    assert set(summary["rooms"]) <= set(script.ROOMS)
 
 
 def test_of_what_files_hold_a_samples_first_score_stands_and_a_mutants_last_verdict(script, tmp_path):

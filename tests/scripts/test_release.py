@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
+sys.path[:0] = [str(ROOT / ".ci"), str(ROOT / "scripts")]
 
 from install_torch import CPU_INDEX, pip_calls, wanted  # noqa: E402
 from release import changelog_section, check_release  # noqa: E402

@@ -1,68 +1,101 @@
 """What measured arms leave is taken apart as the page says, and the plant `field` is made of the same parts."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at
-from pickenv.arm.plant.plant import EFFECTS
+from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.calibration.pipeline.fitting import fit
+from pickenv.experiments import Rows
+from pickenv.experiments.experiment_file import load_experiment
 
-ROOT = Path(__file__).parents[2]
-sys.path.insert(0, str(ROOT / "scripts/studies"))
-
-from remainder import spectrum  # noqa: E402
-from residual_gains import gains, table_of  # noqa: E402
-
-MODELS = ("gravity", "harmonics", "terms", "BPNN", "GP")
+STUDIES = Path(__file__).parents[2] / "scripts/studies"
+EFFECTS = shipped_effects()
+MODELS = ("LS + gravity", "LS + harmonics", "LS + terms", "LS + BPNN", "LS + GP")
 
 
-def measured_set(constant, decay, left, repeats):
-    """A set whose waves fall with the order exactly, on joints 1 and 2, and one of the wrist of a tenth of it."""
-    orders = [4.0, 8.0, 16.0]
-    waves = [
-        {"joint": joint, "order": order, "amplitude_mm": constant * order**-decay}
-        for joint in (1, 2)
-        for order in orders
-    ]
-    slow = {"joint": 1, "order": 1.0, "amplitude_mm": 50.0}
-    geometry, gravity, rest = left
-    held = {"geometry": geometry, "gravity": gravity, "periodic": rest, "best": 2 * rest}
-    return {"left_mm": held, "waves": [*waves, slow], "repeats_mm": repeats}
+def numbers(file, rows):
+    """Each table's estimates by its levels."""
+    tables = file.estimates(Rows.of(rows))
+    return {
+        number.title: {tuple(row[name] for name in number.by): row["estimate"] for row in table["rows"]}
+        for number, table in zip(file.numbers, tables, strict=True)
+    }
 
 
 def test_decay_and_variances_are_those_of_the_sets():
-    sets = {
-        "UR5": measured_set(0.1, 0.7, (0.1, 0.08, 0.06), None),
-        "UR10 A": measured_set(0.5, 0.7, (0.5, 0.5, 0.1), 0.02),
-    }
-    found = spectrum(sets)
-    assert found["decay"] == pytest.approx(0.7) and found["decay_std"] == pytest.approx(0.0, abs=1e-9)
-    assert found["geometry_mm"] == 0.5 and found["repeats_mm"] == 0.02
-    assert found["variance_of_each"]["gravity"] == pytest.approx([0.36, 0.0])
-    assert found["variance_of_each"]["rest"] == pytest.approx([0.36, 0.04])
-    assert found["variance_of_each"]["waves"] == pytest.approx([0.28, 0.96])
-    assert found["wave_energy_by_joint"]["1"] == pytest.approx(0.5)  # the slow wave counts nowhere
-    assert found["waves_each"] == 6 and found["highest_order"] == 16.0
+    """Sets whose waves fall with the order exactly, on joints 1 and 2, and a slow one that counts nowhere."""
+    file = load_experiment(STUDIES / "remainder.toml")
+    parts_of = file.functions["remainder.py:remainder"].__globals__["parts_of"]
+    rows = []
+    for name in file.experiment.units["set"]:
+        ur5 = name == "ur5"
+        constant = 0.1 if ur5 else 0.5
+        waves = [(joint, order, constant * order**-0.7) for joint in (0, 1) for order in (4.0, 8.0, 16.0)]
+        geometry, gravity, rest = (0.1, 0.08, 0.06) if ur5 else (0.5, 0.5, 0.1)
+        left = {"geometry": geometry, "gravity": gravity, "periodic": rest, "best": 2 * rest}
+        one = parts_of(left, [*waves, (0, 1.0, 50.0)], float("nan") if ur5 else 0.02)
+        rows += [{"set": name} | row for row in one]
+    found = numbers(file, rows)
+
+    def value(begin, *levels):
+        (title,) = (title for title in found if title.startswith(begin))
+        return found[title][levels].value
+
+    assert value("Decay") == pytest.approx(0.7) and value("Standard deviation") == pytest.approx(0.0, abs=1e-7)
+    assert value("Left by geometry of the UR10") == pytest.approx(0.5) and value("Repeats") == pytest.approx(0.02)
+    assert value("Share of variance: gravity") == pytest.approx(0.36 / 5)
+    assert value("Share of variance: waves") == pytest.approx((0.28 + 4 * 0.96) / 5)
+    assert value("Share of variance: the rest") == pytest.approx((0.36 + 4 * 0.04) / 5)
+    assert value("Share of the waves' energy", 1) == pytest.approx(0.5)
+    assert value("Waves of the first three joints") == 6 and value("Highest order") == 16.0
 
 
 def test_sets_of_one_arm_count_once_and_fewer_than_eight_arms_have_no_interval():
-    def one(left):
-        return {"LS": 1.0} | dict.fromkeys(MODELS, left)
+    file = load_experiment(STUDIES / "residual_gains.toml")
 
-    sets = {"0/0": one(0.5), "0/1": one(0.7), "1/0": one(0.9)}
-    found = gains(sets)
-    assert found["BPNN"]["each"] == pytest.approx([0.4, 0.1])
-    assert found["BPNN"]["mean"] == pytest.approx(0.25) and found["BPNN"]["ci95"] is None
-    many = gains({f"{arm}/0": one(0.8 + 0.01 * arm) for arm in range(8)})
-    low, high = many["GP"]["ci95"]
-    assert many["GP"]["mean"] == pytest.approx(0.165) and low < 0.165 < high
-    assert f"| field, grid, simulated | 1.00 | 16 ({100 * low:.0f} to {100 * high:.0f}) |" in table_of(
-        {"field, grid": many}
-    )
+    def rows(left):
+        common = {"plant": "field", "protocol": "grid"}
+        return [
+            common | {"arm": arm, "set": number, "model": model, "left_mm": mm, "removed": 1.0 - mm}
+            for (arm, number), mm in left.items()
+            for model in MODELS
+        ]
+
+    title = "Removed of what least squares leaves (%), over arms"
+    few = numbers(file, rows({(0, 0): 0.5, (0, 1): 0.7, (1, 0): 0.9, (1, 1): 0.9}))[title]
+    assert few["field", "grid", "LS + BPNN"].value == pytest.approx(0.25) and list(few) == [
+        ("field", "grid", model) for model in MODELS
+    ]
+    assert few["field", "grid", "LS + BPNN"].ci95 is None
+    many = numbers(file, rows({(arm, 0): 0.8 + 0.01 * arm for arm in range(8)}))[title]["field", "grid", "LS + GP"]
+    low, high = many.ci95
+    assert many.value == pytest.approx(0.165) and low < 0.165 < high
+
+
+@pytest.mark.parametrize("protocol", ["grid", "random"])
+def test_two_tenths_of_a_set_are_judged_and_every_set_has_its_own_pair(protocol, monkeypatch):
+    """Fits whose errors are made up: streams are those of the seed, the protocol, the arm and the set."""
+    seen = []
+
+    def left(arm, train, test, rng, **models):
+        seen.append((train, test, models))
+        return {"LS": np.full(len(test), 4.0), "LS + GP": np.full(len(test), 1.0)}, None
+
+    monkeypatch.setattr("pickenv.experiments.gains.left_by_models", left)
+    left_on_sets = load_experiment(STUDIES / "residual_gains.toml").functions["residual_gains.py:left_on_sets"]
+    for seed, number in ((1, 0), (1, 1), (1, 0), (2, 0)):
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5, 5)))
+        ls, gp = left_on_sets(rng, "field", protocol, 3, number, 500)
+        assert (ls["removed"], gp["removed"], gp["left_mm"]) == (0.0, 0.5, 1e3)
+    one, other, again, elsewhere = seen
+    assert [len(rows) for rows in one[:2]] == [320, 80] and list(one[2]["terms"]) == list(MODELS[:3])
+    np.testing.assert_array_equal(one[1].position, again[1].position)
+    for another in (other, elsewhere):
+        assert np.abs(one[1].position - another[1].position).max() > 1e-3
 
 
 @pytest.mark.slow

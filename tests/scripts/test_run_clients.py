@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "scripts" / "clients"))
+sys.path.insert(0, str(Path(__file__).parents[2] / ".ci" / "clients"))
 import run_clients
 
 CLIENTS = run_clients.clients()
@@ -72,7 +72,7 @@ def test_the_table_of_the_page_is_what_was_printed() -> None:
 def test_a_recipe_trains_where_its_client_is_installed(name: str, tmp_path: Path) -> None:
     """In short: what a whole training reaches stands on the page."""
     if find_spec(CLIENTS[name]["module"]) is None:  # not imported here: some change Gymnasium for the whole process
-        pytest.skip(f"{name} is not installed; scripts/clients/run_clients.py --client {name} sets it up and runs it")
+        pytest.skip(f"{name} is not installed; .ci/clients/run_clients.py --client {name} sets it up and runs it")
     said = ""
     blocks = [(kind, run_clients.shortened(text)) for kind, text in run_clients.recipe(CLIENTS[name]["heading"])]
     for command in run_clients.commands(blocks, sys.executable):

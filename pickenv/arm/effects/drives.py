@@ -3,30 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Annotated, Any
 
-from pickenv.arm.files.joint_keys import PER_JOINT
+from pickenv.arm.effects.effect import BESIDE, JOINT, MOTOR, Components, Draws, Effect, Passage
+from pickenv.arm.files.joint_keys import PER_JOINT, joint_table
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, frames
+from pickenv.arm.kinematics.forward import Frame, Scalar, frames
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.toml_tables import DEG, HOURS, KELVIN, MILLISECONDS, MM, Unit, toml_table
+from pickenv.errors import InputError
+from pickenv.registry import register
+from pickenv.toml_tables import ARCSEC, DEG, HOURS, KELVIN, MILLISECONDS, MM, UM, Unit, toml_table
 
 
+def _encoder(resolution: tuple[float, ...]) -> Encoder:
+    if 0.0 in resolution:
+        raise InputError(f"joints of [encoder] does not name joint {resolution.index(0.0) + 1}; give each joint")
+    return Encoder(resolution)
+
+
+@register("effect", "encoder")
 @dataclass(frozen=True)
-class Encoder:
+class Encoder(Effect, place=MOTOR):
     """Motor encoders of finite resolution: a drive can hold, and report, whole counts only.
 
     Attributes:
         resolution: One count of each joint, seen at the joint, rad or m.
     """
 
+    table = joint_table(_encoder, resolution=(ARCSEC.positive, UM.positive))
+
     resolution: tuple[Scalar, ...]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Hold the motors at whole counts."""
+        pairs = zip(at.motor, self.resolution, strict=True)
+        at.turn([nearest_whole(at.m, value / count) * count for value, count in pairs])
 
+
+@register("effect", "servo")
 @toml_table
-class Servo:
+class Servo(Effect, place=MOTOR + 0.5):
     """Position loops that follow with an error proportional to speed: x' = (command - x) / time constant.
 
     Attributes:
@@ -35,24 +53,27 @@ class Servo:
 
     time_constant: Annotated[tuple[Scalar, ...], MILLISECONDS.positive, PER_JOINT]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Turn the motors to where they have come."""
+        at.turn(memory)
 
-def quantised(m: ModuleType, encoder: Encoder, q: Sequence[Scalar]) -> list[Scalar]:
-    """Displacements in whole counts."""
-    return [nearest_whole(m, value / count) * count for value, count in zip(q, encoder.resolution, strict=True)]
+    def begin(self, at: Passage) -> Components:
+        """Motors that have arrived."""
+        return tuple(at.motor)
 
-
-def followed(m: ModuleType, servo: Servo, motor: Sequence[Scalar], q: Sequence[Scalar], dt: Scalar) -> list[Scalar]:
-    """Motor positions after the command ``q`` has been held for ``dt`` seconds."""
-    numbers = zip(motor, q, servo.time_constant, strict=True)
-    return [target + (value - target) * exponential(m, -dt / constant) for value, target, constant in numbers]
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Motors under way."""
+        numbers = zip(memory, at.motor, self.time_constant, strict=True)
+        return tuple([target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers])
 
 
 # Links grow with temperature, L (1 + alpha dT), and the arm warms up over the first hours: dT' = (final - dT) / tau.
 # dT is the rise above the temperature at which the true geometry holds. Units: K, s.
 
 
+@register("effect", "thermal_growth")
 @toml_table
-class ThermalGrowth:
+class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_up_time"}):
     """Growth of each link with the arm's temperature.
 
     Attributes:
@@ -67,25 +88,37 @@ class ThermalGrowth:
     final_rise: Annotated[Scalar, KELVIN]
     time_constant: Annotated[Scalar, HOURS.positive]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Let a and d of every link grow, and what a slide has run out with its rack; angles stay."""
+        factors = [1.0 + alpha * memory[0] for alpha in self.expansion]
+        pairs = zip(at.chain.links, factors, strict=True)
+        links = [link._replace(a=link.a * factor, d=link.d * factor) for link, factor in pairs]
+        at.chain = at.chain._replace(links=tuple(links))
+        numbers = zip(links, at.joints, factors, strict=True)
+        at.joints = [value * factor if link.prismatic else value for link, value, factor in numbers]
+
+    def begin(self, at: Passage) -> Components:
+        """The rise when the arm is switched on, K."""
+        return (at.command[0] * 0.0 + self.initial_rise,)
+
+    def rest(self, at: Passage) -> Components:
+        """The warm arm's."""
+        return (self.final_rise,)
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """The rise by then."""
+        return (warmed(at.m, self, memory[0], dt),)
+
+    def drawn(self, draws: Draws) -> ThermalGrowth:
+        """Arms that warm up to anything in the class' range."""
+        low, high = draws.temperature_rise
+        rise = low + (high - low) * draws.even["temperature_rise"][:, 0]
+        return replace(super().drawn(draws), final_rise=rise)
+
 
 def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> Scalar:
     """Temperature rise in K, ``dt`` seconds after it was ``rise``."""
     return thermal.final_rise + (rise - thermal.final_rise) * exponential(m, -dt / thermal.time_constant)
-
-
-def grown_chain(thermal: ThermalGrowth, chain: Chain, rise: Scalar) -> Chain:
-    """The chain with a and d of every link grown by a temperature rise of ``rise`` K."""
-    links = []
-    for link, alpha in zip(chain.links, thermal.expansion, strict=True):
-        factor = 1.0 + alpha * rise
-        links.append(link._replace(a=link.a * factor, d=link.d * factor))
-    return chain._replace(links=tuple(links))
-
-
-def grown_joints(thermal: ThermalGrowth, chain: Chain, joints: Sequence[Scalar], rise: Scalar) -> list[Scalar]:
-    """Joint displacements of the warm arm: what a slide has run out grows with its rack, angles stay."""
-    numbers = zip(chain.links, joints, thermal.expansion, strict=True)
-    return [value * (1.0 + alpha * rise) if link.prismatic else value for link, value, alpha in numbers]
 
 
 # Joints that yield under the arm's own weight, of which only a calibration's moments are known: neither k nor masses.
@@ -97,8 +130,9 @@ AXES = {"x": 0, "y": 3, "z": 6}
 """Where a link's axes begin among a frame's components."""
 
 
+@register("effect", "gravity_yield")
 @dataclass(frozen=True)
-class GravityYield:
+class GravityYield(Effect, place=JOINT + 0.2):
     """How each joint yields.
 
     Attributes:
@@ -112,21 +146,19 @@ class GravityYield:
     sizes: tuple[Scalar, ...]
     up: tuple[float, float, float]
 
-
-def weighed_down(m: ModuleType, effect: GravityYield, chain: Chain, q: Sequence[Scalar]) -> list[Scalar]:
-    """Joint displacements after the joints have yielded."""
-    links = frames(m, chain, q)
-    base = links[0]
-    up = [sum(base[axis + i] * part for axis, part in zip((0, 3, 6), effect.up, strict=True)) for i in range(3)]
-    moved = list(q)
-    for (joint, link, moment), size in zip(effect.moments, effect.sizes, strict=True):
-        own = links[joint + 1]
-        if chain.links[joint].prismatic:
-            moved[joint] = moved[joint] - size * _dot(own[6:9], up)
-            continue
-        lever = links[link + 1][AXES[moment] :][:3] if moment != "m" else _less(links[link + 1], own)
-        moved[joint] = moved[joint] - size * _dot(own[6:9], _cross(lever, up))
-    return moved
+    def act(self, at: Passage, memory: Components) -> None:
+        """Let the joints yield."""
+        links = frames(at.m, at.cold, at.joints)
+        base, joints = links[0], list(at.joints)
+        up = [sum(base[axis + i] * part for axis, part in zip((0, 3, 6), self.up, strict=True)) for i in range(3)]
+        for (joint, link, moment), size in zip(self.moments, self.sizes, strict=True):
+            own = links[joint + 1]
+            if at.cold.links[joint].prismatic:
+                joints[joint] = joints[joint] - size * _dot(own[6:9], up)
+                continue
+            lever = links[link + 1][AXES[moment] :][:3] if moment != "m" else _less(links[link + 1], own)
+            joints[joint] = joints[joint] - size * _dot(own[6:9], _cross(lever, up))
+        at.joints = joints
 
 
 def _less(one: Frame, other: Frame) -> tuple[Scalar, ...]:
@@ -146,8 +178,9 @@ def _cross(one: Sequence[Scalar], other: Sequence[Scalar]) -> tuple[Scalar, ...]
 # Every number is used as a standard deviation, makers' limits too. Runs on floats, arrays and tensors. Units: m, rad.
 
 
+@register("effect", "measurement_noise")
 @toml_table
-class MeasurementNoise:
+class MeasurementNoise(Effect, place=BESIDE):
     """Normal errors of a measuring instrument, per axis.
 
     Attributes:

@@ -7,19 +7,25 @@ one time constant (a Kelvin-Voigt body). Gravity points along -z of the world. U
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from types import ModuleType
-from typing import Annotated, NamedTuple
+from dataclasses import replace
+from typing import Annotated, Any
 
-from pickenv.arm.effects.structure import Weight, turn_horizontally
+import numpy as np
+
+from pickenv.arm.effects.effect import BASE, JOINT, Components, Draws, Effect, Passage
+from pickenv.arm.effects.structure import turn_horizontally
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
-from pickenv.arm.kinematics.forward import Frame, Scalar
+from pickenv.arm.kinematics.forward import Scalar
+from pickenv.registry import register
 from pickenv.toml_tables import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Check, Unit, toml_table
 
+GIVING_WAY = {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"}
 
+
+@register("effect", "base_tilt")
 @toml_table
-class BaseTilt:
+class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
     """Tilt and sinkage of the machine that carries the arm.
 
     Attributes:
@@ -36,47 +42,36 @@ class BaseTilt:
     settlement: Annotated[Scalar, MM.not_negative]
     time_constant: Annotated[Scalar, HOURS.positive]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Carry the tool along by tilt, creep and settlement of the machine."""
+        (tilt_x, tilt_y), (creep_x, creep_y, settlement) = self._tilt(at), memory
+        x0, y0, z0 = self.pivot
+        *axes, px, py, pz = at.frame
+        vectors = (*axes, px - x0, py - y0, pz - z0)
+        turned = turn_horizontally(vectors, tilt_x + creep_x, tilt_y + creep_y, starts=(0, 3, 6, 9))
+        at.frame = (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
 
-def immediate_tilt(tilt: BaseTilt, weights: Sequence[Weight]) -> tuple[Scalar, Scalar]:
-    """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once.
+    def begin(self, at: Passage) -> Components:
+        """Creep about x and y in rad, and settlement in m: none yet."""
+        zero = at.command[0] * 0.0
+        return zero, zero, zero
 
-    Args:
-        tilt: The ground.
-        weights: What hangs on each link, from `pickenv.arm.effects.structure.weights_behind`.
-    """
-    x0, y0, _ = tilt.pivot
-    mass, moment_x, moment_y = weights[0]
-    about_x, about_y = tilt.stiffness
-    return -GRAVITY * (moment_y - mass * y0) / about_x, GRAVITY * (moment_x - mass * x0) / about_y
+    def rest(self, at: Passage) -> Components:
+        """What creeps in the long run."""
+        x, y = self._tilt(at)
+        return self.creep * x, self.creep * y, self.settlement
 
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """What has crept by then."""
+        faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
+        return tuple([final + (part - final) * faded for final, part in pairs])
 
-def sunk(
-    m: ModuleType, tilt: BaseTilt, sinkage: Sequence[Scalar], immediate: tuple[Scalar, Scalar], dt: Scalar
-) -> tuple[Scalar, Scalar, Scalar]:
-    """Creep (x, y) in rad and settlement in m after the immediate tilt has lasted for ``dt`` seconds."""
-    creep_x, creep_y, settlement = sinkage
-    faded = exponential(m, -dt / tilt.time_constant)
-    final_x, final_y, final = long_run(tilt, immediate)
-    return (
-        final_x + (creep_x - final_x) * faded,
-        final_y + (creep_y - final_y) * faded,
-        final + (settlement - final) * faded,
-    )
-
-
-def long_run(tilt: BaseTilt, immediate: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar, Scalar]:
-    """Creep (x, y) in rad and settlement in m after a very long time."""
-    return tilt.creep * immediate[0], tilt.creep * immediate[1], tilt.settlement
-
-
-def tilted_frame(tilt: BaseTilt, immediate: tuple[Scalar, Scalar], sinkage: Sequence[Scalar], frame: Frame) -> Frame:
-    """A frame of the world carried along by tilt, creep and settlement of the machine."""
-    creep_x, creep_y, settlement = sinkage
-    x0, y0, z0 = tilt.pivot
-    *axes, px, py, pz = frame
-    vectors = (*axes, px - x0, py - y0, pz - z0)
-    turned = turn_horizontally(vectors, immediate[0] + creep_x, immediate[1] + creep_y, starts=(0, 3, 6, 9))
-    return (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
+    def _tilt(self, at: Passage) -> tuple[Scalar, Scalar]:
+        """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once."""
+        x0, y0, _ = self.pivot
+        mass, moment_x, moment_y = at.loads.weights[0]
+        about_x, about_y = self.stiffness
+        return -GRAVITY * (moment_y - mass * y0) / about_x, GRAVITY * (moment_x - mass * x0) / about_y
 
 
 # Light arms swing after a move: each joint carries a lightly damped second-order mode that its acceleration excites.
@@ -90,8 +85,13 @@ BELOW_ONE = Check(
 )
 
 
+LARGEST_DAMPING = 0.5
+"""No structure is damped more; a draw from a wide spread stops here."""
+
+
+@register("effect", "settling")
 @toml_table
-class Settling:
+class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "damping": "damping"}):
     """Vibration of the structure behind each joint.
 
     Attributes:
@@ -106,61 +106,52 @@ class Settling:
     participation: Annotated[tuple[Scalar, ...], NUMBER.not_negative, PER_JOINT]
     rise_time: Annotated[Scalar, MILLISECONDS.positive]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Swing the joints."""
+        if memory:
+            n = len(at.joints)
+            at.joints = [value + swing for value, swing in zip(at.joints, memory[n : 2 * n], strict=True)]
 
-class Swing(NamedTuple):
-    """State of one joint's mode.
+    def begin(self, at: Passage) -> Components:
+        """Where each joint's profile is, rad or m; its vibration e; and e' + p x', which no sudden command changes."""
+        still = [value * 0.0 for value in at.command]
+        return *at.command, *still, *still
 
-    Attributes:
-        profile: Where the motion profile is, rad or m.
-        vibration: Displacement e of the mode, to be added to the joint's.
-        rate: e' + p x', rad/s or m/s: the velocity of what swings, which no sudden command changes.
-    """
+    def rest(self, at: Passage) -> Components:
+        """Nothing swings any more."""
+        return ()
 
-    profile: Scalar
-    vibration: Scalar
-    rate: Scalar
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Profiles, vibrations and velocities then."""
+        m, lag, n = at.m, self.rise_time, len(at.command)
+        faded = exponential(m, -dt / lag)
+        profiles, vibrations, rates = list[Scalar](), list[Scalar](), list[Scalar]()
+        for profile, vibration, rate, command, frequency, zeta, share in zip(
+            *(memory[:n], memory[n : 2 * n], memory[2 * n :]),
+            *(at.command, self.frequency, self.damping, self.participation),
+            strict=True,
+        ):
+            omega = math.tau * frequency
+            decay = zeta * omega
+            damped = omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
+            angle = damped * dt
+            space = namespace_of(m, angle)
+            envelope = exponential(m, -decay * dt)
+            cosine, sine = envelope * space.cos(angle), envelope * space.sin(angle) / damped
+            # The profile command + gap exp(-t / lag) forces the part `forced` exp(-t / lag); the rest swings freely.
+            gap = profile - command
+            forced = -share * gap / (1.0 - 2.0 * decay * lag + (omega * lag) * (omega * lag))
+            free = vibration - forced
+            free_rate = rate + (share * gap + forced) / lag
+            swung = free * cosine + (free_rate + decay * free) * sine
+            swung_rate = free_rate * cosine - (decay * free_rate + omega * omega * free) * sine
+            profiles.append(command + gap * faded)
+            vibrations.append(swung + forced * faded)
+            rates.append(swung_rate - (forced + share * gap) * faded / lag)
+        return *profiles, *vibrations, *rates
 
-
-def at_rest(q: Sequence[Scalar]) -> list[Swing]:
-    """Modes of an arm that has long been at ``q``."""
-    return [Swing(value, value * 0.0, value * 0.0) for value in q]
-
-
-def swung(m: ModuleType, settling: Settling, swings: Sequence[Swing], q: Sequence[Scalar], dt: Scalar) -> list[Swing]:
-    """The modes after the command ``q`` has been held for ``dt`` seconds.
-
-    Args:
-        m: ``math``, ``numpy`` or ``torch``.
-        settling: The modes' constants.
-        swings: The modes before.
-        q: The joint commands, rad or m.
-        dt: s, at least 0; one number, or one per arm.
-    """
-    lag = settling.rise_time
-    faded = exponential(m, -dt / lag)
-    result = []
-    for swing, command, frequency, zeta, share in zip(
-        swings, q, settling.frequency, settling.damping, settling.participation, strict=True
-    ):
-        omega = math.tau * frequency
-        decay = zeta * omega
-        damped = omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
-        angle = damped * dt
-        space = namespace_of(m, angle)
-        envelope = exponential(m, -decay * dt)
-        cosine, sine = envelope * space.cos(angle), envelope * space.sin(angle) / damped
-        # The profile x = command + gap exp(-t / lag) forces the part `forced` exp(-t / lag); the rest swings freely.
-        gap = swing.profile - command
-        forced = -share * gap / (1.0 - 2.0 * decay * lag + (omega * lag) * (omega * lag))
-        free = swing.vibration - forced
-        free_rate = swing.rate + (share * gap + forced) / lag
-        vibration = free * cosine + (free_rate + decay * free) * sine
-        vibration_rate = free_rate * cosine - (decay * free_rate + omega * omega * free) * sine
-        result.append(
-            Swing(
-                profile=command + gap * faded,
-                vibration=vibration + forced * faded,
-                rate=vibration_rate - (forced + share * gap) * faded / lag,
-            )
-        )
-    return result
+    def drawn(self, draws: Draws) -> Settling:
+        """Modes of which none is damped more than any structure."""
+        modes = super().drawn(draws)
+        damping: Any = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in modes.damping)
+        return replace(modes, damping=damping)

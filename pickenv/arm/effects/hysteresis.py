@@ -13,16 +13,21 @@ from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Annotated, Any
 
-from pickenv.arm.effects.structure import Weight
-from pickenv.arm.files.joint_keys import BOOM
+from pickenv.arm.effects.effect import BEND, GEAR, Components, Draws, Effect, Passage, Weight
+from pickenv.arm.files.arm import Arm
+from pickenv.arm.files.joint_keys import BOOM, TRAVEL, joint_table
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.toml_tables import GRAVITY, MM, WHOLE, Then, Unit, fault, toml_table
+from pickenv.registry import register
+from pickenv.toml_tables import GRAVITY, MM, NEWTON, NEWTON_METRE, NUMBER, WHOLE, Then, Unit, fault, toml_table
+
+PRELOAD = (NEWTON_METRE.not_negative, NEWTON.not_negative)
 
 
+@register("effect", "backlash")
 @dataclass(frozen=True)
-class Backlash:
+class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
     """Lost motion in each joint's gear.
 
     Attributes:
@@ -31,12 +36,37 @@ class Backlash:
             turns, N*m or N; below it, friction holds the joint and the gap is crossed on every reversal.
     """
 
+    table = joint_table(lambda *sizes: Backlash(*sizes), width=TRAVEL, preload=PRELOAD)
+
     width: tuple[Scalar, ...]
     preload: tuple[Scalar, ...]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Put the joints behind their gaps."""
+        at.joints = memory
 
+    def begin(self, at: Passage) -> Components:
+        """Joints in the middle of gaps that gravity does not close."""
+        return self.carry(at, tuple(at.joints), 0.0)
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Joints that the motors have pushed along."""
+        behind, torques = [], at.loads.torques if at.load else None
+        for i, (entry, output, width, preload) in enumerate(
+            zip(at.joints, memory, self.width, self.preload, strict=True)
+        ):
+            half = 0.5 * width
+            low, high = entry - half, entry + half
+            free = clipped(at.m, output, low, high)
+            if torques is not None:
+                free = chosen(at.m, torques[i] > preload, high, chosen(at.m, torques[i] < -preload, low, free))
+            behind.append(free)
+        return tuple(behind)
+
+
+@register("effect", "stick_band")
 @dataclass(frozen=True)
-class StickBand:
+class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": "friction"}):
     """Coulomb friction winds up the drive: a joint stops short of its command, on the side that it came from.
 
     Attributes:
@@ -46,9 +76,25 @@ class StickBand:
             it: whoever asks how well the arm repeats does (`one_stop`).
     """
 
+    table = joint_table(lambda *sizes: StickBand(*sizes), forward=TRAVEL, backward=TRAVEL, scatter=NUMBER.not_negative)
+
     forward: tuple[Scalar, ...]
     backward: tuple[Scalar, ...]
     scatter: Scalar = 0.0
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Put the joints behind their friction."""
+        at.joints = memory
+
+    def begin(self, at: Passage) -> Components:
+        """Joints in the middle of their bands."""
+        numbers = zip(at.joints, self.forward, self.backward, strict=True)
+        return tuple([entry + 0.5 * (backward - forward) for entry, forward, backward in numbers])
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Joints that the motors have pulled along."""
+        numbers = zip(at.joints, memory, self.forward, self.backward, strict=True)
+        return tuple([play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers])
 
 
 def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]]) -> StickBand:
@@ -79,57 +125,15 @@ def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar
     return clipped(m, output, entry - lag, entry + lead)
 
 
-def joints_behind_friction(
-    m: ModuleType, band: StickBand, entries: Sequence[Scalar], outputs: Sequence[Scalar]
-) -> list[Scalar]:
-    """Joint displacements behind the friction, given the driven displacements and where the joints were."""
-    numbers = zip(entries, outputs, band.forward, band.backward, strict=True)
-    return [play(m, entry, output, forward, backward) for entry, output, forward, backward in numbers]
-
-
-def joints_amid_friction(band: StickBand, entries: Sequence[Scalar]) -> list[Scalar]:
-    """The history-free displacement: the middle of the band."""
-    numbers = zip(entries, band.forward, band.backward, strict=True)
-    return [entry + 0.5 * (backward - forward) for entry, forward, backward in numbers]
-
-
-def joints_behind_backlash(
-    m: ModuleType,
-    backlash: Backlash,
-    torques: Sequence[Scalar] | None,
-    entries: Sequence[Scalar],
-    outputs: Sequence[Scalar],
-) -> list[Scalar]:
-    """Joint displacements behind the gaps, given the displacements before them and where the joints were.
-
-    Args:
-        m: ``math``, ``numpy`` or ``torch``.
-        backlash: The gaps.
-        torques: Gravity torques on the joints, or None where nothing has mass.
-        entries: Displacements on the motor's side of the gap.
-        outputs: Displacements behind the gap so far. History-free ones are got by passing ``entries``.
-    """
-    behind = []
-    for i, (entry, output, width, preload) in enumerate(
-        zip(entries, outputs, backlash.width, backlash.preload, strict=True)
-    ):
-        half = 0.5 * width
-        low, high = entry - half, entry + half
-        free = clipped(m, output, low, high)
-        if torques is not None:
-            free = chosen(m, torques[i] > preload, high, chosen(m, torques[i] < -preload, low, free))
-        behind.append(free)
-    return behind
-
-
 # What yields where an arm slides: the boom under a couple beside its tip, its twist, carriages in their guides. All
 # three follow the masses that hang behind a link, wherever they are: gravity's force and moment there come from
-# `pickenv.arm.effects.structure.weights_behind`, of the straight arm, and deflections are taken to first order.
+# `pickenv.arm.effects.effect.weights_behind`, of the straight arm, and deflections are taken to first order.
 # Units: m, rad, N, kg.
 
 
+@register("effect", "boom_couple")
 @toml_table
-class BoomCouple:
+class BoomCouple(Effect, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural_rigidity"}, needs_load=True):
     """Masses that hang beside a boom's tip bend it by their couple: delta = M L^2 / 2EI, slope = M L / EI.
 
     Attributes:
@@ -142,9 +146,26 @@ class BoomCouple:
     length: Annotated[Scalar, MM.not_negative]
     flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
 
+    def flexure(self, at: Passage) -> Flexure:
+        """Bend the boom under the part across it of the moment about its tip."""
+        weights, length = at.loads.weights, at.joints[self.joint] + self.length
+        turn = length / self.flexural_rigidity
 
+        def bend(i: int, frame: Frame) -> Frame:
+            if i != self.joint:
+                return frame
+            zx, zy, zz, px, py, _ = frame[6:]
+            mx, my = moment_about(weights[i + 1], px, py)
+            along = mx * zx + my * zy
+            wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
+            return displaced_frame(at.m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
+
+        return bend
+
+
+@register("effect", "boom_torsion")
 @toml_table
-class BoomTorsion:
+class BoomTorsion(Effect, place=BEND + 0.6, spreads={"torsional_rigidity": "flexural_rigidity"}, needs_load=True):
     """Masses that hang beside a boom twist it: angle = M L / GJ.
 
     Attributes:
@@ -156,6 +177,20 @@ class BoomTorsion:
     joint: Annotated[int, WHOLE, BOOM]
     length: Annotated[Scalar, MM.not_negative]
     torsional_rigidity: Annotated[Scalar, Unit("N_m2").positive]
+
+    def flexure(self, at: Passage) -> Flexure:
+        """Twist the boom under the part along it of the moment about its tip."""
+        weights, turn = at.loads.weights, (at.joints[self.joint] + self.length) / self.torsional_rigidity
+
+        def twist(i: int, frame: Frame) -> Frame:
+            if i != self.joint:
+                return frame
+            zx, zy, zz, px, py, _ = frame[6:]
+            mx, my = moment_about(weights[i + 1], px, py)
+            angle = turn * (mx * zx + my * zy)
+            return displaced_frame(at.m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
+
+        return twist
 
 
 @toml_table
@@ -184,8 +219,9 @@ def _once(bearings: Any, _context: Any) -> Any:
     return bearings
 
 
+@register("effect", "slide_compliance")
 @toml_table
-class SlideCompliance:
+class SlideCompliance(Effect, place=BEND, needs_load=True):
     """Slides give way across their axis, and turn, in their bearings.
 
     Attributes:
@@ -194,59 +230,45 @@ class SlideCompliance:
 
     bearings: Annotated[tuple[Bearing, ...], Then(_once)]
 
+    def flexure(self, at: Passage) -> Flexure:
+        """Move and turn each slide in its bearings, under all that hangs on it."""
+        weights, by_joint = at.loads.weights, {bearing.joint: bearing for bearing in self.bearings}
 
-def couple_flexure(m: ModuleType, couple: BoomCouple, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that bends the boom under the part across it of the moment about its tip."""
-    length = q[couple.joint] + couple.length
-    turn = length / couple.flexural_rigidity
+        def give(i: int, frame: Frame) -> Frame:
+            bearing = by_joint.get(i)
+            if bearing is None:
+                return frame
+            zx, zy, zz, px, py, _ = frame[6:]
+            span, arm = bearing.span, 0.0
+            if bearing.overhang is not None:
+                span = span - at.joints[i]
+                arm = bearing.overhang + at.joints[i] + 0.5 * span
+            mx, my = moment_about(weights[i], px - arm * zx, py - arm * zy)
+            turn = 2.0 / (bearing.stiffness * span * span)
+            sunk = GRAVITY * weights[i][0] / (2.0 * bearing.stiffness)
+            # Gravity across z is (zx zz, zy zz, zz^2 - 1).
+            moved = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
+            return displaced_frame(at.m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), moved))
 
-    def bend(i: int, frame: Frame) -> Frame:
-        if i != couple.joint:
-            return frame
-        zx, zy, zz, px, py, _ = frame[6:]
-        mx, my = moment_about(weights[i + 1], px, py)
-        along = mx * zx + my * zy
-        wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
-        return displaced_frame(m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
+        return give
 
-    return bend
+    def fault(self, arm: Arm) -> str:
+        """A span that the slide runs out of."""
+        for bearing in self.bearings:
+            limit = arm.nominal.upper[bearing.joint]
+            if bearing.overhang is not None and bearing.span <= limit:
+                return (
+                    f"span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}; "
+                    f"give more than the {limit * 1e3:g} mm that it runs out"
+                )
+        return ""
 
-
-def torsion_flexure(m: ModuleType, torsion: BoomTorsion, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that twists the boom under the part along it of the moment about its tip."""
-    turn = (q[torsion.joint] + torsion.length) / torsion.torsional_rigidity
-
-    def twist(i: int, frame: Frame) -> Frame:
-        if i != torsion.joint:
-            return frame
-        zx, zy, zz, px, py, _ = frame[6:]
-        mx, my = moment_about(weights[i + 1], px, py)
-        angle = turn * (mx * zx + my * zy)
-        return displaced_frame(m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
-
-    return twist
-
-
-def slide_flexure(m: ModuleType, slides: SlideCompliance, weights: Sequence[Weight], q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that moves and turns each slide in its bearings, under all that hangs on it."""
-    by_joint = {bearing.joint: bearing for bearing in slides.bearings}
-
-    def give(i: int, frame: Frame) -> Frame:
-        bearing = by_joint.get(i)
-        if bearing is None:
-            return frame
-        zx, zy, zz, px, py, _ = frame[6:]
-        span, arm = bearing.span, 0.0
-        if bearing.overhang is not None:
-            span = span - q[i]
-            arm = bearing.overhang + q[i] + 0.5 * span
-        mx, my = moment_about(weights[i], px - arm * zx, py - arm * zy)
-        turn = 2.0 / (bearing.stiffness * span * span)
-        sunk = GRAVITY * weights[i][0] / (2.0 * bearing.stiffness)  # gravity across z is (zx zz, zy zz, zz^2 - 1)
-        moved = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
-        return displaced_frame(m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), moved))
-
-    return give
+    def drawn(self, draws: Draws) -> SlideCompliance:
+        """Slides whose bearings' stiffness spreads."""
+        stiffness = [bearing.stiffness for bearing in self.bearings]
+        sizes = draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness")
+        pairs = zip(self.bearings, sizes, strict=True)
+        return SlideCompliance(tuple(replace(bearing, stiffness=size) for bearing, size in pairs))
 
 
 def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:

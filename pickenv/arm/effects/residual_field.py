@@ -18,15 +18,16 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
-from pickenv.arm.effects.structure import Harmonic
-from pickenv.arm.files.joint_keys import ByJoint, number_per_joint
+from pickenv.arm.effects.effect import DRIVE, TOOL, Components, Draws, Effect, Passage, standard_normal_of
+from pickenv.arm.effects.structure import Harmonic, with_waves
+from pickenv.arm.files.joint_keys import ByJoint, numbers_per_joint
 from pickenv.arm.kinematics.backend import outside
 from pickenv.arm.kinematics.forward import Frame, Scalar
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.errors import InputError
+from pickenv.registry import register
 from pickenv.toml_tables import ARCMIN, DEG, MM, NUMBER, WHOLE, Then, toml_table
 
 CHUNK = 64
@@ -78,8 +79,9 @@ class Features:
         return {}
 
 
+@register("effect", "residual")
 @dataclass(frozen=True, eq=False)
-class ResidualField:
+class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
     """Displacement of the tool, of one arm or of many.
 
     Attributes:
@@ -93,6 +95,10 @@ class ResidualField:
     weight: Scalar
     offset: tuple[Scalar, ...]
     turn: tuple[tuple[float, float, float], ...]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Displace the tool."""
+        at.frame = strayed(at.m, self, at.motor, at.frame)
 
     @cached_property
     def tensors(self) -> dict[Any, Any]:
@@ -173,11 +179,6 @@ def _tensor_outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) ->
 SEED = WHOLE.not_negative
 
 
-def standard_normal_of(even: Array) -> Array:
-    """Standard normal numbers of even ones."""
-    return np.asarray(ndtri(np.clip(even, 1e-12, 1.0 - 1e-12)))
-
-
 @toml_table
 class WavesTable:
     """[drive_harmonics] of a plant file.
@@ -221,8 +222,9 @@ class WaveSpread:
     decay: float
 
 
+@register("effect", "drive_harmonics")
 @dataclass(frozen=True)
-class DriveHarmonics:
+class DriveHarmonics(Effect, place=DRIVE + 0.5):
     """Periodic errors of the drives that an arm has for itself.
 
     Attributes:
@@ -230,8 +232,18 @@ class DriveHarmonics:
         harmonics: Those of this arm.
     """
 
+    table = Annotated[Any, Then(lambda table, _: drive_harmonics_of(table), WavesTable)]
+
     spread: tuple[WaveSpread, ...]
     harmonics: tuple[Harmonic, ...]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Drive the joints in waves."""
+        at.drive(with_waves(at.m, self.harmonics, at.motor, at.driven))
+
+    def drawn(self, draws: Draws) -> DriveHarmonics:
+        """The drives of other arms."""
+        return drawn_harmonics(self.spread, draws.even[self.name])
 
 
 def drawn_harmonics(spread: Sequence[WaveSpread], even: Array) -> DriveHarmonics:
@@ -253,7 +265,7 @@ def drawn_harmonics(spread: Sequence[WaveSpread], even: Array) -> DriveHarmonics
     return DriveHarmonics(tuple(spread), tuple(harmonics))
 
 
-def drive_harmonics_of(table: WavesTable, _context: Any) -> DriveHarmonics:
+def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
     """The effect of a plant file: the design's own draw.
 
     Raises:
@@ -290,8 +302,9 @@ class StructureTable:
     joints: Annotated[tuple[Any, ...], ByJoint(length=(DEG.positive, MM.positive))]
 
 
+@register("effect", "local_structure")
 @dataclass(frozen=True, eq=False)
-class LocalStructure:
+class LocalStructure(Effect, place=TOOL):
     """Displacement of the tool that changes over fractions of a degree, of one arm or of many.
 
     Attributes:
@@ -299,8 +312,18 @@ class LocalStructure:
         field: The waves with their weights.
     """
 
+    table = Annotated[Any, Then(lambda table, context: local_structure_of(table, context), StructureTable)]
+
     std: float
     field: ResidualField
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Displace the tool."""
+        at.frame = strayed(at.m, self.field, at.motor, at.frame)
+
+    def drawn(self, draws: Draws) -> LocalStructure:
+        """The structure of other arms."""
+        return drawn_structure(self, draws.even[self.name])
 
     @property
     def weights(self) -> int:
@@ -322,7 +345,7 @@ def drawn_structure(structure: LocalStructure, even: Array) -> LocalStructure:
 
 def local_structure_of(table: StructureTable, context: Any) -> LocalStructure:
     """The effect of a plant file: the design's own draw."""
-    lengths = np.array(number_per_joint(table, "length", context))
+    lengths = np.array(numbers_per_joint(table, context, "length")[0])
     joints = len(lengths)
     per_length = np.divide(1.0, lengths, out=np.zeros(joints), where=lengths > 0)
     rng = np.random.default_rng(table.seed)
@@ -332,10 +355,3 @@ def local_structure_of(table: StructureTable, context: Any) -> LocalStructure:
     blank = ResidualField(features, np.zeros((3, 2, table.waves), np.float32), (0.0, 0.0, 0.0), upright)
     structure = LocalStructure(table.position / math.sqrt(table.waves), blank)
     return drawn_structure(structure, rng.random(structure.weights))
-
-
-OWN_WAVES = {
-    "drive_harmonics": Annotated[Any, Then(drive_harmonics_of, WavesTable)],
-    "local_structure": Annotated[Any, Then(local_structure_of, StructureTable)],
-}
-"""By effect: what a plant file holds, and what is made of it."""

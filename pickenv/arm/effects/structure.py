@@ -1,39 +1,24 @@
-"""What bends, yields and turns unevenly in a real arm: one small function per effect, in components.
-
-Every function runs on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics.forward`; the
-numbers of an effect may be arrays too, one entry per arm. Gravity points along -z of the world. Units: m, rad, N, kg.
-"""
+"""What bends, yields and turns unevenly in a real arm. Units: m, rad, N, kg."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Annotated, Any
 
+from pickenv.arm.effects.effect import BEND, DRIVE, JOINT, Components, Draws, Effect, Passage
+from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.joint_keys import BOOM, PER_JOINT, ByJoint
-from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, attach
+from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
+from pickenv.registry import register
 from pickenv.toml_tables import ARCMIN, DEG, GRAVITY, KG, KG_PER_M, MM, NUMBER, WHOLE, Then, Unit, toml_table
 
 
+@register("effect", "joint_compliance")
 @toml_table
-class Load:
-    """Masses that gravity pulls at.
-
-    Attributes:
-        mass: Mass of each link, kg.
-        centre: Centre of mass of each link in the link's frame, m.
-        payload: Mass held at the tool's origin, kg.
-    """
-
-    mass: Annotated[tuple[Scalar, ...], KG.not_negative, PER_JOINT]
-    centre: Annotated[tuple[tuple[float, float, float], ...], MM, PER_JOINT]
-    payload: Annotated[Scalar, KG.not_negative] = 0.0
-
-
-@toml_table
-class JointCompliance:
+class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffness"}, needs_load=True):
     """Each joint yields under its gravity torque or force: dq = tau / k.
 
     Attributes:
@@ -42,9 +27,15 @@ class JointCompliance:
 
     stiffness: Annotated[tuple[Scalar, ...], NUMBER.positive, PER_JOINT]
 
+    def act(self, at: Passage, memory: Components) -> None:
+        """Let the joints yield."""
+        numbers = zip(at.joints, at.loads.torques, self.stiffness, strict=True)
+        at.joints = [value + torque / k for value, torque, k in numbers]
 
+
+@register("effect", "boom_bending")
 @toml_table
-class BoomBending:
+class BoomBending(Effect, place=BEND + 0.2, spreads={"flexural_rigidity": "flexural_rigidity"}):
     """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
 
     Attributes:
@@ -61,9 +52,19 @@ class BoomBending:
     end_mass: Annotated[Scalar, KG.not_negative]
     mass_per_length: Annotated[Scalar, KG_PER_M.not_negative]
 
+    def flexure(self, at: Passage) -> Flexure:
+        """Lower and tilt the boom's tip under gravity; only the part across the boom bends it."""
+        length = at.joints[self.joint] + self.length
+        end, own = self.end_mass + (at.load.payload if at.load else 0.0), self.mass_per_length
+        stiffness = self.flexural_rigidity / GRAVITY
+        sag = length * length * length * (end / (3.0 * stiffness) + length * (own / (8.0 * stiffness)))
+        slope = length * length * (end / (2.0 * stiffness) + length * (own / (6.0 * stiffness)))
+        return lowered_tip(self.joint, sag, slope)
 
+
+@register("effect", "roller_play")
 @toml_table
-class RollerPlay:
+class RollerPlay(Effect, place=BEND + 0.8, spreads={"clearance": "roller_clearance"}):
     """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
 
     Attributes:
@@ -78,9 +79,22 @@ class RollerPlay:
     clearance: Annotated[Scalar, MM.not_negative]
     overlap: Annotated[Scalar, MM.positive]
 
+    def flexure(self, at: Passage) -> Flexure:
+        """Let the boom tip down in its rollers: fully when level, less as it is raised."""
+        angle = self.clearance / (self.overlap - at.joints[self.joint])
+        return lowered_tip(self.joint, angle * (at.joints[self.joint] + self.length), angle)
 
-Weight = tuple[Scalar, Scalar, Scalar]
-"""What hangs on a link: its mass in kg, and mass times horizontal position (x, y) in the world, kg*m."""
+    def fault(self, arm: Arm) -> str:
+        """An overlap that the boom runs out of."""
+        limit = arm.nominal.upper[self.joint]
+        return (
+            ""
+            if self.overlap > limit
+            else (
+                f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
+                f"that joint {self.joint + 1} runs out"
+            )
+        )
 
 
 @dataclass(frozen=True)
@@ -105,8 +119,9 @@ HARMONICS = ByJoint(
 )
 
 
+@register("effect", "transmission_error")
 @toml_table
-class TransmissionError:
+class TransmissionError(Effect, place=DRIVE):
     """Drives that do not deliver what the motor side shows: a lead error and periodic terms.
 
     Attributes:
@@ -116,6 +131,20 @@ class TransmissionError:
 
     lead: Annotated[tuple[Scalar, ...], NUMBER, PER_JOINT]
     harmonics: Annotated[tuple[Harmonic, ...], Then(_harmonics, Annotated[tuple[Any, ...], HARMONICS])] = ()
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Drive the joints unevenly."""
+        at.drive(driven_joints(at.m, self, at.driven))
+
+    def drawn(self, draws: Draws) -> TransmissionError:
+        """Drives whose leads and amplitudes spread; phases are anything: no two gears are alike."""
+        amplitudes = draws.scaled([term.amplitude for term in self.harmonics], self.name)
+        phases = 2.0 * math.pi * draws.even["phase"]
+        terms = zip(self.harmonics, amplitudes, phases.T, strict=True)
+        return TransmissionError(
+            draws.scaled(self.lead, "lead", spread=self.name),
+            tuple(replace(term, amplitude=amplitude, phase=phase) for term, amplitude, phase in terms),
+        )
 
 
 def _harmonics(entries: Any, _context: Any) -> tuple[Harmonic, ...]:
@@ -140,71 +169,6 @@ def with_waves(
         angle = q[term.joint] * (math.tau / term.period) + term.phase
         found[term.joint] = found[term.joint] + term.amplitude * m.sin(angle)
     return found
-
-
-def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Weight]:
-    """What hangs on each link: itself and all behind it; last what the tool holds.
-
-    Args:
-        chain: The chain.
-        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
-        load: The masses.
-    """
-    mass: Scalar = load.payload
-    tool = attach(frames[-1], chain.tool)
-    moment_x, moment_y = mass * tool[9], mass * tool[10]
-    weights: list[Weight] = [(mass, moment_x, moment_y)]
-    for i in reversed(range(len(chain.links))):
-        xx, xy, _, yx, yy, _, zx, zy, _, px, py, _ = frames[i + 1]
-        own, (cx, cy, cz) = load.mass[i], load.centre[i]
-        mass = mass + own
-        moment_x = moment_x + own * (px + cx * xx + cy * yx + cz * zx)
-        moment_y = moment_y + own * (py + cx * xy + cy * yy + cz * zy)
-        weights.append((mass, moment_x, moment_y))
-    return weights[::-1]
-
-
-def gravity_torques(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Scalar]:
-    """Generalised gravity forces on the joints: N*m for revolute, N for prismatic ones, positive along the joint.
-
-    Args:
-        chain: The chain.
-        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
-        load: The masses.
-    """
-    return weights_torques(chain, frames, weights_behind(chain, frames, load))
-
-
-def weights_torques(chain: Chain, frames: Sequence[Frame], weights: Sequence[Weight]) -> list[Scalar]:
-    """`gravity_torques` of what hangs on each link."""
-    torques: list[Scalar] = []
-    for link, frame, (mass, moment_x, moment_y) in zip(chain.links, frames[1:], weights, strict=False):
-        zx, zy, zz, px, py, _ = frame[6:]
-        if link.prismatic:
-            torques.append(-GRAVITY * mass * zz)
-        else:
-            torques.append(GRAVITY * (zy * (moment_x - mass * px) - zx * (moment_y - mass * py)))
-    return torques
-
-
-def yielded_joints(compliance: JointCompliance, torques: Sequence[Scalar], q: Sequence[Scalar]) -> list[Scalar]:
-    """Joint displacements after the joints have yielded under ``torques``."""
-    return [value + torque / k for value, torque, k in zip(q, torques, compliance.stiffness, strict=True)]
-
-
-def boom_flexure(boom: BoomBending, payload: Scalar, q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that lowers and tilts the boom's tip under gravity; only the part across the boom bends it."""
-    length = q[boom.joint] + boom.length
-    end, own, stiffness = boom.end_mass + payload, boom.mass_per_length, boom.flexural_rigidity / GRAVITY
-    sag = length * length * length * (end / (3.0 * stiffness) + length * (own / (8.0 * stiffness)))
-    slope = length * length * (end / (2.0 * stiffness) + length * (own / (6.0 * stiffness)))
-    return lowered_tip(boom.joint, sag, slope)
-
-
-def roller_flexure(play: RollerPlay, q: Sequence[Scalar]) -> Flexure:
-    """A `Flexure` that lets the boom tip down in its rollers: fully when level, less as it is raised."""
-    angle = play.clearance / (play.overlap - q[play.joint])
-    return lowered_tip(play.joint, angle * (q[play.joint] + play.length), angle)
 
 
 def lowered_tip(joint: int, sag: Scalar, slope: Scalar) -> Flexure:

@@ -5,13 +5,13 @@ What is checked against the arm finds it in the context that a plant file is rea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import make_dataclass
 from typing import Annotated, Any, cast
 
 from pickenv.arm.files.arm import Arm
 from pickenv.errors import InputError
-from pickenv.toml_tables import WHOLE, Kinds, Then, Unit, fault, toml_table
+from pickenv.toml_tables import ARCMIN, MM, WHOLE, Kinds, Then, Unit, fault, toml_table
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
@@ -49,15 +49,20 @@ BOOM = Then(_boom)
 """The number of a prismatic joint, which becomes its index from 0."""
 
 
-def number_per_joint(table: Any, key: str, context: Any) -> tuple[float, ...]:
-    """One number per joint from the entries of a table, zero for joints that none names."""
-    found: dict[int, float] = {}
+TRAVEL = (ARCMIN.not_negative, MM.not_negative)
+"""Units of what a joint travels in vain: it turns, or it slides."""
+
+
+def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float, ...], ...]:
+    """For each key one number per joint from the entries of a table, zero for joints that none names."""
+    entries: dict[int, Any] = {}
     for entry in table.joints:
-        if entry.joint in found:
+        if entry.joint in entries:
             raise InputError(f"joint {entry.joint + 1} has two entries in one table; give each joint once")
-        found[entry.joint] = getattr(entry, key)
+        entries[entry.joint] = entry
     arm = arm_in(context)
-    return () if arm is None else tuple(found.get(joint, 0.0) for joint in range(arm.nominal.joints))
+    joints = () if arm is None else range(arm.nominal.joints)
+    return tuple(tuple(getattr(entries.get(joint), key, 0.0) for joint in joints) for key in keys)
 
 
 class Entry(dict[str, Any]):
@@ -95,3 +100,21 @@ class ByJoint:
         union: Any = cast(Any, kinds[0]) | kinds[1]
         one = handler.generate_schema(Annotated[union, Kinds(lambda entry: kinds[getattr(entry, "slides", 0)])])
         return core.tuple_variable_schema(core.with_info_before_validator_function(placed, one))
+
+
+def joint_table(make: Callable[..., Any], **sizes: tuple[Unit, Unit] | Unit) -> Any:
+    """A table of sizes by joint, joints left out being zero, and of single ones, zero where they are left out.
+
+    Args:
+        make: Makes of it one tuple of numbers, one per joint, for each size by joint, and one number for each other.
+        sizes: Units of each size for revolute and prismatic joints; the one unit of a single number.
+    """
+    pairs = {name: unit for name, unit in sizes.items() if isinstance(unit, tuple)}
+    members: list[Any] = [("joints", Annotated[tuple[Any, ...], ByJoint(**pairs)], ())]
+    members += [(name, Annotated[float, unit], 0.0) for name, unit in sizes.items() if isinstance(unit, Unit)]
+    table = toml_table(make_dataclass("JointTable", members, frozen=True))
+
+    def made(found: Any, context: Any) -> Any:
+        return make(*numbers_per_joint(found, context, *pairs), *(getattr(found, one[0]) for one in members[1:]))
+
+    return Annotated[Any, Then(made, table)]

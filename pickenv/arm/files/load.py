@@ -1,4 +1,4 @@
-"""Arms by name or by file: TOML (`arm_file`), URDF (`urdf`), MJCF (`mjcf`) or a UR controller's YAML (`ur_yaml`)."""
+"""Arms by name or by file: TOML (`arm_file`), URDF (`urdf`), MJCF (`mjcf`), a UR controller's YAML, or of others."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
 from pickenv.arm.files.xml_values import xml_number
 from pickenv.arm.kinematics.geometry import Pose, identity_pose
 from pickenv.errors import InputError
+from pickenv.registry import get, names, register
 from pickenv.texts import read_text, shortened, yaml_content
 from pickenv.toml_tables import RAD, M, file_named, shipped_in
 
@@ -31,13 +32,17 @@ LIMITS_OF = "ur10e"
 """The file has no limits and speeds; this arm's are taken, the slowest of its series."""
 
 
-def load_ur_yaml(path: str | Path) -> Arm:
-    """Read a UR kinematics file.
+@register("arm_format", "yml")
+@register("arm_format", "yaml")
+def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
+    """Read a UR kinematics file, whose arm ends at its flange.
 
     Raises:
-        InputError: If it is none, or a joint or a number is missing; the message names it.
+        InputError: If it is none, a joint or a number is missing, or a tip is named; the message says which.
     """
     path = Path(path)
+    if tip:
+        raise InputError(f"{path} ends at the flange, and names no '{shortened(tip)}'; leave # and what follows out")
     row, mark = ur_row(path)
     geometry, speed = row.geometry()
     source = f"UR kinematics {path.name}{mark}; limits and speeds are those of {LIMITS_OF}, which the file has not"
@@ -89,20 +94,19 @@ def load_arm(name: str | Path) -> Arm:
     Raises:
         InputError: If the arm is unknown, or its file is malformed; the message names the file and the joint or key.
     """
-    stem, _, tip = str(name).partition("#")
-    match Path(stem).suffix:
-        case ".urdf":
-            from pickenv.arm.files.urdf import load_urdf
+    path, _, tip = str(name).partition("#")
+    ending = Path(path).suffix[1:]
+    reader = get("arm_format", ending) if ending in names("arm_format") else load_toml
+    arm: Arm = reader(path, tip or None)
+    return arm
 
-            return load_urdf(stem, tip or None)
-        case ".xml":
-            from pickenv.arm.files.mjcf import load_mjcf
 
-            return load_mjcf(stem, tip or None)
-        case ".yaml" | ".yml":
-            return load_ur_yaml(stem)
-    path = file_named("arm", name, ARMS, ".toml, .urdf, .xml, .yaml")
-    return _read(path, path.stat().st_mtime_ns)
+@register("arm_format", "toml")
+def load_toml(path: str | Path, tip: str | None = None) -> Arm:
+    """Read an arm by the name of a shipped one or from a TOML file, which says itself where the arm ends."""
+    endings = ", ".join(f".{name}" for name in names("arm_format"))
+    file = file_named("arm", f"{path}#{tip}" if tip else path, ARMS, endings)
+    return _read(file, file.stat().st_mtime_ns)
 
 
 @lru_cache(maxsize=32)

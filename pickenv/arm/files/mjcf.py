@@ -30,6 +30,7 @@ from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, ident
 from pickenv.arm.kinematics.pose_error import rotation_matrix
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.registry import register
 from pickenv.texts import decimal_number, is_file, listed, one_line, shortened
 from pickenv.toml_tables import DEG, RAD, M
 
@@ -298,6 +299,7 @@ class _Body:
     mocap: bool = False
 
 
+@register("arm_format", "xml")
 def load_mjcf(path: str | Path, tip: str | None = None) -> Arm:
     """Read the chain from the world to a body or a site of a MuJoCo model.
 

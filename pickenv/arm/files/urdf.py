@@ -24,6 +24,7 @@ from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.errors import InputError
 from pickenv.files import write_text
+from pickenv.registry import register
 from pickenv.texts import one_line, shortened
 from pickenv.toml_tables import M_PER_S, RAD, RAD_PER_S, M
 
@@ -147,6 +148,7 @@ def write_urdf(geometry: Geometry, path: str | Path, name: str = "arm", speed: A
 MOVING = {"revolute": False, "continuous": False, "prismatic": True}
 
 
+@register("arm_format", "urdf")
 def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None) -> Arm:
     """Read the chain from link ``base`` to link ``tip`` of a URDF file.
 

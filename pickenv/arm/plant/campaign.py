@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.effects.drives import MeasurementNoise, read_frame
+from pickenv.arm.effects.effect import BESIDE
 from pickenv.arm.effects.hysteresis import one_stop
 from pickenv.arm.kinematics.forward import Frame, Scalar, forward, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Pose
-from pickenv.arm.plant.plant import EFFECTS, FOUND, Plant, PlantState, Ready
+from pickenv.arm.plant.plant import Plant, PlantState, Ready
 from pickenv.toml_tables import HOURS, MILLISECONDS, MM, SECONDS, file_named, read, shipped_in, toml_table
 
 # Point-to-point motion of the true arm: joint commands in steps of a control period, no joint above its speed. All
@@ -133,10 +134,10 @@ def stopped(
         normal: Standard normal numbers of this stop ``(2, n, ...)``: forward and backward of each joint.
         place: Makes components of arrays.
     """
-    band = plant.stick_band
+    band = plant.effect("stick_band")
     if band is not None and band.scatter:
         rows = [in_components(m, np.moveaxis(row, 0, -1), place) for row in normal]
-        plant = replace(plant, stick_band=one_stop(m, band, rows))
+        plant = plant.with_effect(one_stop(m, band, rows))
     return moved(plant, m, state, start, target, pace, place)
 
 
@@ -171,7 +172,8 @@ class Instrument:
 
     def noise_on(self, plant: Plant) -> MeasurementNoise | None:
         """How it errs at this plant: by its own numbers, else by those that the plant states."""
-        return plant.measurement_noise if self.noise is None else self.noise
+        noise: MeasurementNoise | None = plant.effect("measurement_noise") if self.noise is None else self.noise
+        return noise
 
 
 class NormalDraws(NamedTuple):
@@ -210,7 +212,7 @@ def load_instrument(name: str | Path) -> Instrument:
 def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDraws:
     """Draw for one campaign; readings come from ``rng``, what the arm and its target do from a child of it."""
     (child,) = rng.spawn(1)
-    band, shape = plant.stick_band, (poses, 2, plant.geometry.joints)
+    band, shape = plant.effect("stick_band"), (poses, 2, plant.geometry.joints)
     scatters = band is not None and band.scatter
     return NormalDraws(
         reading=rng.normal(size=(poses, 6)),
@@ -274,8 +276,18 @@ def measured_poses(plant: Plant, joints: Array, instrument: Instrument, draws: N
 # a machine that has been running for some time.
 
 
-TABLE = ("geometry", *(name for name in EFFECTS if name != "measurement_noise"))
-"""Rows of a designed arm's table; measurement noise never moves the arm. A calibrated one's has `FOUND` too."""
+GEOMETRY = "geometry"
+
+
+def causes_of(plant: Plant) -> tuple[str, ...]:
+    """The rows of a plant's table: its geometry, and its effects but for those that never move the arm."""
+    return (GEOMETRY, *(name for name in plant.names if plant.effect(name).place < BESIDE))
+
+
+def alone(plant: Plant, *names: str) -> Plant:
+    """The plant with nothing but these of its `causes_of` on; without its geometry it has the nominal one."""
+    geometry = plant.geometry if GEOMETRY in names else plant.arm.nominal
+    return replace(plant, geometry=geometry, effects=tuple(effect for effect in plant.effects if effect.name in names))
 
 
 @dataclass(frozen=True)
@@ -367,27 +379,21 @@ def effect_shares(
     joints = np.asarray(joints, dtype=float)
     if joints.ndim != 2 or len(joints) < 2:
         raise ValueError(f"joints have shape {joints.shape}; give at least two rows of joint commands")
-    on = [name for name in (*TABLE, *FOUND) if name == "geometry" or getattr(plant, name) is not None]
-    believed = forward(plant.arm.nominal, joints).position
+    on, believed = causes_of(plant), forward(plant.arm.nominal, joints).position
 
-    def reached(*effects: str) -> Array:
-        some = plant.without(name for name in (*EFFECTS, *FOUND) if name not in effects)
-        if "geometry" not in effects:
-            some = replace(some, geometry=plant.arm.nominal)
-        return _reached(some, joints, running_time, pace)
+    def share(*names: str) -> Share:
+        return _share(_reached(alone(plant, *names), joints, running_time, pace) - believed)
 
-    everything = reached(*on)
-    alone = {name: _share(reached(name) - believed) for name in on}
-    without = {name: _share(reached(*(other for other in on if other != name)) - believed) for name in on}
-    means = [share.mean for share in alone.values()]
+    shares = {name: share(name) for name in on}
+    means = [own.mean for own in shares.values()]
     return EffectShares(
         plant=plant.name,
         reaches=len(joints),
         running_hours=running_time / 3600.0,
         dwell=pace.dwell,
-        alone=alone,
-        without=without,
-        all=_share(everything - believed),
+        alone=shares,
+        without={name: share(*(other for other in on if other != name)) for name in on},
+        all=share(*on),
         sum_of_means=float(np.sum(means)),
         root_sum_square=float(np.sqrt(np.sum(np.square(means)))),
     )

@@ -15,8 +15,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from pickenv.arm.effects.drives import ThermalGrowth
+from pickenv.arm.effects.effect import Load, gravity_torques
 from pickenv.arm.effects.hysteresis import Backlash
-from pickenv.arm.effects.structure import JointCompliance, Load, gravity_torques
+from pickenv.arm.effects.structure import JointCompliance
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.load import load_arm, shipped_arms
 from pickenv.arm.kinematics.forward import chain_of, frames
@@ -108,9 +109,11 @@ def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
         arm=arm,
         geometry=arm.nominal,
         load=load,
-        joint_compliance=JointCompliance(tuple((torques / sags).tolist())),
-        backlash=Backlash(gaps, tuple((sizes.preload_share * torques).tolist())),
-        thermal_growth=ThermalGrowth((sizes.expansion,) * len(slides), 0.0, final_rise, sizes.warm_up),
+        effects=(
+            Backlash(gaps, tuple((sizes.preload_share * torques).tolist())),
+            JointCompliance(tuple((torques / sags).tolist())),
+            ThermalGrowth((sizes.expansion,) * len(slides), 0.0, final_rise, sizes.warm_up),
+        ),
     )
 
 

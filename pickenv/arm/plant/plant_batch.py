@@ -12,10 +12,8 @@ from typing import Any
 
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose
-from pickenv.arm.plant.plant import EFFECTS, FOUND, Plant, Ready
+from pickenv.arm.plant.plant import Plant, Ready
 from pickenv.arm.plant.tree import leaves, tree_map
-
-PARTS = ("load", *EFFECTS, *FOUND)
 
 
 def plant_count(plants: Plant) -> int | None:
@@ -36,8 +34,9 @@ def plant_at(plants: Plant, i: int) -> Plant:
     def own(values: Array) -> Any:
         return values[i] if values.ndim > 1 else float(values[i])
 
-    parts = {name: tree_map(own, getattr(plants, name)) for name in PARTS}
-    return replace(plants, geometry=with_links(plants.geometry, lambda values: values[i]), ready=None, **parts)
+    load, effects = tree_map(own, (plants.load, plants.effects))
+    geometry = with_links(plants.geometry, lambda values: values[i])
+    return replace(plants, geometry=geometry, load=load, effects=effects, ready=None)
 
 
 def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
@@ -55,8 +54,8 @@ def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
     if plant_count(plants) is None:
         return plants
     geometry = with_links(plants.geometry, change)
-    parts = {name: tree_map(change, getattr(plants, name)) for name in PARTS}
-    return replace(plants, geometry=geometry, ready=Ready(geometry, tree_map(change, plants.chain)), **parts)
+    load, effects, chain = tree_map(change, (plants.load, plants.effects, plants.chain))  # in `arrays_of`'s order
+    return replace(plants, geometry=geometry, load=load, effects=effects, ready=Ready(geometry, chain))
 
 
 def arrays_of(plants: Plant) -> list[Any]:
@@ -64,7 +63,7 @@ def arrays_of(plants: Plant) -> list[Any]:
     if plant_count(plants) is None:
         return []
     links = tuple(getattr(plants.geometry, name) for name in LINK_PARAMETERS)
-    return leaves((links, tuple(getattr(plants, name) for name in PARTS), plants.chain))
+    return leaves((links, plants.load, plants.effects, plants.chain))
 
 
 def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry) -> Geometry:

@@ -6,92 +6,18 @@ A calibrated arm's plant is a file of its own kind (`pickenv.arm.plant.twin_file
 from __future__ import annotations
 
 from dataclasses import make_dataclass
+from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
-from pickenv.arm.effects.drives import Encoder
-from pickenv.arm.effects.hysteresis import Backlash, StickBand
-from pickenv.arm.effects.residual_field import OWN_WAVES
+from pickenv import registry
+from pickenv.arm.effects.effect import Load, table_of
 from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.joint_keys import ByJoint, number_per_joint
 from pickenv.arm.files.load import load_arm
-from pickenv.arm.plant.plant import EFFECTS, NEED_LOAD, Plant
+from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.twin_file import read_twin
 from pickenv.errors import InputError
-from pickenv.toml_tables import (
-    ARCMIN,
-    ARCSEC,
-    LINE,
-    MM,
-    NEWTON,
-    NEWTON_METRE,
-    NUMBER,
-    UM,
-    Check,
-    Then,
-    file_named,
-    read,
-    shipped_in,
-    toml_table,
-)
-
-# The tables of a plant file whose effects are not laid out as the file is: entries by joint, in the joint's unit. The
-# other effects say the keys and units of their tables themselves.
-
-
-TRAVEL = (ARCMIN.not_negative, MM.not_negative)
-
-
-@toml_table
-class BacklashTable:
-    """Gaps; joints left out have none."""
-
-    joints: Annotated[
-        tuple[Any, ...], ByJoint(width=TRAVEL, preload=(NEWTON_METRE.not_negative, NEWTON.not_negative))
-    ] = ()
-
-
-@toml_table
-class StickBandTable:
-    """Friction bands; joints left out have none."""
-
-    joints: Annotated[tuple[Any, ...], ByJoint(forward=TRAVEL, backward=TRAVEL)] = ()
-    scatter: Annotated[float, NUMBER.not_negative] = 0.0
-
-
-@toml_table
-class EncoderTable:
-    """Counts; every joint has an encoder."""
-
-    joints: Annotated[tuple[Any, ...], ByJoint(resolution=(ARCSEC.positive, UM.positive))]
-
-
-def backlash_of(table: BacklashTable, context: Any) -> Backlash:
-    """The effect of an arm."""
-    return Backlash(number_per_joint(table, "width", context), number_per_joint(table, "preload", context))
-
-
-def stick_band_of(table: StickBandTable, context: Any) -> StickBand:
-    """The effect of an arm."""
-    forward, backward = (number_per_joint(table, side, context) for side in ("forward", "backward"))
-    return StickBand(forward, backward, table.scatter)
-
-
-def encoder_of(table: EncoderTable, context: Any) -> Encoder:
-    """The effect of an arm."""
-    resolution = number_per_joint(table, "resolution", context)
-    if 0.0 in resolution:
-        raise InputError(f"joints of [encoder] does not name joint {resolution.index(0.0) + 1}; give each joint")
-    return Encoder(resolution)
-
-
-BY_JOINT = {
-    "backlash": Annotated[Any, Then(backlash_of, BacklashTable)],
-    "stick_band": Annotated[Any, Then(stick_band_of, StickBandTable)],
-    "encoder": Annotated[Any, Then(encoder_of, EncoderTable)],
-}
-"""By effect: what a plant file holds, and what is made of it."""
-
+from pickenv.toml_tables import LINE, Check, Then, file_named, read, shipped_in, toml_of, toml_table
 
 PLANTS = Path(__file__).parent / "plants"
 
@@ -115,21 +41,27 @@ def one_link_per_joint(arm: Arm) -> Arm:
     return arm
 
 
-LAID_OUT = BY_JOINT | OWN_WAVES
+@cache
+def plant_file(effects: tuple[str, ...]) -> Any:
+    """What a plant file holds that may have tables of these effects.
 
-PlantFile: Any = toml_table(
-    make_dataclass(
-        "PlantFile",
-        [
-            ("arm", Annotated[Arm, Then(_arm, Annotated[str, NAMED])]),
-            ("name", Annotated[str, LINE]),
-            ("source", str),
-            *((effect, LAID_OUT.get(effect, get_type_hints(Plant)[effect]), None) for effect in ("load", *EFFECTS)),
-        ],
-        frozen=True,
-    )
-)
-"""What a plant file holds."""
+    Raises:
+        InputError: If one of them is not registered, or cannot be loaded.
+    """
+    tables = {name: table_of(name) for name in effects}
+    optional = {"load": Load} | {name: table for name, table in tables.items() if table is not None}
+    members: list[Any] = [
+        ("arm", Annotated[Arm, Then(_arm, Annotated[str, NAMED])]),
+        ("name", Annotated[str, LINE]),
+        ("source", str),
+        *((key, table | None if isinstance(table, type) else table, None) for key, table in optional.items()),
+    ]
+    return toml_table(make_dataclass("PlantFile", members, frozen=True))
+
+
+def shipped_effects() -> tuple[str, ...]:
+    """The names of the effects that come with pickenv."""
+    return tuple(name for name in registry.names("effect") if registry.origin("effect", name).package == "pickenv")
 
 
 def shipped_plants() -> list[str]:
@@ -148,24 +80,14 @@ def read_plant(name: str | Path) -> Plant:
     if Path(name).suffix == ".npz":
         return read_twin(name)
     path = file_named("plant", name, PLANTS, ".toml, .npz")
-    parts = dict(vars(read(PlantFile, path, context={})))
+    others = tuple(name for name in registry.names("effect") if name in toml_of(path)[0])
+    parts = dict(vars(read(plant_file(tuple(dict.fromkeys((*shipped_effects(), *others)))), path, context={})))
     del parts["source"]
-    arm = parts["arm"]
-    plant = Plant(geometry=arm.nominal if arm.true is None else arm.true, **parts)
-    for effect in NEED_LOAD:
-        if parts[effect] is not None and plant.load is None:
-            raise InputError(f"{path}: {effect} needs [load], the masses that gravity pulls at")
-    if (play := plant.roller_play) is not None and play.overlap <= (limit := plant.arm.nominal.upper[play.joint]):
-        raise InputError(
-            f"{path}: overlap_mm of [roller_play] is {play.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
-            f"that joint {play.joint + 1} runs out"
-        )
-    if plant.slide_compliance is not None:
-        for bearing in plant.slide_compliance.bearings:
-            limit = plant.arm.nominal.upper[bearing.joint]
-            if bearing.overhang is not None and bearing.span <= limit:
-                raise InputError(
-                    f"{path}: span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}; "
-                    f"give more than the {limit * 1e3:g} mm that it runs out"
-                )
-    return plant
+    arm, called, load = (parts.pop(key) for key in ("arm", "name", "load"))
+    effects = tuple(effect for effect in parts.values() if effect is not None)
+    for effect in effects:
+        if effect.needs_load and load is None:
+            raise InputError(f"{path}: {effect.name} needs [load], the masses that gravity pulls at")
+        if fault := effect.fault(arm):
+            raise InputError(f"{path}: {fault}")
+    return Plant(called, arm, arm.nominal if arm.true is None else arm.true, load, effects)

@@ -7,8 +7,7 @@ Sizes of effects spread log-normally about the plant's own. Inside everything is
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,7 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from pickenv import toml_tables
-from pickenv.arm.effects.residual_field import drawn_harmonics, drawn_structure, standard_normal_of
+from pickenv.arm.effects.effect import Draws, standard_normal_of
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.twin_arms import twin_arms
@@ -29,9 +28,6 @@ GRADES = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 1
 
 SPARE = 64
 """Places for so many waves of a drive are kept, so that what comes after them stays where it is without them."""
-
-LARGEST_DAMPING = 0.5
-"""No structure is damped more; a draw from a wide spread stops here."""
 
 GRADE = toml_tables.WHOLE.within(min(GRADES), max(GRADES))
 LogSize = Annotated[float, toml_tables.NUMBER.not_negative]
@@ -137,7 +133,8 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
     """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
 
     Link parameters are drawn about the nominal geometry; the sizes of the effects that are on, about the plant's own.
-    Arm i has its own random stream, child i of ``rng``: it does not depend on ``count``, nor on which effects are on.
+    Arm i has its own random stream, child i of ``rng``: it does not depend on ``count``, nor on which effects are on
+    (those of random numbers of their own take them last, one after the other).
 
     Of a plant that a calibration made, arms are drawn that its data allow, and what these do not tell is drawn about
     what was found.
@@ -173,48 +170,27 @@ def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
         tolerances: How far its arms differ.
         even: Numbers from 0 to 1 for each arm ``(N, K)``; `random_columns` says what each column is for.
     """
-    draws = _Draws(plant, tolerances, even)
-    parts = {name: _drawn(draws, name) for name in SIZES if getattr(plant, name) is not None}
-    return replace(plant, geometry=_geometry(draws), **parts)
+    columns = {key: even[:, own.start : own.stop] for key, own in random_columns(plant).items()}
+    draws = Draws(columns, tolerances.spread, tolerances.temperature_rise)
+    effects = tuple(effect.drawn(draws) for effect in plant.effects)
+    return replace(plant, geometry=_geometry(plant.arm.nominal, tolerances, columns["geometry"]), effects=effects)
 
 
 def random_columns(plant: Plant) -> dict[str, range]:
     """Which of an arm's even random numbers each quantity takes: fixed places, whatever effects the plant has."""
-    n = plant.arm.nominal.joints
-    wave = len(plant.transmission_error.harmonics) if plant.transmission_error is not None else 0
+    n, drives, waves = plant.arm.nominal.joints, plant.effect("transmission_error"), plant.effect("drive_harmonics")
+    wave = len(drives.harmonics) if drives is not None else 0
     sizes = {"geometry": 4 * n, "temperature_rise": 1}
     sizes |= {"joint_stiffness": n, "backlash": n, "friction": 2 * n, "frequency": n, "damping": n}
     sizes |= {"ground_stiffness": 2, "sinkage": 2, "flexural_rigidity": 1, "roller_clearance": 1, "warm_up_time": 1}
     sizes |= {"lead": n, "transmission_error": wave, "phase": wave, "kept free": 2 * max(SPARE - wave, 0)}
-    own = len(plant.drive_harmonics.spread) if plant.drive_harmonics is not None else 0
-    structure = plant.local_structure.weights if plant.local_structure is not None else 0
+    own, structure = len(waves.spread) if waves is not None else 0, plant.effect("local_structure")
     sizes |= {"bearing_stiffness": n, "drive_harmonics": 3 * own, "kept free too": 3 * max(SPARE - own, 0)}
-    sizes |= {"local_structure": structure}  # last: their number depends on the plant
+    # Last come those whose number depends on the plant.
+    sizes |= {"local_structure": structure.weights if structure is not None else 0}
+    sizes |= {f"own {effect.name}": len(effect.own_sizes()) for effect in plant.effects if effect.own_sizes()}
     edges = np.cumsum([0, *sizes.values()]).tolist()
     return {key: range(a, b) for key, a, b in zip(sizes, edges, edges[1:], strict=False)}
-
-
-class _Draws:
-    """Even random numbers per arm, by what they are for."""
-
-    def __init__(self, plant: Plant, tolerances: Tolerances, even: Array) -> None:
-        self.plant, self.tolerances = plant, tolerances
-        self.even = {key: even[:, columns.start : columns.stop] for key, columns in random_columns(plant).items()}
-
-    def deviation(self, key: str) -> Array:
-        """Numbers in the tolerance zone from -1 to 1, (N, size)."""
-        return _deviation(self.tolerances, self.even[key])
-
-    def factors(self, key: str, spread: str | None = None) -> Array:
-        """Factors about 1, (N, size)."""
-        return np.asarray(np.exp(getattr(self.tolerances.spread, spread or key) * standard_normal_of(self.even[key])))
-
-    def scaled(
-        self, values: tuple[float, ...], key: str, first: int = 0, spread: str | None = None
-    ) -> tuple[Array, ...]:
-        """Each value times the factors of its column."""
-        factors = self.factors(key, spread)
-        return tuple(value * factors[:, first + i] for i, value in enumerate(values))
 
 
 def _deviation(tolerances: Tolerances, even: Array) -> Array:
@@ -246,71 +222,12 @@ def _zone(plant: Plant, tolerances: Tolerances) -> Callable[[Array], Array]:
     return lambda even: half * _deviation(tolerances, even)
 
 
-def _geometry(draws: _Draws) -> Geometry:
-    nominal, tolerances = draws.plant.arm.nominal, draws.tolerances
-    n = nominal.joints
-    deviation = draws.deviation("geometry")
-    count = len(deviation)
+def _geometry(nominal: Geometry, tolerances: Tolerances, even: Array) -> Geometry:
+    n, count = nominal.joints, len(even)
+    deviation = _deviation(tolerances, even)
     numbers: dict[str, Any] = {name: np.tile(getattr(nominal, name), (count, 1)) for name in LINK_PARAMETERS}
     for k, name in enumerate(("alpha", "a", "theta", "d")):
         length = name in ("a", "d")
         half = _length_zone(tolerances, getattr(nominal, name)) if length else np.full(n, tolerances.angle)
         numbers[name] = numbers[name] + half * deviation[:, k * n : (k + 1) * n]
     return replace(nominal, **numbers)
-
-
-SIZES: Mapping[str, Mapping[str, str]] = {
-    "joint_compliance": {"stiffness": "joint_stiffness"},
-    "boom_bending": {"flexural_rigidity": "flexural_rigidity"},
-    "boom_couple": {"flexural_rigidity": "flexural_rigidity"},
-    "boom_torsion": {"torsional_rigidity": "flexural_rigidity"},
-    "slide_compliance": {},
-    "transmission_error": {},
-    "drive_harmonics": {},
-    "local_structure": {},
-    "roller_play": {"clearance": "roller_clearance"},
-    "backlash": {"width": "backlash"},
-    "stick_band": {"forward": "friction", "backward": "friction"},
-    "thermal_growth": {"time_constant": "warm_up_time"},
-    "base_tilt": {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"},
-    "settling": {"frequency": "frequency", "damping": "damping"},
-}
-"""Which entry of [spread] each size of an effect has; encoders and servos are alike in all arms."""
-
-
-def _drawn(draws: _Draws, effect: str) -> Any:
-    """An effect of the plant with its sizes drawn about the plant's own."""
-    own = getattr(draws.plant, effect)
-    if effect == "drive_harmonics":
-        return drawn_harmonics(own.spread, draws.even[effect])
-    if effect == "local_structure":
-        return drawn_structure(own, draws.even[effect])
-    found: dict[str, Any] = {}
-    used: Counter[str] = Counter()
-    for name, spread in SIZES[effect].items():  # sizes of one spread take its columns one after another
-        value = getattr(own, name)
-        values = value if isinstance(value, tuple) else (value,)
-        sizes = draws.scaled(values, spread, used[spread])
-        used[spread] += len(values)
-        found[name] = sizes if isinstance(value, tuple) else sizes[0]
-    if effect == "thermal_growth":
-        low, high = draws.tolerances.temperature_rise
-        found["final_rise"] = low + (high - low) * draws.even["temperature_rise"][:, 0]
-    elif effect == "settling":
-        found["damping"] = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in found["damping"])
-    elif effect == "slide_compliance":
-        sizes = draws.scaled(
-            tuple(each.stiffness for each in own.bearings), "bearing_stiffness", spread="joint_stiffness"
-        )
-        pairs = zip(own.bearings, sizes, strict=True)
-        found["bearings"] = tuple(replace(bearing, stiffness=size) for bearing, size in pairs)
-    elif effect == "transmission_error":  # amplitudes and leads spread, phases are anything: no two gears are alike
-        amplitudes = draws.scaled(tuple(term.amplitude for term in own.harmonics), effect)
-        phases = 2.0 * math.pi * draws.even["phase"]
-        factors = draws.factors("lead", effect)
-        found["lead"] = tuple(lead * factors[:, i] for i, lead in enumerate(own.lead))
-        found["harmonics"] = tuple(
-            replace(term, amplitude=amplitude, phase=phases[:, k])
-            for k, (term, amplitude) in enumerate(zip(own.harmonics, amplitudes, strict=True))
-        )
-    return replace(own, **found)

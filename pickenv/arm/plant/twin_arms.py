@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm.effects.drives import GravityYield, MeasurementNoise
+from pickenv.arm.effects.effect import Effect
 from pickenv.arm.effects.residual_field import ResidualField
 from pickenv.arm.effects.structure import BoomBending, Harmonic, TransmissionError
 from pickenv.arm.files.arm import Arm
@@ -29,8 +30,8 @@ Zone = Callable[[Array], Array]
 def twin_plant(name: str, arm: Arm, posterior: Posterior, noise: MeasurementNoise | None) -> Plant:
     """The arm as it was found; its residual is the mean, which is no arm: judge on draws."""
     geometry = _carried(arm, posterior, [posterior.identified])
-    parts = _effects(arm, posterior, posterior.coefficients)
-    return Plant(name, arm, geometry, measurement_noise=noise, residual=posterior.field, posterior=posterior, **parts)
+    parts = (*_effects(arm, posterior, posterior.coefficients), posterior.field, noise)
+    return Plant(name, arm, geometry, effects=tuple(part for part in parts if part is not None), posterior=posterior)
 
 
 def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) -> Plant:
@@ -45,7 +46,7 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
     """
     known = plant.posterior
     assert known is not None
-    field = known.field if plant.residual is not None else None
+    field = known.field if plant.effect("residual") is not None else None
     deltas, weights = [], []
     for rng in streams:
         unseen = zone(rng.random(len(known.unseen)))
@@ -55,9 +56,10 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
     delta, count = np.array(deltas), len(known.identified.parameter_names)
     geometry = _carried(plant.arm, known, [known.identified.displaced(row[:count]) for row in delta])
     parts = _effects(plant.arm, known, known.coefficients + delta[:, count:])
-    parts = {name: part for name, part in parts.items() if getattr(plant, name) is not None}
-    residual = None if field is None else replace(field, weight=np.array(weights))
-    return replace(plant, geometry=geometry, residual=residual, posterior=None, ready=None, **parts)
+    if field is not None:
+        parts.append(replace(field, weight=np.array(weights)))
+    drawn = plant.with_effect(*(part for part in parts if plant.effect(part.name) is not None))
+    return replace(drawn, geometry=geometry, posterior=None, ready=None)
 
 
 def _weights(known: Posterior, field: ResidualField, rng: np.random.Generator) -> Array:
@@ -91,12 +93,12 @@ def _together(poses: Sequence[Pose]) -> Pose:
     return poses[0] if alike else Pose(position, rotation)
 
 
-def _effects(arm: Arm, known: Posterior, coefficients: Array) -> dict[str, Any]:
+def _effects(arm: Arm, known: Posterior, coefficients: Array) -> list[Effect]:
     """The effects that coefficients ``(k,)`` stand for, or those of many arms ``(N, k)``."""
     layout, columns = known.layout, [_scalar(column) for column in np.moveaxis(coefficients, -1, 0)]
     ends = np.cumsum(layout.sizes).tolist()
     leads, waves, moments, boom = (columns[a:b] for a, b in zip([0, *ends], ends, strict=False))
-    found: dict[str, Any] = {}
+    effects: list[Effect] = []
     if leads or waves:
         lead: list[Any] = [0.0] * arm.nominal.joints
         for joint, size in zip(layout.leads, leads, strict=True):
@@ -106,13 +108,13 @@ def _effects(arm: Arm, known: Posterior, coefficients: Array) -> dict[str, Any]:
             Harmonic(joint, _scalar(np.hypot(sine, cosine)), math.tau / order, _scalar(np.arctan2(cosine, sine)))
             for (joint, order), sine, cosine in pairs
         )
-        found["transmission_error"] = TransmissionError(tuple(lead), tuple(terms))
+        effects.append(TransmissionError(tuple(lead), tuple(terms)))
     if moments:
-        found["gravity_yield"] = GravityYield(layout.moments, tuple(moments), layout.up)
+        effects.append(GravityYield(layout.moments, tuple(moments), layout.up))
     if layout.boom is not None:
         joint, length = layout.boom
-        found["boom_bending"] = BoomBending(joint, length, GRAVITY, *boom)
-    return found
+        effects.append(BoomBending(joint, length, GRAVITY, *boom))
+    return effects
 
 
 def _scalar(value: Any) -> Any:

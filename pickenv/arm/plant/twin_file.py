@@ -37,6 +37,12 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
     if known is None:
         raise InputError(f"plant '{plant.name}' was not made of a calibration; plants of that kind are TOML files")
     arrays: dict[str, NDArray[Any]] = {}
+    noise = plant.effect("measurement_noise")
+    if plant.names != (own := twin_plant(plant.name, plant.arm, known, noise).names):
+        raise InputError(
+            f"plant '{plant.name}' has the effects {', '.join(plant.names)}, its calibration found {', '.join(own)}; "
+            "write it as it was made"
+        )
     geometries = {"arm": plant.arm.nominal, "identified": known.identified, "aligned": _with_frames(plant.arm, known)}
     for key, geometry in geometries.items():
         arrays |= named_part(f"{key}/", geometry_arrays(geometry))
@@ -58,7 +64,7 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
         "prismatic": plant.arm.nominal.prismatic,
         "layout": asdict(known.layout),
         "periodic": None if known.field is None else known.field.features.periodic,
-        "noise": None if plant.measurement_noise is None else vars(plant.measurement_noise),
+        "noise": None if noise is None else vars(noise),
         "notes": known.notes,
     }
     return write_container(path, TWIN, header, arrays, version=TWIN_FORMAT)

@@ -7,7 +7,6 @@ is, and shares the team's reward.
 from __future__ import annotations
 
 from copy import deepcopy
-from functools import cache
 from typing import Any
 
 import gymnasium as gym
@@ -127,10 +126,4 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         return {name: dict(known) for name in self.possible_agents}
 
 
-@cache
-def register() -> None:
-    """Enter the environment into PettingZoo's registry: ``pettingzoo.make("parallel", "pickenv/Harvest-v0")``."""
-    pettingzoo.register("parallel", ID, entry_point=HarvestParallelEnv, max_cycles=LONGEST)
-
-
-register()
+pettingzoo.register("parallel", ID, entry_point=HarvestParallelEnv, max_cycles=LONGEST)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, PlantState
+from pickenv.arm import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.envs.picking.fruit_table import FruitTable
 from pickenv.envs.picking.pick_arm import PickMotion, act_arm, apart_mm, begin_arm, look_at_arm
@@ -48,7 +48,7 @@ class PickBatch(NumpyArms):
     def motion_of(self, columns: Columns) -> PickMotion:
         """The motion that columns hold."""
         target, drawn, sent, sensed, *memory = self.parts_of(columns)
-        return PickMotion(target, drawn, sent, sensed, PlantState(*memory))
+        return PickMotion(target, drawn, sent, sensed, tuple(memory))
 
     def restart(
         self, rows: Rows, starts: Sequence[PickStart], joints: Array | None, compensate: Compensate | None

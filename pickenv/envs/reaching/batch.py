@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Plant, PlantState
+from pickenv.arm import Array, Plant
 from pickenv.arm.plant.tree import leaves, tree_map
 from pickenv.envs.shared.arm_batch import ArmBatch, Columns, Flags, NumpyArms, Rows, Words
 from pickenv.envs.shared.backends import Scalar
@@ -167,7 +167,7 @@ class Batch(ArmBatch):
     def state_of(self, columns: Columns) -> ReachState:
         """The state that columns hold."""
         target, goal, seen, drawn, sent, sensed, *memory = self.parts_of(columns)
-        return ReachState(target, goal, seen, drawn, sent, sensed, PlantState(*memory))
+        return ReachState(target, goal, seen, drawn, sent, sensed, tuple(memory))
 
     def widths(self) -> tuple[int, ...]:
         """Numbers in each part of the observation."""

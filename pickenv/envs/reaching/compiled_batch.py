@@ -17,7 +17,7 @@ from pickenv.arm import Array, Plant, plants_on
 from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, SYMBOLS, WORD, Compiled, Outputs, Trace, Traced
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
-from pickenv.envs.shared.arm_batch import Words
+from pickenv.envs.shared.arm_batch import Words, naming_effects
 from pickenv.envs.shared.backends import MASK, Executor
 from pickenv.envs.shared.simulation import (
     ReachState,
@@ -97,7 +97,8 @@ class CompiledBatch(NumpyBatch):
     def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
         """Take one part of the step: "act", "look", or "step" for both."""
         if part not in self._code:
-            self._code[part] = self._compiled(part)
+            with naming_effects(self.plant, "compiled"):
+                self._code[part] = self._compiled(part)
         self._code[part].run(arrays, self.count)
 
     def _compiled(self, part: str) -> Compiled:

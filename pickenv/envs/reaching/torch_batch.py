@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, Plant, plants_on
 from pickenv.envs.reaching.batch import Batch, Views
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_batch import Columns, Flags, Rows, Words
+from pickenv.envs.shared.arm_batch import Columns, Flags, Rows, Words, naming_effects
 from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
 from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
 from pickenv.errors import InputError
@@ -65,8 +65,9 @@ class TorchBatch(Batch):
         if task.arms != "fixed":
             self.plant = plants_on(task.plant, lambda values: self.numbers(values[self.arm]))
         middle = list(self.numbers(np.repeat([task.middle], count, axis=0).T))
-        self.plant.tool_frame(torch, middle)  # fills the plant's caches, which torch.compile cannot
-        self.plant.advance(torch, self.plant.initial_state(torch, middle), middle, 0.0)
+        with naming_effects(self.plant, "torch"):  # fills the plant's caches, which torch.compile cannot
+            self.plant.tool_frame(torch, middle)
+            self.plant.advance(torch, self.plant.initial_state(torch, middle), middle, 0.0)
         self.remember()
         self.columns = [column.clone() for column in self.columns]
         self._compiled = compiled

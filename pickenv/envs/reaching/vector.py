@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,8 +25,11 @@ from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import Compensate, Task, check_choice, check_count, make_task
 from pickenv.errors import InputError
 from pickenv.extras import is_there, require
+from pickenv.registry import get, names, register
 
-EXECUTORS = ("auto", "compiled", "numpy", "torch")
+AUTO = ("numpy", "compiled")
+"""What "auto" takes where llvmlite is missing, and where it is there."""
+
 STATE = ("seeds", "episodes", "elapsed", "seeded", "ended")
 
 
@@ -105,7 +108,7 @@ class ReachVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
             check_count("max_episode_steps", max_episode_steps)
         mode = str(getattr(autoreset_mode, "value", autoreset_mode))
         check_choice("autoreset_mode", mode, tuple(mode.value for mode in AutoresetMode))
-        check_choice("executor", executor, EXECUTORS)
+        check_choice("executor", executor, ("auto", *names("backend")))
         checked_render_mode(render_mode, ("rgb_array",))
         self.task: Task = make_task(**on_ladder("Reach", difficulty, split, arguments))
         self.num_envs, self.max_episode_steps, self.render_mode = int(num_envs), max_episode_steps, render_mode
@@ -118,14 +121,9 @@ class ReachVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._poses = bool(pose_infos)
         self.compensator: Compensate | None = None
-        self.batch: Batch
-        if executor != "torch":
-            self.batch = _on_numpy(executor)(self.task, self.num_envs, self.goal_dict, pose_infos)
-        else:
-            require("torch")
-            from pickenv.envs.reaching.torch_batch import TorchBatch
-
-            self.batch = TorchBatch(self.task, self.num_envs, self.goal_dict, pose_infos, device, dtype, compiled)
+        settings = {"device": device, "dtype": dtype, "compiled": compiled}
+        make = get("backend", AUTO[is_there("llvmlite")] if executor == "auto" else executor)
+        self.batch: Batch = make(self.task, self.num_envs, self.goal_dict, pose_infos, settings)
         self._seeds = np.zeros(self.num_envs, dtype=np.uint64)
         self._episodes = np.zeros(self.num_envs, dtype=np.uint64)
         self._elapsed = np.zeros(self.num_envs, dtype=np.uint64)
@@ -307,18 +305,40 @@ class ReachVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         }
 
 
-def _on_numpy(executor: str) -> type[NumpyBatch]:
-    """The batch of an executor that works on NumPy's arrays.
+Settings = Mapping[str, Any]
+"""What the environment says of where it computes: ``device``, ``dtype`` and ``compiled``; only torch asks."""
+
+
+@register("backend", "compiled")
+def _compiled(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
+    """The step as machine code on NumPy's arrays.
 
     Raises:
-        MissingExtra: If "compiled" is asked for where llvmlite is not installed.
+        MissingExtra: If llvmlite is not installed.
     """
-    if executor == "numpy" or (executor == "auto" and not is_there("llvmlite")):
-        return NumpyBatch
     require("llvmlite")
     from pickenv.envs.reaching.compiled_batch import CompiledBatch
 
-    return CompiledBatch
+    return CompiledBatch(task, count, goal_dict, poses)
+
+
+@register("backend", "numpy")
+def _numpy(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
+    """The step on NumPy's arrays."""
+    return NumpyBatch(task, count, goal_dict, poses)
+
+
+@register("backend", "torch")
+def _torch(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
+    """The step on torch's tensors.
+
+    Raises:
+        MissingExtra: If torch is not installed.
+    """
+    require("torch")
+    from pickenv.envs.reaching.torch_batch import TorchBatch
+
+    return TorchBatch(task, count, goal_dict, poses, **settings)
 
 
 class ReachGoalVectorEnv(ReachVectorEnv):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,26 @@ Flags = NDArray[np.bool_]
 Words = NDArray[np.uint64]
 Rows = NDArray[np.intp]
 Columns = list[Scalar]
+
+
+@contextmanager
+def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
+    """What an executor cannot compute leaves as one sentence, where effects of other packages are among it.
+
+    Raises:
+        InputError: If anything is raised inside, and the plant has such effects.
+    """
+    try:
+        yield
+    except Exception as error:
+        names = [effect.name for effect in plant.effects if not type(effect).__module__.startswith("pickenv.")]
+        if not names:
+            raise
+        raise InputError(
+            f"the executor {executor!r} cannot compute the plant with the effect {', '.join(names)} "
+            f"({type(error).__name__}: {str(error).splitlines()[0] if str(error) else 'no reason given'}); give "
+            "executor='numpy', or let the effect keep to the functions of Passage.m"
+        ) from error
 
 
 class ArmBatch(ABC):

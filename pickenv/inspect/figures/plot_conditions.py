@@ -35,11 +35,11 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
         for axes, (name, sweep) in zip(panels, shown.items(), strict=True):
             levels = np.asarray(sweep["levels"], dtype=float)
             for i, group in enumerate(groups):
-                found, pattern, method = sweep["methods"][group[0]], LINES[i % len(LINES)], " = ".join(group)
+                by_level, pattern, method = sweep["methods"][group[0]], LINES[i % len(LINES)], " = ".join(group)
                 colour = rgb([colours.ORANGE if group[0] == "raw" else METHODS[(i - 1) % len(METHODS)]])[0]
-                means = [each["mean_mm"] for each in found]
+                means = [number["mean_mm"] for number in by_level]
                 axes.plot(levels, means, color=colour, linestyle=pattern, marker="o", markersize=3.0, label=method)
-                ends = [each["ci95_mm"] for each in found]
+                ends = [number["ci95_mm"] for number in by_level]
                 if None not in ends:
                     axes.fill_between(levels, *np.transpose(ends), color=colour, alpha=0.15, linewidth=0.0)
             axes.set(xlabel=names.get(name, name))
@@ -57,4 +57,4 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
 
 def _means(sweeps: Mapping[str, Mapping[str, Any]], method: str) -> list[float]:
     """The mean errors of a method at every level of every condition, mm."""
-    return [float(each["mean_mm"]) for sweep in sweeps.values() for each in sweep["methods"][method]]
+    return [float(number["mean_mm"]) for sweep in sweeps.values() for number in sweep["methods"][method]]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,7 @@ import rerun as rr
 from pickenv.arm import forward, noncompensable_error
 from pickenv.arm.files.urdf import write_urdf
 from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.arm.plant.campaign import TABLE
-from pickenv.arm.plant.plant import EFFECTS, FOUND
+from pickenv.arm.plant.campaign import alone, causes_of
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
 from pickenv.inspect.recordings.field_day import Day, day_of
 from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, send_voxels
@@ -155,13 +154,8 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
     plant, joints = comparison.plant, comparison.field_joints
     believed = forward(comparison.nominal, joints).position
     fields = {}
-    for name in (*TABLE, *FOUND):
-        if name != "geometry" and getattr(plant, name) is None:
-            continue
-        alone = plant.without(other for other in (*EFFECTS, *FOUND) if other != name)
-        if name != "geometry":
-            alone = replace(alone, geometry=comparison.nominal)
-        field = alone.tool_pose(joints).position - believed
+    for name in causes_of(plant):
+        field = alone(plant, name).tool_pose(joints).position - believed
         if np.abs(field).max(initial=0.0) > NO_FIELD:
             fields[name] = field
     return fields

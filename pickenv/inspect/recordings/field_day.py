@@ -94,18 +94,13 @@ class Day:
 
 def drifting_plant(plant: Plant) -> Plant | None:
     """The plant with its own drift or, where it has none, with that of the preset `orchard` if it is the same arm."""
-    if any(getattr(plant, name) is not None for name in DRIFTS):
+    if any(plant.effect(name) is not None for name in DRIFTS):
         return plant
     preset = load_plant(DRIFTING_PLANT)
     if plant.arm.fingerprint() != preset.arm.fingerprint():
         return None
-    return replace(
-        plant,
-        name=preset.name,
-        load=plant.load or preset.load,
-        thermal_growth=preset.thermal_growth,
-        base_tilt=preset.base_tilt,
-    )
+    drifting = plant.with_effect(*(preset.effect(name) for name in DRIFTS))
+    return replace(drifting, name=preset.name, load=plant.load or preset.load)
 
 
 def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:

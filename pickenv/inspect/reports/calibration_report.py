@@ -114,10 +114,11 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
     seen = (
         "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the block that it is judged on"
     )
-    rows, stood = ("measured poses", "the tool stood") if test.tracked else (r.held_out.rows, "what was read lay")
+    tracked = test.poses is not None
+    rows, stood = ("measured poses", "the tool stood") if tracked else (r.held_out.rows, "what was read lay")
     sentence = (
         f"On {len(test.joints)} {rows} {seen}, {stood} {figure(final.mean)} {r.miss_unit} (mean; {interval}) from "
-        f"where the calibrated model says{' it stands' * test.tracked}."
+        f"where the calibrated model says{' it stands' * tracked}."
     )
     if r.has_nominal:
         sentence += f" With the nominal model it is {figure(r.position[NOMINAL].mean)} {r.miss_unit}."

@@ -47,13 +47,13 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
     """What a reader should take away: a headline, and what it rests on."""
     methods = result["sweeps"][HELD_OUT]["methods"]
-    figures = {name: each[0] for name, each in methods.items()}
+    figures = {name: by_level[0] for name, by_level in methods.items()}
     usual = next(name for name in figures if name != "raw")
     best = min(figures, key=lambda name: float(figures[name]["mean_mm"]))
     least = min(
-        each["mean_mm"] for sweep in result["sweeps"].values() for each in sweep["methods"][usual]
+        figure["mean_mm"] for sweep in result["sweeps"].values() for figure in sweep["methods"][usual]
     )  # what it leaves where it was made
-    said = "; ".join(f"{name} {_mean(each)} mm" for name, each in figures.items())
+    said = "; ".join(f"{name} {_mean(figure)} mm" for name, figure in figures.items())
     headline = (
         f"{usual.capitalize()}: {least:.2f} mm at its best, {figures[usual]['mean_mm']:.2f} mm over a working day"
     )
@@ -64,15 +64,15 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
 
 def condition_tables(result: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
     """A table for each condition: title, heads and rows, means with 95 % intervals, mm."""
-    found = []
+    tables = []
     for name, sweep in result["sweeps"].items():
-        rows = [[method, *(_mean(each) for each in by_level)] for method, by_level in sweep["methods"].items()]
+        rows = [[method, *(_mean(figure) for figure in by_level)] for method, by_level in sweep["methods"].items()]
         if name == HELD_OUT:
             title, heads = "Sessions drawn as those of the training, and not among them", ["mean error (mm)"]
         else:
             title, heads = f"Mean error (mm) by {SWEEPS[name]}", [f"{level:g}" for level in sweep["levels"]]
-        found.append((f"{title}; 95 % intervals over {_over(result)}", ["method", *heads], rows))
-    return found
+        tables.append((f"{title}; 95 % intervals over {_over(result)}", ["method", *heads], rows))
+    return tables
 
 
 def _over(result: Mapping[str, Any]) -> str:

@@ -9,7 +9,6 @@ import numpy as np
 
 from pickenv.arm import noncompensable_error
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import EFFECTS, FOUND
 from pickenv.calibration.assessment import metrics
 from pickenv.calibration.assessment.metrics import LEAST_ROWS
 from pickenv.calibration.assessment.quality import axis_errors
@@ -275,7 +274,7 @@ def _recording(screenshot: bytes | None) -> report_page.Section:
 
 def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibration: Calibration) -> dict[str, str]:
     plant = comparison.plant
-    effects = ", ".join(name.replace("_", " ") for name in (*EFFECTS, *FOUND) if getattr(plant, name) is not None)
+    effects = ", ".join(name.replace("_", " ") for name in plant.names)
     return {
         "Reproduce": run.command,
         "Seed": str(run.seed),

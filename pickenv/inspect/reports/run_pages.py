@@ -1,4 +1,4 @@
-"""Figures and page of a finished run, whatever its kind: its module is named in `run_folder.KINDS`."""
+"""Figures and page of a finished run, whatever its kind: its module is named by the registered kind."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from pickenv.inspect.figures.run_drawings import Drawings
-from pickenv.inspect.runs.run_folder import KINDS, Run, TakePicture
+from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
 
 def drawings_of(run: Run) -> Drawings:
@@ -28,4 +28,4 @@ def page_of(run: Run, picture: TakePicture | None = None) -> str:
 
 def _pages(run: Run) -> Any:
     """The module that draws and writes about this kind of run."""
-    return import_module(KINDS[run.kind].pages)
+    return import_module(run_kind(run.kind).pages)

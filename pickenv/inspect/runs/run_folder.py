@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
+from pickenv import registry
 from pickenv.container import refusing_damage
 from pickenv.errors import InputError
 from pickenv.files import write_text
@@ -26,6 +27,7 @@ from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
 from pickenv.locks import locked
 from pickenv.provenance import code_fingerprint, file_sha256, versions
+from pickenv.registry import get, load_all, register
 
 RECORD = "run.json"
 LIST = "files.json"
@@ -63,16 +65,30 @@ class RunKind:
     pages: str
 
 
-KINDS: Mapping[str, RunKind] = {
+_KINDS: Mapping[str, RunKind] = {
     "demo": RunKind("pickenv demo --out RUN", "pickenv.inspect.reports.demo_report"),
     "calibration": RunKind("pickenv calibrate FILE --arm ARM --run RUN", "pickenv.inspect.reports.calibration_report"),
     "comparison": RunKind("pickenv compare POLICY POLICY --out RUN", "pickenv.inspect.reports.comparison_report"),
-    "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.agents.evaluation.grid_tables"),
+    "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.experiments.policy_tables"),
     "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
     "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
-    "harvest": RunKind("python scripts/reproduce_li2016.py --out RUN", "pickenv.inspect.reports.harvest_report"),
-    "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.study.analysis.study_report"),
+    "harvest": RunKind("python -m papers.li2016 --out RUN", "pickenv.inspect.reports.harvest_report"),
+    "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.experiments.study_report"),
 }
+for _name, _run_kind in _KINDS.items():
+    register("report", _name)(lambda run_kind=_run_kind: run_kind)
+
+
+def run_kind(name: str, **source: str) -> RunKind:
+    """A registered kind of run; ``source`` is the package that a run's record names, as `pickenv.registry.get` has it.
+
+    Raises:
+        InputError: If there is none of that name.
+    """
+    kind: RunKind = get("report", name, **source)()
+    return kind
+
+
 TakePicture: TypeAlias = Callable[[Path], bytes | None]
 """Gives a recording as its viewer draws it, WebP, such as `viewer_picture`; None where it cannot be drawn."""
 
@@ -83,7 +99,7 @@ class Run:
 
     Attributes:
         folder: Where it is.
-        kind: One of `KINDS`.
+        kind: A registered one.
         command: Command line that makes the same numbers again.
         seed: Seed of everything random; None where there is none, or several.
         versions: Versions of what computed it, by package.
@@ -103,7 +119,7 @@ class Run:
     @property
     def made_by(self) -> str:
         """How such a folder is made, for error messages."""
-        return KINDS[self.kind].made_by.replace("RUN", shlex.quote(str(self.folder)))
+        return run_kind(self.kind).made_by.replace("RUN", shlex.quote(str(self.folder)))
 
 
 @contextmanager
@@ -112,13 +128,14 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
 
     Args:
         folder: The run folder; made where it is missing.
-        kind: One of `KINDS`.
+        kind: A registered one.
         command: Command line that makes the same numbers again.
         seed: Seed of everything random.
 
     Raises:
         InputError: If another process is writing into the folder, or it cannot be written.
     """
+    run_kind(kind)
     run = Run(folder, kind, command, seed, versions(), code_fingerprint())
     with locked(folder):
         if (folder / RECORD).is_file():
@@ -184,19 +201,22 @@ def read_run(folder: str | Path) -> Run:
     """
     folder = Path(folder)
     record = folder / RECORD
-    ways = "; ".join(f"`{kind.made_by}`" for kind in KINDS.values())
+    ways = "; ".join(f"`{kind().made_by}`" for kind in load_all("report").values())
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; make a run folder with one of {ways}")
     if not record.is_file():
         if (folder / STUDY).is_file():
-            return Run(folder, "study", KINDS["study"].made_by, None, {})
+            return Run(folder, "study", run_kind("study").made_by, None, {})
         raise InputError(f"{folder} holds no {RECORD}, so it holds no complete run; make one with one of {ways}")
     remake = f"make the run again with one of {ways}"
     with refusing_damage(record, "a run's record", remake):
         text = record.read_text(encoding="utf-8")
         content = json.loads(text)
         file_format, kind = int(content["format"]), str(content["kind"])
-    if file_format > FORMAT or kind not in KINDS:
+        others = {str(name): str(version) for name, version in content["versions"].items() if name not in versions()}
+    if kind not in registry.names("report") and others:
+        run_kind(kind, package=next(iter(others)), version=next(iter(others.values())))
+    if file_format > FORMAT or kind not in registry.names("report"):
         raise InputError(f"{record} is of a newer pickenv (format {file_format}, kind '{kind[:40]}'); update pickenv")
     if file_format < FORMAT:
         raise InputError(f"{record} was written by an earlier version, without hashes of the run's files; {remake}")

@@ -7,20 +7,26 @@ what the type hints of the asked-for class lead to, and nothing else.
 from __future__ import annotations
 
 import typing
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pickenv import registry
+from pickenv.arm.effects.effect import Effect
 from pickenv.arm.kinematics.forward import drawn_parts as drawn_parts
 from pickenv.arm.kinematics.forward import nominal_points as nominal_points
 from pickenv.arm.kinematics.forward import true_points as true_points
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.container import read_container, refusing_damage, write_container
+from pickenv.errors import InputError
 from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.orchard.gripper import CompliantHand, Cup
 
 # The links of an arm as capsules (rods with round ends), as the viewer wants them. Metres.
 
@@ -108,7 +114,8 @@ def save_numbers(path: str | Path, value: Any, *, seed: int | None = None) -> Pa
         InputError: If the file cannot be written.
     """
     arrays: dict[str, np.ndarray] = {}
-    header = {"seed": seed, "content": _pack(value, arrays)}
+    sources: dict[str, Any] = {}
+    header = {"seed": seed, "content": _pack(value, arrays, sources)} | ({"others": sources} if sources else {})
     return write_container(path, type(value).__name__, header, arrays, version=FORMAT, compressed=True)
 
 
@@ -121,18 +128,25 @@ def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
         made_by: The command that makes such a file, for error messages.
 
     Raises:
-        InputError: If the file is missing, damaged in any byte, of another kind, or of another version.
+        InputError: If the file is missing, damaged in any byte, of another kind, or of another version, or needs the
+            effect or gripper of a package that is not here; the message names the package.
     """
     remake = f"`{made_by}` makes it anew"
     found = read_container(path, kind.__name__, remake=remake, version=FORMAT)
+    own = [registry.get("effect", name) for name in shipped_effects()] + [Cup, CompliantHand]
+    try:
+        others = {key: registry.get(*key.split(" "), **by) for key, by in found.header.get("others", {}).items()}
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    classes = _classes(kind, *own, *others.values()) | others
     with refusing_damage(path, f"a {kind.__name__} file", remake):
-        content = _unpack(found.header["content"], found.arrays, _classes(kind))
+        content = _unpack(found.header["content"], found.arrays, {**classes, "Plant": _plant})
         if not isinstance(content, kind):
             raise TypeError(f"it holds a {type(content).__name__}")
     return content
 
 
-def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+def _pack(value: Any, arrays: dict[str, np.ndarray], sources: dict[str, Any]) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if isinstance(value, np.generic):
@@ -143,15 +157,20 @@ def _pack(value: Any, arrays: dict[str, np.ndarray]) -> Any:
         return {"array": name}
     names = [field.name for field in fields(value)] if is_dataclass(value) else getattr(value, "_fields", None)
     if names is not None:
-        return {"class": type(value).__name__, "fields": {n: _pack(getattr(value, n), arrays) for n in names}}
+        kind = type(value).__name__
+        registered = registry.registered_as(type(value))
+        if registered is not None and (source := registry.origin(*registered)).package != "pickenv":
+            kind = " ".join(registered)
+            sources[kind] = asdict(source)
+        return {"class": kind, "fields": {name: _pack(getattr(value, name), arrays, sources) for name in names}}
     if isinstance(value, tuple | list):
-        return {"tuple": [_pack(item, arrays) for item in value]}
+        return {"tuple": [_pack(item, arrays, sources) for item in value]}
     if isinstance(value, Mapping):
-        return {"mapping": [[_pack(key, arrays), _pack(item, arrays)] for key, item in value.items()]}
+        return {"mapping": [[_pack(part, arrays, sources) for part in pair] for pair in value.items()]}
     raise TypeError(f"a {type(value).__name__} cannot be saved; give arrays, numbers, text, or dataclasses of them")
 
 
-def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str, type]) -> Any:
+def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str, Callable[..., Any]]) -> Any:
     if not isinstance(packed, dict):
         return packed
     if "array" in packed:
@@ -165,10 +184,16 @@ def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str,
     return classes[packed["class"]](**given)
 
 
-def _classes(root: Any) -> dict[str, type]:
-    """The dataclasses and named tuples that type hints lead to from ``root``, itself included, by name."""
-    found: dict[str, type] = {}
-    waiting = [root]
+def _plant(effects: tuple[Effect, ...] = (), **parts: Any) -> Plant:
+    """A plant of its fields; earlier files have a field for each effect, None where it is off."""
+    own = [parts.pop(name) for name in shipped_effects() if name in parts]
+    return Plant(effects=(*effects, *(effect for effect in own if effect is not None)), **parts)
+
+
+def _classes(*roots: Any) -> dict[str, Any]:
+    """The dataclasses and named tuples that type hints lead to from ``roots``, these included, by name."""
+    found: dict[str, Any] = {}
+    waiting = [*roots]
     while waiting:
         hint = waiting.pop()
         waiting += typing.get_args(hint)

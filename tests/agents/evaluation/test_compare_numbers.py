@@ -13,9 +13,10 @@ import pytest
 from gymnasium import spaces
 
 from pickenv.agents.evaluation.compare import GRID_STEP, _command, _field, compare
-from pickenv.agents.evaluation.compared_policies import CALIBRATED_PRIOR, KINDS, Kind, kind_of, maker_of, policy_name
+from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.contenders import contenders_of
 from pickenv.agents.evaluation.reaches import episode_seeds
+from pickenv.agents.policies.adaptive import CALIBRATED_PRIOR
 from pickenv.agents.policies.scripted import RandomReach, ServoReach
 from pickenv.arm import load_plant
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
@@ -25,6 +26,7 @@ from pickenv.inspect.runs.comparison_summary import compared, policy_errors, sta
 from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.inspect.runs.matters import PERCEPTION_MM, PickChange, change_cells, matters, pick_changes, pick_share
 from pickenv.orchard.gripper import load_gripper
+from pickenv.registry import names
 from pickenv.seeds import seed_words, stream
 
 
@@ -234,7 +236,8 @@ def test_an_adaptive_policy_is_told_of_all_noise(
 
 
 def test_kinds_steps_and_names_of_policies(tmp_path: Path) -> None:
-    assert {name: (kind.feedback, kind.sequential, kind.raw_only, kind.steps) for name, kind in KINDS.items()} == {
+    kinds = {name: kind_of(name) for name in names("policy")}
+    assert {name: (kind.feedback, kind.sequential, kind.raw_only, kind.steps) for name, kind in kinds.items()} == {
         "random": (("encoders",), False, False, 60),
         "scripted": (("encoders",), False, False, 60),
         "oracle": (("encoders",), False, True, 60),
@@ -242,13 +245,13 @@ def test_kinds_steps_and_names_of_policies(tmp_path: Path) -> None:
         "adaptive": (("camera",), True, False, 30),
     }
     assert (Kind().sequential, Kind().raw_only, Kind().files, Kind().steps) == (False, False, (), 60)
-    assert kind_of("servo") is KINDS["servo"] and kind_of("mine.py") == Kind(files=("mine.py",))
+    assert kind_of("servo") == Kind(("camera",)) and kind_of("mine.py") == Kind(files=("mine.py",))
     assert kind_of("ppo_camera") == Kind(("camera",), files=("ppo_camera",))
     assert kind_of("ppo_encoders") == Kind(("encoders",), files=("ppo_encoders",))
     assert kind_of("recurrent_camera") == Kind(("camera",), sequential=True, files=("recurrent_camera",))
-    names = {"a/b/mine.py": "mine", "w/x/y/seed0/policy.npz": "y/seed0/policy", "policy.npz": "policy",
+    called = {"a/b/mine.py": "mine", "w/x/y/seed0/policy.npz": "y/seed0/policy", "policy.npz": "policy",
              "scripted": "scripted", "runs/several": "several"}  # fmt: skip
-    assert {name: policy_name(name) for name in names} == names
+    assert {name: policy_name(name) for name in called} == called
     with pytest.raises(InputError, match="holds no trainings"):
         kind_of(str(tmp_path))
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,16 +10,29 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pickenv.arm import forward, load_plant
-from pickenv.arm.effects.drives import Encoder, Servo, followed, quantised
-from pickenv.arm.effects.hysteresis import Backlash, StickBand, joints_behind_backlash, one_stop, play
-from pickenv.arm.effects.structure import Load
+from pickenv.arm import Passage, forward, load_plant
+from pickenv.arm.effects.drives import Encoder, Servo
+from pickenv.arm.effects.effect import Load, Loads
+from pickenv.arm.effects.hysteresis import Backlash, StickBand, one_stop, play
 
 WAYS = st.lists(st.floats(-1, 1), min_size=1, max_size=30)
 GAPS = st.floats(0, 0.3)
 NONE = (0.0,) * 6
 BARE = load_plant("geometry_only")
 START = [0.1, 0.3, 0.4, 0.0, 0.1, 0.2]
+
+
+def behind(gap, torques, entries, outputs):
+    """Joints behind their gaps, of motors and joints before."""
+    at = SimpleNamespace(m=math, load=torques is not None, loads=Loads([], torques), joints=entries)
+    return list(gap.carry(at, outputs, 0.1))
+
+
+def resting(m, encoder, q):
+    """Motors in whole counts."""
+    at = Passage(m, BARE.chain, None, q)
+    encoder.act(at, ())
+    return at.motor
 
 
 def follow(way, lag, lead, output=0.0):
@@ -72,23 +86,23 @@ def test_a_gap_that_gravity_holds_closed_does_not_flip():
     gap = Backlash((0.02,), (5.0,))
     output = [0.0]
     for entry in (0.1, 0.3, -0.2, 0.1):
-        output = joints_behind_backlash(math, gap, [7.0], [entry], output)
+        output = behind(gap, [7.0], [entry], output)
         assert output == [entry + 0.01]
-        assert joints_behind_backlash(math, gap, [-7.0], [entry], output) == [entry - 0.01]
+        assert behind(gap, [-7.0], [entry], output) == [entry - 0.01]
 
 
 def test_a_gap_without_preload_flips_on_reversal():
     gap = Backlash((0.02,), (5.0,))
-    up = joints_behind_backlash(math, gap, [4.0], [0.3], [0.0])
+    up = behind(gap, [4.0], [0.3], [0.0])
     assert up == pytest.approx([0.29])
-    assert joints_behind_backlash(math, gap, [-4.0], [0.28], up) == up
-    assert joints_behind_backlash(math, gap, None, [0.1], up) == pytest.approx([0.11])
+    assert behind(gap, [-4.0], [0.28], up) == up
+    assert behind(gap, None, [0.1], up) == pytest.approx([0.11])
 
 
 def test_what_loses_its_preload_stays_on_its_side_until_pushed():
     gap = Backlash((0.02,), (5.0,))
-    held = joints_behind_backlash(math, gap, [7.0], [0.3], [0.0])
-    assert joints_behind_backlash(math, gap, [1.0], [0.3], held) == held
+    held = behind(gap, [7.0], [0.3], [0.0])
+    assert behind(gap, [1.0], [0.3], held) == held
 
 
 def approached(plant, target, start):
@@ -98,7 +112,7 @@ def approached(plant, target, start):
 
 
 def test_an_arm_with_backlash_ends_elsewhere_when_it_comes_from_the_other_side():
-    plant = replace(BARE, backlash=Backlash((0.0, 1e-4, 0.0, 0.0, 0.0, 0.0), NONE))
+    plant = BARE.with_effect(Backlash((0.0, 1e-4, 0.0, 0.0, 0.0, 0.0), NONE))
     below, above = ([*START[:1], START[1] + way, *START[2:]] for way in (-0.05, 0.05))
     apart = approached(plant, START, above) - approached(plant, START, below)
     assert np.linalg.norm(apart) == pytest.approx(1e-4, rel=1e-9)
@@ -107,7 +121,7 @@ def test_an_arm_with_backlash_ends_elsewhere_when_it_comes_from_the_other_side()
 def test_gravity_holds_the_pitch_joint_to_one_side_whichever_way_it_comes():
     """The arm hangs in front of J1, whose gap of 2 mrad then opens to the side that the torque pushes to."""
     load = Load((0.0,) * 5 + (2.0,), ((0.0, 0.0, 0.0),) * 6, 0.0)
-    plant = replace(BARE, load=load, backlash=Backlash((2e-3, *NONE[1:]), (5.0, *NONE[1:])))
+    plant = replace(BARE, load=load).with_effect(Backlash((2e-3, *NONE[1:]), (5.0, *NONE[1:])))
     start = [0.1, 0.3, 0.7, 0.0, 0.1, 0.2]
     ends = [approached(plant, start, [start[0] + way, *start[1:]]) for way in (-0.1, 0.1)]
     np.testing.assert_array_equal(*ends)
@@ -118,7 +132,7 @@ def test_gravity_holds_the_pitch_joint_to_one_side_whichever_way_it_comes():
 
 
 def test_friction_stops_a_joint_short_by_another_distance_in_each_direction():
-    plant = replace(BARE, stick_band=StickBand((0.0, 3e-4, *NONE[2:]), (0.0, 1e-4, *NONE[2:])))
+    plant = BARE.with_effect(StickBand((0.0, 3e-4, *NONE[2:]), (0.0, 1e-4, *NONE[2:])))
     below, above = ([START[0], START[1] + way, *START[2:]] for way in (-0.05, 0.05))
     settled = plant.tool_pose(START).position
     near, far = (forward(plant.geometry, [START[0], out, *START[2:]]).position for out in (0.0, 1.0))
@@ -147,21 +161,21 @@ def test_friction_scatters_from_stop_to_stop_by_its_share_and_never_pulls():
 @given(st.lists(st.floats(-3, 3), min_size=2, max_size=2))
 def test_a_drive_rests_on_the_nearest_count(q):
     counts = Encoder((1e-3, 2.5e-4))
-    held = quantised(math, counts, q)
+    held = resting(math, counts, q)
     for value, rest, count in zip(q, held, counts.resolution, strict=True):
         assert abs(value - rest) <= count / 2 + 1e-15
         assert rest / count == pytest.approx(round(rest / count), abs=1e-9)
-    assert quantised(np, counts, [np.array([v]) for v in q]) == [np.array([v]) for v in held]
+    assert resting(np, counts, [np.array([v]) for v in q]) == [np.array([v]) for v in held]
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.01, 0.02, 0.5])
 def test_the_servo_closes_its_gap_exponentially(dt):
-    lagging = followed(math, Servo((0.02,)), [0.0], [1.0], dt)
-    assert lagging == pytest.approx([1 - math.exp(-dt / 0.02)])
+    lagging = Servo((0.02,)).carry(SimpleNamespace(m=math, motor=[1.0]), [0.0], dt)
+    assert list(lagging) == pytest.approx([1 - math.exp(-dt / 0.02)])
 
 
 def test_at_constant_speed_the_following_error_is_speed_times_time_constant():
-    plant = replace(BARE, servo=Servo((0.02,) * 6))
+    plant = BARE.with_effect(Servo((0.02,) * 6))
     state = plant.initial_state(math, START)
     for step in range(1, 2001):
         q = [START[0], START[1] + 1e-4 * step, *START[2:]]
@@ -178,7 +192,7 @@ def test_encoders_see_the_motor_and_nothing_behind_it():
     state, _ = blind.advance(math, state, moving, 0.05)
     motor = [b + (a - b) * math.exp(-0.05 / 0.02) for a, b in zip(START, moving, strict=True)]
     assert blind.readings(math, state, moving) == pytest.approx(motor, abs=1e-12)
-    counts = plant.encoder.resolution
+    counts = plant.effect("encoder").resolution
     state, _ = plant.advance(math, plant.initial_state(math, START), moving, 0.05)
     for reading, value, count in zip(plant.readings(math, state, moving), motor, counts, strict=True):
         assert abs(reading - value) <= count + 1e-12

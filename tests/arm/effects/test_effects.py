@@ -1,23 +1,20 @@
 """Each effect of a real arm against the closed form that a textbook gives."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from pickenv.arm import load_plant, rotation_matrix
+from pickenv.arm.effects.effect import GRAVITY, Load, Loads, gravity_torques
 from pickenv.arm.effects.structure import (
-    GRAVITY,
     BoomBending,
     Harmonic,
     JointCompliance,
-    Load,
     TransmissionError,
-    boom_flexure,
     driven_joints,
-    gravity_torques,
     turn_horizontally,
-    yielded_joints,
 )
 from pickenv.arm.kinematics.forward import attach, chain_of, frames
 
@@ -27,7 +24,8 @@ BOOM = BoomBending(joint=2, length=0.4, flexural_rigidity=1.2e4, end_mass=2.0, m
 def bent(boom, payload, q, rotation, position=(0.0, 0.0, 0.0)):
     """Axes (rows x, y, z) and origin of the boom's tip frame after bending."""
     frame = (*(float(v) for v in rotation.T.ravel()), *position)
-    result = np.array(boom_flexure(boom, payload, q)(boom.joint, frame))
+    at = SimpleNamespace(joints=q, load=Load((), (), payload))
+    result = np.array(boom.flexure(at)(boom.joint, frame))
     return result[:9].reshape(3, 3), result[9:]
 
 
@@ -84,7 +82,9 @@ def test_small_turns_are_rodrigues(angle):
 
 
 def test_a_joint_yields_by_torque_over_stiffness():
-    yielded = yielded_joints(JointCompliance((1e4, 4e5)), [50.0, -80.0], [0.1, 0.2])
+    at = SimpleNamespace(loads=Loads([], [50.0, -80.0]), joints=[0.1, 0.2])
+    JointCompliance((1e4, 4e5)).act(at, ())
+    yielded = at.joints
     np.testing.assert_allclose(yielded, [0.1 + 5e-3, 0.2 - 2e-4])
 
 

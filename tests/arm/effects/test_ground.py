@@ -7,15 +7,16 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_plant, rotation_matrix
+from pickenv.arm.effects.effect import GRAVITY, Load
 from pickenv.arm.effects.ground import BaseTilt
-from pickenv.arm.effects.structure import GRAVITY, Load, RollerPlay
+from pickenv.arm.effects.structure import RollerPlay
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
 
 PIVOT = (0.2, -0.1, -0.6)
 GROUND = BaseTilt((4e4, 6e4), PIVOT, creep=0.5, settlement=2e-3, time_constant=5400.0)
 LOAD = Load((4.0, 3.0, 2.4, 0.9, 0.6, 0.5), tuple((0.05, 0.01 * i, -0.1) for i in range(6)), 0.25)
 BARE = load_plant("geometry_only")
-FIELD = replace(BARE, load=LOAD, base_tilt=GROUND)
+FIELD = replace(BARE, load=LOAD).with_effect(GROUND)
 Q = [0.1, 0.3, 0.6, 0.05, 0.1, 0.2]
 
 
@@ -77,7 +78,7 @@ def test_a_tenth_of_a_degree_is_4_mm_at_2500_mm():
     tilt = math.radians(0.1)
     assert 1e3 * 2.5 * tilt == pytest.approx(4.4, abs=0.05)
     moment = abs(reach_moment(FIELD, Q)[1])
-    soft = replace(FIELD, base_tilt=BaseTilt((1e12, moment / tilt), PIVOT, 0.0, 0.0, 1.0))
+    soft = FIELD.with_effect(BaseTilt((1e12, moment / tilt), PIVOT, 0.0, 0.0, 1.0))
     lowered = BARE.tool_pose(Q).position - soft.tool_pose(Q).position
     arm = BARE.tool_pose(Q).position - np.array(PIVOT)
     assert np.linalg.norm(lowered) == pytest.approx(tilt * math.hypot(arm[0], arm[2]), rel=1e-3)
@@ -85,7 +86,7 @@ def test_a_tenth_of_a_degree_is_4_mm_at_2500_mm():
 
 def test_play_in_the_rollers_grows_as_the_overlap_shrinks():
     play = RollerPlay(joint=2, length=0.4, clearance=1e-4, overlap=1.2)
-    loose = replace(BARE, roller_play=play)
+    loose = BARE.with_effect(play)
     drops = []
     for out in (0.0, 0.4, 0.8):
         q = [0.0, 0.3, out, 0.0, 0.1, 0.0]
@@ -104,8 +105,8 @@ def test_play_in_the_rollers_grows_as_the_overlap_shrinks():
 def test_boom_bending_and_roller_play_add_up():
     orchard = load_plant("orchard")
     q = [0.0, 0.3, 0.8, 0.0, 0.1, 0.0]
-    bend, slack = (replace(BARE, **{name: getattr(orchard, name)}) for name in ("boom_bending", "roller_play"))
-    both = replace(bend, roller_play=orchard.roller_play)
+    bend, slack = (BARE.with_effect(orchard.effect(name)) for name in ("boom_bending", "roller_play"))
+    both = bend.with_effect(orchard.effect("roller_play"))
     true = BARE.tool_pose(q).position
     apart = bend.tool_pose(q).position - true + slack.tool_pose(q).position - true
     np.testing.assert_allclose(both.tool_pose(q).position - true, apart, atol=2e-6)

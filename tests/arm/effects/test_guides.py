@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -10,16 +11,14 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at, rotation_matrix
+from pickenv.arm.effects.effect import GRAVITY, Load, Loads
 from pickenv.arm.effects.hysteresis import (
     Bearing,
     BoomCouple,
     BoomTorsion,
     SlideCompliance,
-    couple_flexure,
-    slide_flexure,
-    torsion_flexure,
 )
-from pickenv.arm.effects.structure import GRAVITY, BoomBending, Load
+from pickenv.arm.effects.structure import BoomBending
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
 
 BARE = load_plant("geometry_only")
@@ -43,7 +42,7 @@ Q = [
 
 
 def arm(load=LOAD, **effects):
-    return replace(BARE, load=load, **effects)
+    return replace(BARE, load=load, effects=tuple(effects.values()))
 
 
 def behind(q, joint):
@@ -205,11 +204,13 @@ def test_a_boom_and_a_slide_of_any_attitude_yield_by_the_vectors_of_moment_and_w
     give = 2.0 / (5e5 * span**2) * moment(2, place - arm_length * z)
     sunk = GRAVITY * masses[2] / (2 * 5e5) * (z[2] * z - [0.0, 0.0, 1.0])
     slides = SlideCompliance((Bearing(2, 5e5, 1.1, 0.2),))
-    for flexure, turn, moved in (
-        (couple_flexure(math, BoomCouple(2, 0.5, 7e3), weights, q), bend, np.cross(bend, length / 2 * z)),
-        (torsion_flexure(math, BoomTorsion(2, 0.5, 9e3), weights, q), length / 9e3 * along, np.zeros(3)),
-        (slide_flexure(math, slides, weights, q), give, sunk + np.cross(give, arm_length * z)),
+    at = SimpleNamespace(m=math, loads=Loads(weights, []), joints=q)
+    for effect, turn, moved in (
+        (BoomCouple(2, 0.5, 7e3), bend, np.cross(bend, length / 2 * z)),
+        (BoomTorsion(2, 0.5, 9e3), length / 9e3 * along, np.zeros(3)),
+        (slides, give, sunk + np.cross(give, arm_length * z)),
     ):
+        flexure = effect.flexure(at)
         assert flexure(1, frame) == frame
         found = flexure(2, frame)
         np.testing.assert_allclose(found[9:], place + moved, rtol=0, atol=1e-12)
@@ -254,13 +255,13 @@ def test_arms_have_bearings_of_their_own_and_one_tube_each():
     logs = np.log(
         [
             each.stiffness / own.stiffness
-            for each, own in zip(arms.slide_compliance.bearings, SLIDES.bearings, strict=True)
+            for each, own in zip(arms.effect("slide_compliance").bearings, SLIDES.bearings, strict=True)
         ]
     )
     np.testing.assert_allclose(logs.std(axis=1), medium.spread.joint_stiffness, rtol=0.12)
     assert np.abs(np.corrcoef(logs)[np.triu_indices(3, 1)]).max() < 0.2
     one = plant_at(arms, 7)
-    factor = one.boom_bending.flexural_rigidity / EI
+    factor = one.effect("boom_bending").flexural_rigidity / EI
     assert factor != 1.0
-    assert one.boom_couple.flexural_rigidity / EI == pytest.approx(factor)
-    assert one.boom_torsion.torsional_rigidity / GJ == pytest.approx(factor)
+    assert one.effect("boom_couple").flexural_rigidity / EI == pytest.approx(factor)
+    assert one.effect("boom_torsion").torsional_rigidity / GJ == pytest.approx(factor)

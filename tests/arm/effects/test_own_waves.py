@@ -1,7 +1,6 @@
 """Waves that an arm has for itself: spread as the plant file says, others in every arm, alike on all executors."""
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,9 +16,10 @@ from pickenv.arm.effects.residual_field import (
     local_structure_of,
     standard_normal_of,
 )
-from pickenv.arm.plant.plant import EFFECTS
-from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.arm.plant.plant_file import PLANTS, shipped_effects
 from pickenv.errors import InputError
+
+EFFECTS = shipped_effects()
 
 FIELD = load_plant("field")
 MEDIUM = load_tolerances("medium")
@@ -43,14 +43,14 @@ def test_even_numbers_become_normal_ones_by_their_quantiles_and_their_ends_are_f
 
 
 def test_every_arm_has_orders_amplitudes_and_phases_of_its_own(arms):
-    for harmonic in arms.drive_harmonics.harmonics:
+    for harmonic in arms.effect("drive_harmonics").harmonics:
         for sizes in (harmonic.amplitude, harmonic.period, harmonic.phase):
             assert len(np.unique(sizes)) == 300
 
 
 def test_orders_lie_evenly_between_their_bounds_and_coefficients_fall_with_them(arms):
-    spread = arms.drive_harmonics.spread
-    for wave, harmonic in zip(spread, arms.drive_harmonics.harmonics, strict=True):
+    spread = arms.effect("drive_harmonics").spread
+    for wave, harmonic in zip(spread, arms.effect("drive_harmonics").harmonics, strict=True):
         place = (1 / harmonic.period - 1 / wave.longest) / (1 / wave.shortest - 1 / wave.longest)
         assert place.min() >= 0 and place.max() <= 1
         assert place.mean() == pytest.approx(0.5, abs=0.07) and place.std() == pytest.approx(12**-0.5, abs=0.04)
@@ -61,7 +61,7 @@ def test_orders_lie_evenly_between_their_bounds_and_coefficients_fall_with_them(
 
 
 def test_a_wave_is_its_two_coefficients():
-    spread = FIELD.drive_harmonics.spread[:1]
+    spread = FIELD.effect("drive_harmonics").spread[:1]
     found = drawn_harmonics(spread, np.array([0.25, 0.9, 0.2])).harmonics[0]
     per = 0.75 / spread[0].longest + 0.25 / spread[0].shortest
     assert found.period == pytest.approx(1 / per)
@@ -74,7 +74,7 @@ def test_a_wave_is_its_two_coefficients():
 
 
 def test_a_wave_of_one_arm_is_plain_numbers_and_those_of_many_lie_along_an_axis():
-    spread = FIELD.drive_harmonics.spread
+    spread = FIELD.effect("drive_harmonics").spread
     even = np.random.default_rng(0).random((4, 3 * len(spread)))
     many = drawn_harmonics(spread, even).harmonics
     for i in range(4):
@@ -103,7 +103,7 @@ def test_the_structure_is_a_sum_of_waves_whose_draws_are_the_files_seed_after_se
     q = [0.3, 0.2, 0.5, -0.4, 0.1, 1.0]
     waves = (np.array(q) @ frequency).reshape(3, 5)
     expected = (weight[:, 0] * np.cos(waves) + weight[:, 1] * np.sin(waves)).sum(axis=1)
-    plant = replace(FIELD.without(EFFECTS), local_structure=found)
+    plant = FIELD.without(EFFECTS).with_effect(found)
     moved = plant.tool_pose(q).position - forward(FIELD.geometry, q).position
     np.testing.assert_allclose(moved, expected, rtol=0, atol=2e-9)
 
@@ -120,10 +120,10 @@ def test_the_structure_has_its_size_and_length_in_every_direction(arms):
         return drawn.tool_pose(at).position - straight.tool_pose(at).position
 
     here = moved(q)
-    size = plant.local_structure.std * math.sqrt(plant.local_structure.field.features.count)
+    size = plant.effect("local_structure").std * math.sqrt(plant.effect("local_structure").field.features.count)
     np.testing.assert_allclose(here.std(axis=0), size, rtol=0.05)
     np.testing.assert_allclose(np.corrcoef(here.T)[np.triu_indices(3, 1)], 0, atol=0.06)
-    lengths = 1 / np.abs(plant.local_structure.field.features.frequency).max(axis=1, initial=1e-30)
+    lengths = 1 / np.abs(plant.effect("local_structure").field.features.frequency).max(axis=1, initial=1e-30)
     for joint in np.flatnonzero(lengths < 1e3):
         near, far = (moved(q + np.eye(6)[joint] * steps * lengths[joint]) for steps in (0.05, 20.0))
         assert np.corrcoef(here[:, 0], near[:, 0])[0, 1] > 0.9
@@ -153,9 +153,13 @@ def test_an_arm_alone_is_that_arm_of_the_batch(arms, draw):
 @pytest.mark.parametrize("effect", ["transmission_error", "drive_harmonics", "slide_compliance"])
 def test_without_an_effect_an_arm_keeps_its_own_waves(effect):
     whole, rest = (draw_plants(p, MEDIUM, 3, np.random.default_rng(1)) for p in (FIELD, FIELD.without([effect])))
-    np.testing.assert_array_equal(whole.local_structure.field.weight, rest.local_structure.field.weight)
+    np.testing.assert_array_equal(
+        whole.effect("local_structure").field.weight, rest.effect("local_structure").field.weight
+    )
     if effect != "drive_harmonics":
-        for a, b in zip(whole.drive_harmonics.harmonics, rest.drive_harmonics.harmonics, strict=True):
+        for a, b in zip(
+            whole.effect("drive_harmonics").harmonics, rest.effect("drive_harmonics").harmonics, strict=True
+        ):
             np.testing.assert_array_equal(a.amplitude, b.amplitude)
 
 
@@ -184,5 +188,7 @@ def test_a_mistake_is_named_with_file_and_key(tmp_path, old, new, named):
 
 def test_the_design_is_one_draw_and_always_the_same():
     again = load_plant("field")
-    assert again.drive_harmonics == FIELD.drive_harmonics
-    np.testing.assert_array_equal(again.local_structure.field.weight, FIELD.local_structure.field.weight)
+    assert again.effect("drive_harmonics") == FIELD.effect("drive_harmonics")
+    np.testing.assert_array_equal(
+        again.effect("local_structure").field.weight, FIELD.effect("local_structure").field.weight
+    )

@@ -12,7 +12,7 @@ from pickenv.arm.kinematics.geometry import Geometry
 
 BARE = load_plant("geometry_only")
 ALUMINIUM = ThermalGrowth((23e-6,) * 6, initial_rise=-5.0, final_rise=20.0, time_constant=3600.0)
-HOT = replace(BARE, thermal_growth=ALUMINIUM)
+HOT = BARE.with_effect(ALUMINIUM)
 Q = [0.1, 0.3, 0.4, 0.0, 0.1, 0.2]
 
 
@@ -29,7 +29,7 @@ def test_aluminium_of_1500_mm_grows_by_0_7_mm_at_20_kelvin():
     zero = np.zeros(1)
     bar = Geometry(("J1",), (False,), zero, np.array([1.5]), zero, zero, zero, -np.ones(1), np.ones(1), still, still)
     growth = ThermalGrowth((23e-6,), 0.0, 20.0, 3600.0)
-    hot = replace(BARE, geometry=bar, thermal_growth=growth)
+    hot = replace(BARE, geometry=bar).with_effect(growth)
     assert 1e3 * (hot.tool_pose([0.3]).position[0] - 1.5) == pytest.approx(0.69)
 
 
@@ -44,8 +44,7 @@ def test_warm_up_is_exponential():
 
 def test_the_arm_starts_cold_and_ends_at_its_settled_pose():
     state = HOT.initial_state(math, Q)
-    assert state.rise == (-5.0,)
-    assert sum(len(part) for part in state) == 1
+    assert state == ((-5.0,),)
     cold, true = HOT.advance(math, state, Q, 0.0)[1], forward(HOT.geometry, Q).position
     np.testing.assert_allclose(cold[9:], true * (1 - 5 * 23e-6), rtol=1e-12)
     warm = HOT.advance(math, state, Q, 1e6)[1]
@@ -64,4 +63,4 @@ def test_drift_over_hours_follows_the_time_constant():
 
 def test_links_of_carbon_fibre_stay():
     mixed = replace(ALUMINIUM, expansion=(0.0,) * 6)
-    assert replace(BARE, thermal_growth=mixed).tool_frame(math, Q) == BARE.tool_frame(math, Q)
+    assert BARE.with_effect(mixed).tool_frame(math, Q) == BARE.tool_frame(math, Q)

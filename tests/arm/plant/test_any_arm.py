@@ -48,7 +48,7 @@ def test_native_and_single_environments_are_equal_to_the_bit(plant: str) -> None
 
 def true_arm(**arguments: object) -> np.ndarray:
     plant = gym.make("pickenv/Reach-v0", **arguments).unwrapped.task.plant
-    return np.concatenate([np.ravel(plant.geometry.alpha), np.ravel(plant.joint_compliance.stiffness)])
+    return np.concatenate([np.ravel(plant.geometry.alpha), np.ravel(plant.effect("joint_compliance").stiffness)])
 
 
 def test_the_seed_of_the_population_draws_the_arm() -> None:

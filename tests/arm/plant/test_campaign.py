@@ -27,9 +27,11 @@ from pickenv.arm.kinematics.workspace import largest_cube
 from pickenv.arm.plant import campaign
 from pickenv.arm.plant.campaign import Instrument, Pace, normal_draws, visited
 from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283
-from pickenv.arm.plant.plant import EFFECTS
+from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.errors import InputError
+
+EFFECTS = shipped_effects()
 
 ORCHARD = load_plant("orchard")
 NOMINAL = ORCHARD.arm.nominal
@@ -89,10 +91,10 @@ def test_iso9283_and_calibration_data_agree_on_repeatability():
 
 def test_friction_stops_each_joint_short_on_the_side_that_it_came_from():
     plant = only("stick_band")
-    plant = replace(plant, stick_band=replace(plant.stick_band, scatter=0.0))
+    plant = plant.with_effect(replace(plant.effect("stick_band"), scatter=0.0))
     joints = anywhere(40)
     before = np.vstack([(NOMINAL.lower + NOMINAL.upper) / 2, joints[:-1]])
-    band = plant.stick_band
+    band = plant.effect("stick_band")
     stops = np.where(joints > before, joints - band.forward, joints + np.array(band.backward))
     rows = seen(plant, joints, EXACT)
     np.testing.assert_allclose(rows.position, forward(plant.geometry, stops).position, rtol=0, atol=1e-12)
@@ -101,10 +103,10 @@ def test_friction_stops_each_joint_short_on_the_side_that_it_came_from():
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_first_stop_is_come_to_from_the_middle_of_the_joints_ranges(sign):
     plant = only("stick_band")
-    plant = replace(plant, stick_band=replace(plant.stick_band, scatter=0.0))
+    plant = plant.with_effect(replace(plant.effect("stick_band"), scatter=0.0))
     middle = (NOMINAL.lower + NOMINAL.upper) / 2
     assert np.abs(middle).max() > 0.1
-    band = plant.stick_band
+    band = plant.effect("stick_band")
     short = np.array(band.forward) if sign > 0 else -np.array(band.backward)
     joints = middle + 5e-3 * sign
     frame = visited(plant, np, joints[None], EXACT, np.zeros((1, 2, 6)))
@@ -137,7 +139,7 @@ def test_no_poses_are_no_frames_and_an_instrument_has_no_time_but_its_own():
     bare = Instrument("bare", stand=(0.0, 0.0, 0.0))
     assert (bare.dwell, bare.warm_up, bare.period, bare.noise) == (None, 0.0, Pace.period, None)
     assert MeasurementNoise(1e-4, 1e-3) == MeasurementNoise(1e-4, 1e-3, range_std=0.0, centring_std=0.0)
-    assert bare.noise_on(ORCHARD) is ORCHARD.measurement_noise
+    assert bare.noise_on(ORCHARD) is ORCHARD.effect("measurement_noise")
     assert EXACT.noise_on(ORCHARD) is EXACT.noise
 
 
@@ -159,7 +161,7 @@ def test_the_ideal_instrument_sees_the_settled_pose():
 
 def test_a_cold_machine_is_measured_elsewhere_than_a_warm_one():
     plant, joints = only("thermal_growth"), anywhere(20)
-    warm, thermal = plant.tool_pose(joints).position, plant.thermal_growth
+    warm, thermal = plant.tool_pose(joints).position, plant.effect("thermal_growth")
 
     def away(hours):
         rows = seen(plant, joints, replace(EXACT, warm_up=3600.0 * hours))
@@ -176,7 +178,7 @@ def test_the_arm_warms_up_and_sinks_while_it_is_measured(effect):
     """What is left of the way to where it ends in the long run fades with the effect's own time constant."""
     plant, joints = only(effect), np.tile(anywhere(1), (200, 1))
     left = np.linalg.norm(seen(plant, joints, EXACT).position - plant.tool_pose(joints[0]).position, axis=1)
-    faded = np.exp(-EXACT.dwell * np.arange(200) / getattr(plant, effect).time_constant)
+    faded = np.exp(-EXACT.dwell * np.arange(200) / plant.effect(effect).time_constant)
     np.testing.assert_allclose(left / left[0], faded, rtol=1e-3)
 
 
@@ -229,7 +231,7 @@ def test_an_instruments_own_noise_stands_in_place_of_the_plants():
     np.testing.assert_allclose(seen(plant, joints, coarse).position.std(axis=0), 1e-4, rtol=0.05)
     assert seen(plant, joints, coarse).position_std == 1e-4
     own = seen(plant, joints, TRACKER)
-    stated = plant.measurement_noise
+    stated = plant.effect("measurement_noise")
     distance = np.linalg.norm(plant.tool_pose(joints[0]).position - TRACKER.stand)
     np.testing.assert_allclose(own.position.std(axis=0), stated.position_std + stated.range_std * distance, rtol=0.05)
 
@@ -245,7 +247,7 @@ def test_one_seed_gives_one_campaign_and_its_readings_do_not_hang_on_the_arm():
 
 
 def test_stops_are_drawn_only_where_friction_scatters():
-    calm = replace(ORCHARD, stick_band=replace(ORCHARD.stick_band, scatter=0.0))
+    calm = ORCHARD.with_effect(replace(ORCHARD.effect("stick_band"), scatter=0.0))
     for plant, drawn in ((ORCHARD, True), (calm, False), (ORCHARD.without(["stick_band"]), False)):
         stops = normal_draws(plant, 7, np.random.default_rng(0)).stops
         assert stops.shape == (7, 2, 6) and (len(np.unique(stops)) == 84 if drawn else not stops.any())

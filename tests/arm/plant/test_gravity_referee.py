@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Geometry, Pose, forward, load_arm, load_plant, rotation_matrix
-from pickenv.arm.effects.structure import GRAVITY, Load, gravity_torques
+from pickenv.arm.effects.effect import GRAVITY, Load, gravity_torques
 from pickenv.arm.kinematics.forward import chain_of, frames
 
 

@@ -12,10 +12,12 @@ from pickenv.arm import load_arm, load_instrument, load_plant
 from pickenv.arm.kinematics.workspace import largest_cube
 from pickenv.arm.plant.campaign import Pace
 from pickenv.arm.plant.iso9283 import NORM_OF_NOISE, Iso9283Settings, _pose_performance, iso9283
-from pickenv.arm.plant.plant import EFFECTS
+from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.calibration.model.measurements import random_joints, simulated_tracker
 from pickenv.calibration.reading.read import read_measurements
 from pickenv.errors import InputError
+
+EFFECTS = shipped_effects()
 
 SHORT = Iso9283Settings(cycles=5, pace=Pace(period=0.1, dwell=2.0), drift_cycles=2, drift_interval=3600.0)
 CUBE = largest_cube(load_plant("orchard").arm.nominal, steps=12)
@@ -76,7 +78,9 @@ def test_friction_that_scatters_from_stop_to_stop_shows_in_repeatability():
     """And hardly in vAP, whose means even it out."""
     plant = only("stick_band")
     steady, scattered, twice = (
-        judged(replace(plant, stick_band=replace(plant.stick_band, scatter=share)), settings=replace(SHORT, cycles=30))
+        judged(
+            plant.with_effect(replace(plant.effect("stick_band"), scatter=share)), settings=replace(SHORT, cycles=30)
+        )
         for share in (0.0, 0.2, 0.4)
     )
     assert steady.raw.worst_repeatability_mm < 1e-6

@@ -7,7 +7,6 @@ import pytest
 
 from pickenv.arm import Pose, forward, load_arm, load_plant, load_tolerances, shipped_arms, shipped_plants
 from pickenv.arm.plant.named_plants import class_of, draw_arms, rods
-from pickenv.arm.plant.plant import EFFECTS
 from pickenv.arm.plant.plant_batch import plant_at, plant_count
 from pickenv.errors import InputError
 from pickenv.toml_tables import GRAVITY
@@ -30,9 +29,9 @@ def test_without_error_the_arm_is_its_nominal_self(arm: str) -> None:
 def test_an_arm_that_comes_with_a_plant_keeps_that_plants_effects(arm: str) -> None:
     own, classed = load_plant(arm), load_plant(f"coarse:{arm}")
     assert classed.name == f"coarse:{arm}" and classed.arm.fingerprint() == own.arm.fingerprint()
-    for part in ("load", *EFFECTS):
-        mine, theirs = getattr(own, part), getattr(classed, part)
-        if part == "local_structure" and mine is not None:
+    assert classed.load == own.load and classed.names == own.names
+    for mine, theirs in zip(own.effects, classed.effects, strict=True):
+        if mine.name == "local_structure":
             np.testing.assert_array_equal(theirs.field.weight, mine.field.weight)
         else:
             assert theirs == mine
@@ -66,13 +65,15 @@ def test_no_joint_of_a_bare_arm_sags_more_than_its_class_says_and_one_nearly_as_
         for j in range(geometry.joints):
             ends = [q + sign * step * np.eye(geometry.joints)[j] for sign in (1, -1)]
             high, low = (gravity_energy(geometry, plant.load.mass, plant.load.centre, end) for end in ends)
-            sag[k, j] = abs(high - low) / (2 * step) / plant.joint_compliance.stiffness[j]
+            sag[k, j] = abs(high - low) / (2 * step) / plant.effect("joint_compliance").stiffness[j]
     most = np.where(geometry.prismatic, sizes.sliding_sag, sizes.turning_sag)
     assert (sag <= 1.05 * most).all()
     assert (sag.max(axis=0) / most).max() > 0.7 or arm == "positioner"  # gravity loads neither of its joints
-    assert list(plant.backlash.width) == list(np.where(geometry.prismatic, sizes.sliding_gap, sizes.turning_gap))
-    preload = np.array(plant.joint_compliance.stiffness) * most * sizes.preload_share
-    np.testing.assert_allclose(plant.backlash.preload, preload)
+    assert list(plant.effect("backlash").width) == list(
+        np.where(geometry.prismatic, sizes.sliding_gap, sizes.turning_gap)
+    )
+    preload = np.array(plant.effect("joint_compliance").stiffness) * most * sizes.preload_share
+    np.testing.assert_allclose(plant.effect("backlash").preload, preload)
 
 
 @pytest.mark.parametrize("arm", BARE)
@@ -106,25 +107,32 @@ def test_arms_of_a_class_are_drawn_from_it_whatever_else_is_asked_for() -> None:
     spread = [np.ptp(arms.geometry.alpha, axis=0).min() for arms in (one, other)]
     assert spread[0] > 2 * spread[1] > 0
     low, high = load_tolerances("coarse").temperature_rise
-    assert ((one.thermal_growth.final_rise >= low) & (one.thermal_growth.final_rise <= high)).all()
+    assert ((one.effect("thermal_growth").final_rise >= low) & (one.effect("thermal_growth").final_rise <= high)).all()
     first = plant_at(one, 0)
-    assert first.joint_compliance.stiffness != plant_at(one, 1).joint_compliance.stiffness
-    assert first.backlash.width[0] != plant_at(one, 1).backlash.width[0]
+    assert first.effect("joint_compliance").stiffness != plant_at(one, 1).effect("joint_compliance").stiffness
+    assert first.effect("backlash").width[0] != plant_at(one, 1).effect("backlash").width[0]
 
 
 def test_effects_are_switched_off_by_name() -> None:
     plant = load_plant("coarse:ur5e", without=["backlash", "thermal_growth"])
-    assert plant.backlash is None and plant.thermal_growth is None and plant.joint_compliance is not None
+    assert (
+        plant.effect("backlash") is None
+        and plant.effect("thermal_growth") is None
+        and plant.effect("joint_compliance") is not None
+    )
 
 
 def test_files_may_stand_on_either_side_of_the_colon(tmp_path) -> None:
     arm, plant, bare = tmp_path / "arm.toml", tmp_path / "plant.toml", tmp_path / "own.toml"
     arm.write_text(ARM, encoding="utf-8")
     plant.write_text(f'arm = "{arm}"\n[encoder]\njoints = [{{ joint = 1, resolution_arcsec = 60.0 }}]\n')
-    assert load_plant(f"fine:{arm}").backlash is not None
-    assert load_plant(f"fine:{plant}").backlash is None and load_plant(f"fine:{plant}").encoder is not None
+    assert load_plant(f"fine:{arm}").effect("backlash") is not None
+    assert (
+        load_plant(f"fine:{plant}").effect("backlash") is None
+        and load_plant(f"fine:{plant}").effect("encoder") is not None
+    )
     bare.write_text(CLASS, encoding="utf-8")
-    assert load_plant(f"{bare}:{plant}").encoder is not None
+    assert load_plant(f"{bare}:{plant}").effect("encoder") is not None
     with pytest.raises(InputError, match=r"tolerance class 'own' has no \[sizes\], which arm 'ur5e' needs"):
         load_plant(f"{bare}:ur5e")
 

@@ -9,23 +9,18 @@ import torch
 
 from pickenv.arm import forward, load_plant
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.plant.campaign import TABLE, Pace, draw_reaches, effect_shares
-from pickenv.arm.plant.plant import EFFECTS, WITH_STATE, PlantState
-from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.arm.plant.campaign import Pace, causes_of, draw_reaches, effect_shares
+from pickenv.arm.plant.plant_file import PLANTS, shipped_effects
 from pickenv.errors import InputError
+
+EFFECTS = shipped_effects()
 
 OWN = ("drive_harmonics", "local_structure")
 """Waves that only measured arms tell of: the preset `field` has them."""
-ON = [name for name in EFFECTS if name not in OWN]
-MEMORYLESS = [name for name in EFFECTS if name not in WITH_STATE]
-PARTS = {
-    "backlash": ["backlash"],
-    "stick_band": ["friction"],
-    "thermal_growth": ["rise"],
-    "base_tilt": ["sinkage"],
-    "settling": ["profile", "vibration", "rate"],
-    "servo": ["motor"],
-}
+ON = [name for name in EFFECTS if name not in (*OWN, "gravity_yield", "residual")]
+MEMORIES = {"servo": 6, "stick_band": 6, "backlash": 6, "settling": 18, "thermal_growth": 1, "base_tilt": 3}
+"""Numbers that each effect with a memory remembers."""
+MEMORYLESS = [name for name in EFFECTS if name not in MEMORIES]
 
 
 @pytest.fixture(scope="module")
@@ -53,14 +48,14 @@ def walk(plant, m, ways, times):
 
 
 def test_every_effect_is_on(orchard):
-    assert [name for name in EFFECTS if getattr(orchard, name) is not None] == ON
+    assert orchard.names == ON
     assert orchard.has_state
 
 
 @pytest.mark.parametrize("effect", ON)
 def test_every_effect_has_its_switch(orchard, effect):
     off = orchard.without([effect])
-    assert [name for name in ON if getattr(off, name) is None] == [effect]
+    assert [name for name in ON if off.effect(name) is None] == [effect]
 
 
 def test_with_all_effects_off_it_is_exactly_the_true_geometry(orchard, draw):
@@ -77,16 +72,16 @@ def test_without_memory_advance_is_the_settled_pose_to_the_bit(name, draw):
     assert not plant.has_state
     for q in draw(plant.geometry, 20).tolist():
         state = plant.initial_state(math, q)
-        assert state == PlantState()
+        assert state == ()
         assert plant.advance(math, state, q, 0.1) == (state, plant.tool_frame(math, q))
 
 
-@pytest.mark.parametrize("effect", WITH_STATE)
+@pytest.mark.parametrize("effect", MEMORIES)
 def test_the_state_holds_what_is_on_and_nothing_else(effect):
     plant = only(effect)
     assert plant.has_state
     state = plant.initial_state(math, [0.1, 0.3, 0.4, 0.0, 0.1, 0.2])
-    assert [name for name, part in state._asdict().items() if part] == sorted(PARTS[effect], key=state._fields.index)
+    assert [len(part) for part in state] == [MEMORIES[effect]]
     after, _ = plant.advance(math, state, [0.2, 0.3, 0.4, 0.0, 0.1, 0.2], 0.1)
     assert [len(part) for part in after] == [len(part) for part in state]
 
@@ -165,7 +160,8 @@ def test_the_shares_are_of_the_size_that_the_field_reports(shares):
         "encoder": (0.0, 0.1),
         "servo": (0.0, 0.1),
     }
-    assert tuple(shares.alone) == tuple(name for name in TABLE if name not in OWN) == tuple(bands)
+    assert tuple(shares.alone) == tuple(shares.without) == causes_of(load_plant("orchard"))
+    assert set(shares.alone) == set(bands)
     for name, (low, high) in bands.items():
         assert low <= shares.alone[name].mean <= high, name
 
@@ -194,7 +190,9 @@ def test_waiting_longer_leaves_less_vibration(orchard):
 
 def test_the_table_prints_and_is_json(shares):
     lines = shares.report().splitlines()
-    assert len([line for line in lines if line.startswith(tuple(name.replace("_", " ") for name in TABLE))]) == 15
+    assert (
+        len([line for line in lines if line.startswith(tuple(name.replace("_", " ") for name in shares.alone))]) == 15
+    )
     again = json.loads(json.dumps(shares.as_dict()))
     assert again["unit"] == "mm"
     assert again["alone"]["base_tilt"]["mean"] == shares.alone["base_tilt"].mean

@@ -17,11 +17,14 @@ from pickenv.arm import (
     rotation_matrix,
     shipped_plants,
 )
-from pickenv.arm.effects.structure import BoomBending, JointCompliance, Load, driven_joints
+from pickenv.arm.effects.effect import Load
+from pickenv.arm.effects.structure import BoomBending, JointCompliance, driven_joints
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
-from pickenv.arm.plant.plant import EFFECTS
 from pickenv.arm.plant.plant_batch import arrays_of, with_links
+from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.arm.plant.tree import tree_map
+
+EFFECTS = shipped_effects()
 
 MOVING = ["joint_compliance", "boom_bending", "transmission_error"]
 
@@ -47,8 +50,7 @@ def test_with_all_effects_off_it_is_exactly_the_true_geometry(bare, qiao, draw):
 
 @pytest.mark.parametrize("effect", [*MOVING, "measurement_noise"])
 def test_each_effect_can_be_switched_off_alone(plant, effect):
-    on = {name for name in EFFECTS if getattr(plant, name) is not None}
-    assert {name for name in EFFECTS if getattr(plant.without([effect]), name) is not None} == on - {effect}
+    assert set(plant.without([effect]).names) == set(plant.without(effect).names) == set(plant.names) - {effect}
 
 
 @pytest.mark.parametrize("effect", MOVING)
@@ -61,11 +63,8 @@ def test_each_effect_moves_the_tool_by_tenths_of_a_millimetre_at_most_a_few(effe
 def test_a_soft_pitch_drive_droops_by_the_torque_of_all_it_carries(qiao):
     """The moment about J1 is written out from the links' masses; the rest of the arm is as stiff as can be."""
     masses, centres = (4.0, 3.0, 2.4, 0.9, 0.6, 0.5), tuple((0.05, 0.01 * i, -0.1) for i in range(6))
-    plant = replace(
-        load_plant("geometry_only"),
-        load=Load(masses, centres, payload=0.25),
-        joint_compliance=JointCompliance((9e3, *[1e30] * 5)),
-    )
+    loaded = replace(load_plant("geometry_only"), load=Load(masses, centres, payload=0.25))
+    plant = loaded.with_effect(JointCompliance((9e3, *[1e30] * 5)))
     q = np.array([0.2, 0.3, 0.7, -0.1, 0.1, 0.5])
     links = [pose_of(frame) for frame in frames(np, chain_of(qiao.true), q)[1:]]
     axis, origin = links[0].rotation[:, 2], links[0].position
@@ -80,7 +79,7 @@ def test_a_soft_pitch_drive_droops_by_the_torque_of_all_it_carries(qiao):
 def test_boom_bending_lowers_and_swings_what_the_boom_carries(qiao, draw):
     """The pose behind the boom turns about the boom's tip by the slope and sinks by the sag, both across the boom."""
     rigidity, length = 1.2e4, 0.4
-    plant = replace(load_plant("geometry_only"), boom_bending=BoomBending(2, length, rigidity, 2.0, 1.8))
+    plant = load_plant("geometry_only").with_effect(BoomBending(2, length, rigidity, 2.0, 1.8))
     for q in draw(qiao.true, 20):
         straight, reach = forward(qiao.true, q), length + q[2]
         tip = pose_of(frames(np, chain_of(qiao.true), q)[3])
@@ -98,7 +97,7 @@ def test_boom_bending_lowers_and_swings_what_the_boom_carries(qiao, draw):
 
 def test_transmission_error_acts_before_the_chain(plant, qiao, draw):
     q = draw(qiao.true, 10)
-    driven = np.stack(driven_joints(np, plant.transmission_error, list(q.T)), axis=-1)
+    driven = np.stack(driven_joints(np, plant.effect("transmission_error"), list(q.T)), axis=-1)
     assert np.abs(driven - q).max() > 1e-5
     assert equal(only("transmission_error").tool_pose(q), forward(qiao.true, driven))
 
@@ -122,10 +121,10 @@ def test_shipped_plants_load_under_their_own_names():
 def test_drive_errors_come_before_everything_else(name):
     """An arm with drive errors stands, loads and all, where one without them stands at the joints that they drive."""
     plant = load_plant(name, without=["encoder"])
-    rough = replace(plant, transmission_error=replace(plant.transmission_error, lead=(0.05,) * 6))
-    assert rough.joint_compliance is not None and rough.boom_bending is not None
+    rough = plant.with_effect(replace(plant.effect("transmission_error"), lead=(0.05,) * 6))
+    assert rough.effect("joint_compliance") is not None and rough.effect("boom_bending") is not None
     q = [0.2, 0.3, 0.5, -0.1, 0.1, 0.5]
-    driven = driven_joints(math, rough.transmission_error, q)
+    driven = driven_joints(math, rough.effect("transmission_error"), q)
     assert max(abs(a - b) for a, b in zip(q, driven, strict=True)) > 0.01
     smooth = rough.without(["transmission_error"])
     np.testing.assert_allclose(rough.tool_frame(math, q), smooth.tool_frame(math, driven), rtol=0, atol=1e-14)

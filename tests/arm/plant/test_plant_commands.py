@@ -8,7 +8,7 @@ import typer
 from typer.testing import CliRunner
 
 from pickenv.arm import load_arm, load_plant, shipped_arms
-from pickenv.arm.plant.campaign import TABLE
+from pickenv.arm.plant.campaign import causes_of
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.commands import plants
 from pickenv.errors import InputError
@@ -68,7 +68,7 @@ def test_effects_prints_and_writes_each_effects_share(tmp_path):
     file = tmp_path / "effects.json"
     said = call("effects", "--reaches", 20, "--json", file)
     orchard = load_plant("orchard")
-    on = [name for name in TABLE if getattr(orchard, name) is not None]
+    on = list(causes_of(orchard))
     found = json.loads(file.read_text())
     assert list(found["alone"]) == list(found["without"]) == on and found["unit"] == "mm"
     assert all(f"{share['mean']:.3f}" in said for share in (*found["alone"].values(), *found["without"].values()))

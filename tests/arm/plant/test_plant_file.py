@@ -90,14 +90,14 @@ def test_units_are_si_inside(write):
     assert plant.name == "sound"
     assert plant.load.centre[2] == pytest.approx((0, 0, -0.35))
     assert plant.load.payload == 0.25
-    assert plant.joint_compliance.stiffness == (9e3, 4e5, 4e5, 2.5e3, 3e5, 2e3)
-    assert (plant.boom_bending.joint, plant.boom_bending.length) == (2, 0.4)
-    turn, slide = plant.transmission_error.harmonics
+    assert plant.effect("joint_compliance").stiffness == (9e3, 4e5, 4e5, 2.5e3, 3e5, 2e3)
+    assert (plant.effect("boom_bending").joint, plant.effect("boom_bending").length) == (2, 0.4)
+    turn, slide = plant.effect("transmission_error").harmonics
     assert (turn.joint, slide.joint) == (0, 1)
     assert (turn.amplitude, turn.period) == pytest.approx((math.radians(0.5 / 60), math.pi / 2))
     assert (slide.amplitude, slide.period, slide.phase) == pytest.approx((5e-5, 0.4, math.radians(10)))
-    assert plant.measurement_noise.position_std == pytest.approx(15e-6)
-    assert plant.measurement_noise.attitude_std == pytest.approx(math.radians(0.012))
+    assert plant.effect("measurement_noise").position_std == pytest.approx(15e-6)
+    assert plant.effect("measurement_noise").attitude_std == pytest.approx(math.radians(0.012))
 
 
 @pytest.mark.parametrize(("old", "new", "named"), MISTAKES.values(), ids=MISTAKES)
@@ -116,7 +116,7 @@ def test_an_arm_without_true_values_is_built_as_its_controller_believes(write):
     """Its effects are the file's all the same."""
     text = SOUND[: SOUND.index("[boom_bending]")].replace("qiao2026", "ur5")
     plant = load_plant(write(text + SOUND[SOUND.index("[measurement_noise]") :]))
-    assert plant.geometry is plant.arm.nominal and plant.joint_compliance.stiffness[0] == 9e3
+    assert plant.geometry is plant.arm.nominal and plant.effect("joint_compliance").stiffness[0] == 9e3
     q = np.array([0.3, -1.0, 1.0, 0.2, 0.4, 0.5])
     sagged = forward(plant.arm.nominal, q).position - plant.tool_pose(q).position
     assert sagged[2] > 0
@@ -148,7 +148,7 @@ def test_sizes_of_a_joint_are_in_the_unit_of_its_kind_from_the_first_joint_to_th
             f"joints = [{{ joint = {joint}, forward_{unit} = 2.0, backward_{unit} = 1.0 }}]\n"
         )
         if right:
-            band = load_plant(path).stick_band
+            band = load_plant(path).effect("stick_band")
             size = 2e-3 if slides else 2.0 / 60 * math.pi / 180
             expected = [size if i + 1 == joint else 0.0 for i in range(3)]
             assert list(band.forward) == pytest.approx(expected)

@@ -9,8 +9,8 @@ import torch
 from pickenv.arm import forward, load_plant
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
-from pickenv.arm.plant.plant import EFFECTS
 from pickenv.arm.plant.plant_batch import plant_at, plant_count, plants_on
+from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.arm.plant.tolerances import (
     TOLERANCES,
     draw_plants,
@@ -19,6 +19,8 @@ from pickenv.arm.plant.tolerances import (
     shipped_tolerances,
 )
 from pickenv.errors import InputError
+
+EFFECTS = shipped_effects()
 
 ORCHARD = load_plant("orchard")
 MEDIUM = load_tolerances("medium")
@@ -42,8 +44,8 @@ def numbers(plant):
         elif value is not None:
             found[name] = value
 
-    for name in EFFECTS:
-        visit(getattr(plant, name), name)
+    for effect in plant.effects:
+        visit(effect, effect.name)
     return found
 
 
@@ -74,21 +76,27 @@ def test_link_parameters_stay_in_their_tolerance_zone_and_fill_it():
 def test_sizes_spread_about_the_design_as_the_class_says():
     arms = drawn(4000)
     pairs = {
-        "joint_stiffness": (ORCHARD.joint_compliance.stiffness[0], arms.joint_compliance.stiffness[0]),
-        "backlash": (ORCHARD.backlash.width[3], arms.backlash.width[3]),
-        "friction": (ORCHARD.stick_band.backward[1], arms.stick_band.backward[1]),
-        "ground_stiffness": (ORCHARD.base_tilt.stiffness[1], arms.base_tilt.stiffness[1]),
-        "frequency": (ORCHARD.settling.frequency[2], arms.settling.frequency[2]),
-        "flexural_rigidity": (ORCHARD.boom_bending.flexural_rigidity, arms.boom_bending.flexural_rigidity),
-        "roller_clearance": (ORCHARD.roller_play.clearance, arms.roller_play.clearance),
-        "warm_up_time": (ORCHARD.thermal_growth.time_constant, arms.thermal_growth.time_constant),
-        "sinkage": (ORCHARD.base_tilt.creep, arms.base_tilt.creep),
+        "joint_stiffness": (
+            ORCHARD.effect("joint_compliance").stiffness[0],
+            arms.effect("joint_compliance").stiffness[0],
+        ),
+        "backlash": (ORCHARD.effect("backlash").width[3], arms.effect("backlash").width[3]),
+        "friction": (ORCHARD.effect("stick_band").backward[1], arms.effect("stick_band").backward[1]),
+        "ground_stiffness": (ORCHARD.effect("base_tilt").stiffness[1], arms.effect("base_tilt").stiffness[1]),
+        "frequency": (ORCHARD.effect("settling").frequency[2], arms.effect("settling").frequency[2]),
+        "flexural_rigidity": (
+            ORCHARD.effect("boom_bending").flexural_rigidity,
+            arms.effect("boom_bending").flexural_rigidity,
+        ),
+        "roller_clearance": (ORCHARD.effect("roller_play").clearance, arms.effect("roller_play").clearance),
+        "warm_up_time": (ORCHARD.effect("thermal_growth").time_constant, arms.effect("thermal_growth").time_constant),
+        "sinkage": (ORCHARD.effect("base_tilt").creep, arms.effect("base_tilt").creep),
     }
     for key, (design, sizes) in pairs.items():
         logarithm = np.log(sizes / design)
         assert logarithm.std() == pytest.approx(getattr(MEDIUM.spread, key), rel=0.05), key
         assert abs(logarithm.mean()) < 0.06 * getattr(MEDIUM.spread, key), key
-    rise = arms.thermal_growth.final_rise
+    rise = arms.effect("thermal_growth").final_rise
     assert rise.min() > 0 and rise.max() < 25 and rise.mean() == pytest.approx(12.5, abs=0.4)
 
 
@@ -114,7 +122,7 @@ def test_arm_i_does_not_depend_on_how_many_are_drawn():
 
 
 @pytest.mark.parametrize(
-    "effect", [name for name in EFFECTS if name != "measurement_noise" and getattr(ORCHARD, name) is not None]
+    "effect", [name for name in EFFECTS if name != "measurement_noise" and ORCHARD.effect(name) is not None]
 )
 def test_switching_an_effect_off_leaves_the_other_draws_as_they_are(effect):
     whole, rest = numbers(drawn(4)), numbers(drawn(4, plant=ORCHARD.without([effect])))

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import pickenv  # noqa: F401 - registers the environments
-from pickenv.agents.evaluation.calibrated import load_compensator
+from pickenv.agents.evaluation.contenders import load_compensator
 from pickenv.arm import forward, load_arm
 from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.arm.plant.tolerances import draw_plants, load_tolerances

@@ -162,7 +162,7 @@ def test_without_a_file_the_frames_are_the_tables(made, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ({"kind": "dxf"}, "there is no kind 'dxf' of file; give one of toml, urdf"),
+        ({"kind": "dxf"}, "there is no exporter 'dxf'; give one of toml, urdf"),
         ({}, "does not tell what to write; give --as one of"),
         ({"kind": "lerobot"}, "give --onto the one that lerobot-calibrate wrote"),
         ({"kind": "table", "sample": 2}, "--sample goes with a new MJCF"),

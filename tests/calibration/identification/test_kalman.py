@@ -69,7 +69,7 @@ def test_the_covariance_tells_the_truth(table_1: Plant) -> None:
     """Over many data sets the error of the parameters, in its own covariance, is as large as chi squared says."""
     nominal = table_1.arm.nominal
     model, noise = link_model(nominal), MeasurementNoise(1e-4, 1e-4)
-    noisy = replace(table_1, measurement_noise=noise)
+    noisy = table_1.with_effect(noise)
     sizes, nis = [], []
     for seed in range(20):
         filtered = filter_measurements(model, nominal, tracked(noisy, 60, seed), noise=noise)
@@ -102,7 +102,7 @@ def test_an_update_changes_nothing_but_what_it_returns(table_1: Plant) -> None:
 
 
 def test_the_gate_refuses_outliers_and_names_them(table_1: Plant) -> None:
-    nominal, data = table_1.arm.nominal, tracked(replace(table_1, measurement_noise=CAMERA), 200, 3)
+    nominal, data = table_1.arm.nominal, tracked(table_1.with_effect(CAMERA), 200, 3)
     position = data.position.copy()
     position[[50, 120]] += [0.1, 0.0, 0.0]
     spoiled = replace(data, position=position)

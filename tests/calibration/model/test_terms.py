@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rotation_matrix
-from pickenv.arm.effects.structure import GRAVITY
+from pickenv.arm.effects.effect import GRAVITY
 from pickenv.calibration import Measurements, identify, link_model, random_joints, simulated_tracker
 from pickenv.calibration.model.arm_model import (
     ArmModel,
@@ -34,13 +34,13 @@ def plant():
 
 def drive_waves(plant):
     """The plant's own harmonics."""
-    harmonics = plant.transmission_error.harmonics
+    harmonics = plant.effect("transmission_error").harmonics
     return PeriodicTerm(tuple(h.joint for h in harmonics), tuple(2 * np.pi / h.period for h in harmonics))
 
 
 def all_terms(plant):
     load = plant.load
-    boom = plant.boom_bending
+    boom = plant.effect("boom_bending")
     waves = drive_waves(plant)
     return (ComplianceTerm(ALL, load), BendingTerm(boom.joint, boom.length, boom.end_mass), LeadTerm((1, 2, 4)), waves)
 
@@ -83,7 +83,11 @@ def test_each_term_is_the_plants_effect_to_first_order(plant, effect):
 
 def truth(plant):
     """Terms and coefficients of the plant's own effects."""
-    boom, drive, stiffness = plant.boom_bending, plant.transmission_error, plant.joint_compliance.stiffness
+    boom, drive, stiffness = (
+        plant.effect("boom_bending"),
+        plant.effect("transmission_error"),
+        plant.effect("joint_compliance").stiffness,
+    )
     rigidity = boom.flexural_rigidity / GRAVITY
     waves = drive_waves(plant)
     phases = [v for h in drive.harmonics for v in (h.amplitude * np.cos(h.phase), h.amplitude * np.sin(h.phase))]
@@ -106,7 +110,7 @@ def test_the_plants_terms_leave_only_noise(plant, exact):
     The target is mounted truly: where its centre lies no pose tells apart from the tool.
     """
     rng = np.random.default_rng(0)
-    centred = replace(plant, measurement_noise=replace(plant.measurement_noise, centring_std=0.0))
+    centred = plant.with_effect(replace(plant.effect("measurement_noise"), centring_std=0.0))
     data = simulated_tracker(centred, random_joints(plant.arm.nominal, 200, rng), rng)
     arm = ArmModel.of(plant.arm.nominal, all_terms(plant))
     found = identify(with_terms(link_model(plant.arm.nominal), arm), arm, data)
@@ -133,7 +137,9 @@ def test_identified_compliance_is_the_plants(plant):
     unloaded = {item.name for item in found.identifiability.dropped if not item.absorbed_by}
     assert unloaded == {"compliance2", "compliance6"}
     for i in (0, 2, 3, 4):
-        assert found.arm_model.coefficients[i] == pytest.approx(1 / plant.joint_compliance.stiffness[i], rel=0.02)
+        assert found.arm_model.coefficients[i] == pytest.approx(
+            1 / plant.effect("joint_compliance").stiffness[i], rel=0.02
+        )
 
 
 def test_unknown_masses_and_stiffnesses_are_no_obstacle(plant):

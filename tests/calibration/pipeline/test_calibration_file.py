@@ -220,7 +220,7 @@ def test_a_network_without_its_last_layer_is_refused(path):
         ({"arm_fingerprint": "0" * 16}, "its arm's geometry is not the one of fingerprint 0000"),
         ({"residual": None}, "it holds a learnt residual that its header does not name"),
         ({"residual": "gp"}, "its learnt residual is 'bpnn', but its header names 'gp'"),
-        ({"residual": "trees"}, "holds the residual model 'trees', which is none of bpnn, rbf, gp; run `pickenv cal"),
+        ({"residual": "trees"}, "residual 'trees' comes from the package pickenv "),
         ({"prismatic": [False] * 5}, "6 joint names are given for 5 joints"),
         ({"prismatic": ["no"] * 6}, "joint types are true (slides) or false (turns)"),
         ({"joint_names": list(range(6))}, "joint names are text"),

@@ -12,8 +12,8 @@ from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import GravityTerm, PeriodicTerm
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.pipeline.given import workspace_joints
+from pickenv.calibration.residuals.gate import AUTO as OURS
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict
-from pickenv.calibration.residuals.residual_models import FITTERS
 from pickenv.errors import InputError
 
 AUTO = Choices(frames="known", residual="auto", terms="auto", seed=5)
@@ -98,7 +98,7 @@ def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
     assert list(draft.fits) == ["geometry"] + ["geometry+gp"] * asked and (draft.gate is not None) == asked
     if asked:
         ((count, models, state),) = calls
-        assert (count, models) == (40, tuple(FITTERS))
+        assert (count, models) == (40, OURS)
         assert state == np.random.default_rng(5).bit_generator.state
     named = stages._learn(identified(dynamic, sets, rows, replace(AUTO, residual="rbf")))
     assert calls[-1][1] == ("rbf",) if asked else calls == []
@@ -117,7 +117,7 @@ def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, monkeypa
         (replace(AUTO, residual="none", force=True), ["geometry"]),
     ):
         assert list(stages._learn(identified(dynamic, sets, choices=choices)).fits) == fits
-    with pytest.raises(InputError, match="unknown residual model 'magic'"):
+    with pytest.raises(InputError, match="there is no residual 'magic'; give one of bpnn, rbf, gp"):
         stages.calibrate(dynamic.arm, sets[0], choices=replace(AUTO, residual="magic"))
 
 
@@ -133,7 +133,7 @@ def test_residual_models_are_judged_on_3000_rows_at_most(dynamic, sets, monkeypa
 
 def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynamic, sets):
     class Wires:
-        source, kind, tracked = "wires.csv", "distance", False
+        source, kind, poses = "wires.csv", "distance", None
 
         @property
         def parts(self):

@@ -8,7 +8,7 @@ import scipy.optimize
 from typer.testing import CliRunner
 
 from pickenv.arm import forward, load_arm
-from pickenv.arm.effects.structure import Load
+from pickenv.arm.effects.effect import Load
 from pickenv.calibration import Calibration, Choices, Measurements, calibrate, complete_model, identify
 from pickenv.calibration.identification.term_choice import terms_of
 from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, Conditions, with_terms

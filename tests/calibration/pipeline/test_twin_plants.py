@@ -20,7 +20,7 @@ from pickenv.arm import (
     read_twin,
     write_twin,
 )
-from pickenv.arm.effects.structure import Load
+from pickenv.arm.effects.effect import Load
 from pickenv.arm.kinematics.geometry import Coupling
 from pickenv.arm.plant.tolerances import it_tolerance
 from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker, twin
@@ -206,7 +206,7 @@ def test_arm_i_does_not_depend_on_how_many_are_drawn_nor_on_what_is_off():
         one, same = plant_at(few, i), plant_at(many, i)
         np.testing.assert_array_equal(one.tool_pose(joints).position, same.tool_pose(joints).position)
         np.testing.assert_array_equal(one.geometry.theta, plant_at(bare, i).geometry.theta)
-    assert bare.residual is None and bare.boom_bending is None and bare.gravity_yield is not None
+    assert "residual" not in bare.names and "boom_bending" not in bare.names and "gravity_yield" in bare.names
     with pytest.raises(InputError, match="already a batch"):
         draw_plants(few, MEDIUM, 2, rng)
 
@@ -248,8 +248,8 @@ def test_an_instrument_said_worse_than_the_rows_scatter_has_no_more_than_they_ha
     rows = rows_with_repeats(2e-5, 1e-3, repeats=1, poses=100)  # none repeated: only the model's rest tells it
     result = calibrate(QIAO, rows, choices=Choices(terms="none", residual="none"))
     plant = result.plant()
-    assert 0.0 < plant.measurement_noise.position_std < 2.2e-5
-    assert plant.measurement_noise.attitude_std == rows.attitude_std
+    assert 0.0 < plant.effect("measurement_noise").position_std < 2.2e-5
+    assert plant.effect("measurement_noise").attitude_std == rows.attitude_std
     assert any("scatter less than 1.0000 mm" in note for note in plant.posterior.notes)
 
 
@@ -287,7 +287,7 @@ def test_a_file_gives_the_plant_back_to_the_bit(tmp_path):
     one, other = (draw_plants(each, MEDIUM, 3, np.random.default_rng(1)) for each in (plant, back))
     np.testing.assert_array_equal(one.tool_pose(joints[:3]).position, other.tool_pose(joints[:3]).position)
     assert back.posterior.notes == plant.posterior.notes and back.arm.fingerprint() == QIAO.fingerprint()
-    assert load_plant(tmp_path / "arm.npz", without=["residual"]).residual is None
+    assert load_plant(tmp_path / "arm.npz", without=["residual"]).effect("residual") is None
     with pytest.raises(InputError, match="unknown effect 'wind'"):
         load_plant(tmp_path / "arm.npz", without=["wind"])
 
@@ -348,4 +348,4 @@ def test_a_result_makes_its_plant_and_its_arms():
     arms = result.sample(4, seed=0)
     again = draw_plants(plant, MEDIUM, 4, np.random.default_rng(0))
     np.testing.assert_array_equal(arms.geometry.a, again.geometry.a)
-    assert result.calibration.record["scatter"]["position_std"] == plant.measurement_noise.position_std
+    assert result.calibration.record["scatter"]["position_std"] == plant.effect("measurement_noise").position_std

@@ -50,8 +50,8 @@ def arm_after_least_squares(plant: Plant, seed: int) -> Arm:
     The target sits truly in all three sets: a mounting of its own in each would be judged as the process's error.
     """
     rng, nominal = np.random.default_rng(seed), plant.arm.nominal
-    assert plant.measurement_noise is not None
-    plant = replace(plant, measurement_noise=replace(plant.measurement_noise, centring_std=0.0))
+    assert plant.effect("measurement_noise") is not None
+    plant = plant.with_effect(replace(plant.effect("measurement_noise"), centring_std=0.0))
     sets = [simulated_tracker(plant, random_joints(nominal, n, rng), rng) for n in (100, 200, 1000)]
     geometry = identify(link_model(nominal), nominal, sets[0]).geometry
     inputs = joint_inputs(sets[1].joints, nominal.prismatic)

@@ -14,11 +14,13 @@ from pickenv.calibration.model.measurements import random_joints, simulated_trac
 from pickenv.calibration.residuals import bpnn
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.gaussian_process import Fitter, fit_gaussian_process, fit_rbf, k_means
-from pickenv.calibration.residuals.residual_models import FITTERS, LearntResidual, fit_residual, joint_inputs
+from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, joint_inputs
 from pickenv.errors import InputError
+from pickenv.registry import get, names
 
 PRISMATIC = (False, True, False)
-QUICK: dict[str, Fitter] = {**FITTERS, "bpnn": lambda x, y, rng: train_bpnn(x, y, rng, BpnnSettings(epochs=60))}
+QUICK: dict[str, Fitter] = {name: get("residual", name).fit for name in names("residual")}
+QUICK["bpnn"] = lambda x, y, rng: train_bpnn(x, y, rng, BpnnSettings(epochs=60))
 
 
 def field(joints: np.ndarray, outputs: int = 6) -> np.ndarray:
@@ -32,7 +34,7 @@ def drawn(count: int, seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).uniform([-np.pi, 0.0, -0.5], [np.pi, 1.0, 0.5], (count, 3))
 
 
-@pytest.fixture(scope="module", params=[(name, outputs) for name in FITTERS for outputs in (6, 3)], ids=str)
+@pytest.fixture(scope="module", params=[(name, outputs) for name in QUICK for outputs in (6, 3)], ids=str)
 def learnt(request: pytest.FixtureRequest) -> LearntResidual:
     """Each model, learnt from poses and from positions."""
     name, outputs = request.param
@@ -90,7 +92,7 @@ def test_a_full_turn_later_the_residual_is_the_same(learnt: LearntResidual) -> N
     )
 
 
-@pytest.mark.parametrize("name", FITTERS)
+@pytest.mark.parametrize("name", QUICK)
 def test_equal_generators_give_equal_models(name: str) -> None:
     joints = drawn(100)
     first, second = (
@@ -100,7 +102,7 @@ def test_equal_generators_give_equal_models(name: str) -> None:
     np.testing.assert_array_equal(first.predict(joints), second.predict(joints))
 
 
-@pytest.mark.parametrize("name", FITTERS)
+@pytest.mark.parametrize("name", QUICK)
 def test_a_condition_that_changes_is_learnt_only_where_it_is_given(name: str) -> None:
     """Payload scales the residual: a model of joints alone misses by its spread, one that knows it does not."""
     rng = np.random.default_rng(8)
@@ -119,7 +121,7 @@ def test_a_condition_that_changes_is_learnt_only_where_it_is_given(name: str) ->
         blind.predict(later, heavier)
 
 
-@pytest.mark.parametrize("name", FITTERS)
+@pytest.mark.parametrize("name", QUICK)
 def test_a_joint_that_never_moved_does_no_harm(name: str) -> None:
     joints = drawn(100)
     joints[:, 1] = 0.4
@@ -165,7 +167,7 @@ def test_centres_are_means_of_their_points() -> None:
 
 def test_bad_input_is_refused() -> None:
     joints, rng = drawn(100), np.random.default_rng(0)
-    with pytest.raises(InputError, match="unknown residual model 'magic'; give one of bpnn, rbf, gp"):
+    with pytest.raises(InputError, match="there is no residual 'magic'; give one of bpnn, rbf, gp"):
         fit_residual("magic", joints, field(joints), PRISMATIC, rng)
     with pytest.raises(InputError, match="not all finite"):
         fit_residual("gp", joints, field(joints) * np.nan, PRISMATIC, rng)

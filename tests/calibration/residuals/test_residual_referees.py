@@ -10,7 +10,7 @@ import pytest
 import torch
 from sklearn.cluster import KMeans
 
-from pickenv.calibration.residuals import bpnn, gaussian_process, residual_models
+from pickenv.calibration.residuals import bpnn, gaussian_process
 from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.gaussian_process import (
     GaussianProcessSettings,
@@ -20,8 +20,9 @@ from pickenv.calibration.residuals.gaussian_process import (
     fit_rbf,
     k_means,
 )
-from pickenv.calibration.residuals.residual_models import FITTERS, fit_residual, joint_inputs
+from pickenv.calibration.residuals.residual_models import fit_residual, joint_inputs
 from pickenv.extras import is_there
+from pickenv.registry import get
 
 TINY = BpnnSettings(hidden=(12, 8), epochs=4, batch_size=8, dropout=0.25)
 
@@ -228,7 +229,7 @@ def test_a_learnt_residual_fits_its_inputs_by_the_fitter_it_names(monkeypatch):
 
     def fitter(inputs, targets, rng):
         seen.append((inputs, targets, rng))
-        return FITTERS["rbf"](inputs, targets, rng)
+        return get("residual", "rbf").fit(inputs, targets, rng)
 
     rng = np.random.default_rng(0)
     fit_residual("gp", x, y, (True,) * 3, rng, fitter=fitter)
@@ -244,9 +245,9 @@ def test_a_learnt_residual_fits_its_inputs_by_the_fitter_it_names(monkeypatch):
 def test_with_more_than_400_poses_batches_double_and_epochs_fall(monkeypatch, rows, epochs, batch, rate):
     """48 000 poses seen in all; of more than 2000 it learns from 2000, taken evenly."""
     asked = []
-    monkeypatch.setattr(residual_models, "train_bpnn", lambda *given: asked.append(given))
+    monkeypatch.setattr(bpnn, "train_bpnn", lambda *given: asked.append(given))
     x = np.arange(rows, dtype=float)[:, None] * np.ones(2)
-    FITTERS["bpnn"](x, -x, np.random.default_rng(0))
+    get("residual", "bpnn").fit(x, -x, np.random.default_rng(0))
     ((inputs, targets, _, settings),) = asked
     assert (settings.epochs, settings.batch_size, settings.learning_rate) == (epochs, batch, rate)
     assert settings.hidden == BpnnSettings().hidden and settings.weight_decay == BpnnSettings().weight_decay

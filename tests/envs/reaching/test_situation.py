@@ -115,12 +115,16 @@ def test_joint_noise_is_as_large_as_asked_and_moves_nothing():
 def test_an_arm_that_has_been_on_is_where_hours_of_standing_bring_it():
     waited = ReachEnv(plant="orchard")
     waited.reset(seed=5)
+    remembering = [effect.name for effect in waited.plant.effects if effect.remembers]
     state = waited.plant.carried(math, waited._state.plant, waited._state.target, 4 * 3600.0)
     env = ReachEnv(plant="orchard", hours_on=4.0)
     env.reset(seed=5)
-    np.testing.assert_allclose(env._state.plant.rise, state.rise)
-    np.testing.assert_allclose(env._state.plant.sinkage, state.sinkage)
-    assert abs(env._state.plant.rise[0] - waited._state.plant.rise[0]) > 1.0
+    there, here, before = (
+        dict(zip(remembering, memory, strict=True)) for memory in (env._state.plant, state, waited._state.plant)
+    )
+    for name in ("thermal_growth", "base_tilt"):
+        np.testing.assert_allclose(there[name], here[name])
+    assert abs(there["thermal_growth"][0] - before["thermal_growth"][0]) > 1.0
 
 
 def test_goals_lie_in_their_region():
@@ -207,7 +211,8 @@ def test_fruit_is_picked_in_the_same_situations():
     noisy, as_sent, _ = picks(joint_noise=1.0)
     assert np.array_equal(sent, as_sent) and not np.array_equal(seen, noisy)
     _, _, warm = picks(hours_on=4.0, start_spread=0.5, control_period_s=[0.05, 0.2])
-    assert warm._motion.plant.rise[0] > env._motion.plant.rise[0] + 1.0
+    rise = [effect.name for effect in env.plant.effects if effect.remembers].index("thermal_growth")
+    assert warm._motion.plant[rise][0] > env._motion.plant[rise][0] + 1.0
     np.testing.assert_array_equal(warm.scene.rest, env.scene.rest)
 
 

@@ -11,23 +11,23 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pickenv.agents.evaluation.grid import GridSettings, run_grid
-from pickenv.agents.evaluation.grid_figures import grid_drawings
-from pickenv.bench.real_sets import SETS, learnable
 from pickenv.calibration import Choices, calibrate
 from pickenv.commands.calibrate import write_run
+from pickenv.experiments import PolicySettings, run_policies
+from pickenv.experiments.policy_tables import evaluation_drawings
+from pickenv.experiments.robots import SETS, learnable
+from pickenv.experiments.study import load_study
+from pickenv.experiments.study_report import write_outputs
+from pickenv.experiments.study_rows import run_study
 from pickenv.inspect.figures import plot_calibration, style
 from pickenv.inspect.figures.figure_lint import contrast_of, figure_faults, linting
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports import report_svg
 from pickenv.inspect.reports.run_pages import drawings_of
 from pickenv.inspect.runs.run_folder import Run, read_run
-from pickenv.study.analysis.study_report import write_outputs
-from pickenv.study.design.config import load_study
-from pickenv.study.running.run_study import run_study
-from tests.agents.synthetic import FRUIT, grid_of
+from tests.experiments.conftest import SMALL
+from tests.experiments.synthetic import FRUIT, rows_of
 from tests.inspect.figures.test_figures import PLOTS
-from tests.study.conftest import SMALL
 
 CSS = Path(report_svg.__file__).parent / "templates/report.css"
 RAW, LS, GREY = "#e69f00", "#0072b2", "#96969e"
@@ -171,7 +171,7 @@ def test_names_that_do_not_fit_are_thinned(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_figures_of_an_evaluation_are_sound() -> None:
     arms = np.linspace(1.0, 3.0, 12)[:, None, None] * np.ones((1, 1, len(FRUIT))) * FRUIT
-    assert faults(grid_drawings(grid_of(arms, 0.3 * arms, 0.1 * arms))) == []
+    assert faults(evaluation_drawings(rows_of(arms, 0.3 * arms, 0.1 * arms))) == []
 
 
 @pytest.mark.slow
@@ -196,5 +196,5 @@ def test_figures_of_a_small_study_are_sound(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_figures_of_compared_policies_are_sound() -> None:
-    settings = GridSettings(("scripted", "servo"), ("raw", "ls"), plants=("qiao2026", "orchard"), arms=10, episodes=4)
-    assert faults(grid_drawings(run_grid(settings))) == []
+    settings = PolicySettings(("scripted", "servo"), ("raw", "ls"), plants=("qiao2026", "orchard"), arms=10, episodes=4)
+    assert faults(evaluation_drawings(run_policies(settings))) == []

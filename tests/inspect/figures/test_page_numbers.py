@@ -172,7 +172,7 @@ def trace() -> HarvestTrace:
 
 
 def test_harvest(trace: HarvestTrace, tmp_path: Path) -> None:
-    with recorded_run(tmp_path / "harvest", "harvest", "python scripts/reproduce_li2016.py --quick", 2016) as run:
+    with recorded_run(tmp_path / "harvest", "harvest", "python -m papers.li2016 --quick", 2016) as run:
         save_part(run.folder, trace, 2016)
     page = Tables(page_of(run))
     (table,) = [rows for caption, rows in page.tables.items() if caption.startswith("Measures of each strategy")]

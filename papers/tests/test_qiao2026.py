@@ -1,0 +1,179 @@
+"""Verdicts on Qiao 2026 follow the numbers that stand beside them, and what the page says of the paper is true."""
+
+import numpy as np
+import pytest
+from scipy.stats import t as student_t
+
+from papers.qiao2026 import verdicts
+from papers.qiao2026.equations import PAPER, paper_model, paper_phi
+from papers.qiao2026.methods import METHODS, Campaign, Left, difference
+from papers.qiao2026.page import NOTES
+from pickenv.arm import forward, load_plant, pose_error
+from pickenv.calibration import random_joints
+
+PAPER_MM = {name: PAPER["table4"][name][0] for name in METHODS}
+"""What each method leaves in the paper."""
+
+
+def test_what_the_page_says_beside_its_numbers_is_true():
+    """Each note is computed anew from the transcribed tables, and from forward kinematics."""
+    said = " ".join(NOTES)
+    nominal, true = (PAPER["table1"][name] for name in ("nominal", "true"))
+    angles = sum(
+        abs(a - b) for part in ("alpha_deg", "theta_deg") for a, b in zip(nominal[part], true[part], strict=True)
+    )
+    assert f"add up to {angles:.3f} deg" in said and f"against {PAPER['table4']['raw'][2]} deg" in said
+    for table in ("table4", "table6"):
+        for row in (row for row in PAPER[table].values() if isinstance(row, list)):
+            assert row[1] < row[0] and row[3] < row[2]
+    with_network, without = PAPER["table4"]["LS+BPNN"][1], PAPER["table4"]["LS"][1]
+    assert f"{without} to {with_network} mm implies {1 - (with_network / without) ** 2:.2f}" in said
+    geometry = load_plant("geometry_only").arm.nominal
+    model = paper_model(geometry)
+    joints = random_joints(geometry, 40, np.random.default_rng(0))
+    columns = np.column_stack([difference_of(geometry, name, joints) for name in model.names])
+    singular = np.linalg.svd(columns / np.linalg.norm(columns, axis=0), compute_uv=False)
+    rank = int(np.sum(singular > 1e-6 * singular[0]))
+    assert f"Its {len(model.names)} parameters have rank {rank}" in said
+    assert PAPER["table3"]["model_17"][1] < PAPER["table3"]["model_24"][1]  # what '17 beats 24' refers to
+    poses = PAPER["protocol"]["poses"]
+    assert f"same {poses['identification'] + poses['residual_training']} poses" in said
+    assert f"{poses['identification']} go to the geometry and {poses['residual_training']} to the network" in said
+
+
+def rows_on(plant, order):
+    """Table 4 on a plant in which ours leave more the later they are named in ``order``."""
+    after = [*order, "raw"]
+    return [
+        {
+            "plant": plant,
+            "method": name,
+            "paper": [PAPER_MM[name], 0.0, 1.0],
+            "ours": [0.1 * (1 + after.index(name))] * 3,
+        }
+        | {"reduction_percent": {"paper": [90.0, 90.0], "ours": [90.0, 90.0]}}
+        for name in METHODS
+    ]
+
+
+THEIRS = sorted(METHODS[1:], key=PAPER_MM.get)
+
+
+@pytest.mark.parametrize(
+    ("order", "verdict", "words"),
+    [
+        (THEIRS, "reproduced", "is 1.00 and LS+BPNN leaves least"),
+        (["EKF+BPNN", *(n for n in THEIRS if n != "EKF+BPNN")], "not reproduced", "EKF+BPNN leaves least"),
+        (
+            ["LS+BPNN", "EKF+BPNN", "BPNN", "LS", "EKF+RBF", "EKF", "RBF"],
+            "not reproduced",
+            "BPNN without kinematics less than LS",
+        ),
+        (THEIRS[::-1], "not reproduced", "is -1.00 and RBF leaves least"),
+    ],
+)
+def test_the_verdict_on_table_4_follows_its_numbers_on_every_plant(order, verdict, words):
+    for plants in (["smooth"], ["smooth", "field"]):
+        table = verdicts.table_4({plant: rows_on(plant, order) for plant in plants})
+        assert table["verdict"] == verdict and words in table["reason"]
+    table = verdicts.table_4({"smooth": rows_on("smooth", order), "field": rows_on("field", THEIRS[::-1])})
+    assert table["verdict"] == "not reproduced"
+
+
+def test_a_claim_stands_where_the_interval_lies_on_the_papers_side_on_every_plant():
+    def row(ends):
+        return {"paper_mm": -0.1, "ours_mm": 0.0, "ci95_mm": ends}
+
+    for ends, verdict, words in (
+        ((-0.2, -0.1), "reproduced", "holds"),
+        ((-0.2, 0.1), "not reproduced", "cannot be told from no difference"),
+        ((0.1, 0.2), "not reproduced", "does not hold"),
+        (None, "not reproduced", "too few arms"),
+    ):
+        (claim,) = verdicts.claims({"A leaves less": {"smooth": row(ends)}}).values()
+        assert claim["verdict"] == verdict and words in claim["reason"]
+    (claim,) = verdicts.claims({"A leaves less": {"smooth": row((-0.2, -0.1)), "field": row((0.1, 0.2))}}).values()
+    assert claim["verdict"] == "not reproduced"
+
+
+def test_the_verdict_on_24_against_17_parameters_follows_its_numbers():
+    for fewer, verdict in ((0.4, "reproduced"), (0.6, "not reproduced")):
+        each = {"eta_percent": 1.0, "attitude_deg": {"mean": 0.1}}
+        rows = {
+            "24, rank-aware": each | {"position_mm": {"mean": 0.5}},
+            "17 of the paper, rank-aware (rank 15)": each | {"position_mm": {"mean": fewer}},
+        }
+        table = verdicts.table_3(PAPER, {"rows": rows})
+        assert table["verdict"] == verdict and f"{fewer:.3f}" in table["reason"]
+
+
+def test_table_2_is_the_papers_where_most_parameters_are():
+    names = [f"p{i}" for i in range(24)]
+    for off, verdict in ((0.0, "reproduced"), (0.05, "not reproduced")):
+        printed = {count: verdicts.column(PAPER["table2"][f"identified_{count}"]) for count in (24, 17)}
+        solved = {"24, rank-aware": printed[24] + off, "17 of the paper, rank-aware (rank 15)": printed[17] + off}
+        rows = {name: {"parameters": dict(zip(names, values, strict=True))} for name, values in solved.items()}
+        assert verdicts.table_2(PAPER, {"rows": rows, "dropped": {}})["verdict"] == verdict
+
+
+def test_phi_is_reproduced_only_where_it_marks_what_the_paper_removes():
+    names = ["a", "b", "c"]
+    for marked, verdict in ((["b"], "reproduced"), (["c"], "not reproduced"), (["b", "c"], "not reproduced")):
+        phi = {"m and rad": {name: 0.01 if name in marked else 1.0 for name in names}}
+        table = verdicts.equation_10(["b"], phi, {"b": ["a"]})
+        assert table["verdict"] == verdict and table["marked"] == {"m and rad": marked}
+        assert [row["tied_to"] for row in table["rows"]] == ["b", "a", ""]
+
+
+def test_the_literal_inverse_is_usable_only_if_it_commands_little_and_leaves_little():
+    for step, left, verdict in ((0.01, 0.1, "reproduced"), (1.0, 0.1, "not reproduced"), (0.01, 9.0, "not reproduced")):
+        found = {"condition": 10.0, "largest_step_m": step, "mean_mm": left, "corrected_mm": 1.0}
+        found |= {"truncated_mean_mm": 0.1, "truncated_largest_step_m": 0.01}
+        assert verdicts.equation_15(found)["verdict"] == verdict
+
+
+def difference_of(geometry, name, joints, step=1e-6):
+    """What a parameter does to the poses, by differences of forward kinematics, which know nothing of Jacobians."""
+    moved = np.zeros(len(geometry.parameter_names))
+    moved[geometry.parameter_names.index(name)] = step
+    return pose_error(forward(geometry, joints), forward(geometry.displaced(moved), joints)).ravel() / step
+
+
+def test_phi_to_the_letter_is_the_diagonal_of_r_of_the_printed_jacobian():
+    """Of differences of forward kinematics, which know nothing of Jacobians.
+
+    Behind a redundant column the diagonal is what rounding makes of it; up to the first of them it is comparable.
+    """
+    geometry = load_plant("geometry_only").arm.nominal
+    phi = paper_phi(geometry, 4, np.random.default_rng(3))["m and rad"]
+    joints = random_joints(geometry, 4, np.random.default_rng(3))
+    columns = [difference_of(geometry, name, joints) for name in phi]
+    diagonal = np.abs(np.diag(np.linalg.qr(np.column_stack(columns), mode="r")))
+    found = np.array(list(phi.values()))
+    first = int(np.argmax(diagonal < 1e-6 * diagonal.max()))
+    assert first >= 8
+    np.testing.assert_allclose(found[:first] / found[0], diagonal[:first] / diagonal[0], rtol=1e-5)
+    np.testing.assert_array_equal(found < 1e-6, diagonal < 1e-6 * diagonal.mean())
+    assert found.mean() == pytest.approx(1.0)
+
+
+def test_an_arm_counts_once_however_many_seeds_and_poses_it_has():
+    """Ten arms, each with an error of its own: neither poses nor seeds narrow the interval."""
+    rng = np.random.default_rng(0)
+    own = rng.normal(size=(2, 10))  # mm, of each method on each arm
+
+    def done(seeds, poses):
+        def left(i):
+            sizes = {name: 1e-3 * (5 + own[k, i]) / np.sqrt(3) for k, name in enumerate(("LS", "EKF"))}
+            return Left({name: np.full((poses, 6), size) for name, size in sizes.items()}, {}, {})
+
+        return Campaign([], [[left(i)] * seeds for i in range(10)])
+
+    apart = own[0] - own[1]
+    half = student_t.ppf(0.975, 9) * apart.std(ddof=1) / np.sqrt(10)
+    for seeds, poses in ((1, 1), (1, 100), (5, 100)):
+        found = difference(done(seeds, poses), "LS", "EKF")
+        assert found["ours_mm"] == pytest.approx(apart.mean())
+        low, high = found["ci95_mm"]
+        assert high - low == pytest.approx(2 * half, rel=0.1)  # beside what the skewness moves
+    assert difference(Campaign([], done(5, 9).arms[:9]), "LS", "EKF")["ci95_mm"] is None

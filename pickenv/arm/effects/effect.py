@@ -1,0 +1,288 @@
+"""What an effect is, and what it acts on: a joint command on its way from the motors to the tool.
+
+Formulas run on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics.forward`; the numbers of an
+effect may be arrays too, one entry per arm. Gravity points along -z of the world. Units: m, rad, N, kg, s.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from types import ModuleType
+from typing import Annotated, Any, ClassVar, NamedTuple, Self, cast
+
+import numpy as np
+from scipy.special import ndtri
+
+from pickenv import registry
+from pickenv.arm.files.arm import Arm
+from pickenv.arm.files.joint_keys import PER_JOINT
+from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, attach, frames, tool_frame
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.errors import InputError
+from pickenv.toml_tables import GRAVITY, KG, MM, toml_table
+
+MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in range(8))
+"""Where an effect acts, from the motors to the tool: on the motors (`Passage.turn`), in the drives (`Passage.drive`),
+in the gears and at the joints (``joints``, ``chain``), along the links (``bends``), under the base and at the tool
+(``frame``); what is beside the arm never moves it. Effects of one place act in the order of its fractions."""
+
+Components = tuple[Scalar, ...]
+
+Weight = tuple[Scalar, Scalar, Scalar]
+"""What hangs on a link: its mass in kg, and mass times horizontal position (x, y) in the world, kg*m."""
+
+
+@toml_table
+class Load:
+    """Masses that gravity pulls at.
+
+    Attributes:
+        mass: Mass of each link, kg.
+        centre: Centre of mass of each link in the link's frame, m.
+        payload: Mass held at the tool's origin, kg.
+    """
+
+    mass: Annotated[tuple[Scalar, ...], KG.not_negative, PER_JOINT]
+    centre: Annotated[tuple[tuple[float, float, float], ...], MM, PER_JOINT]
+    payload: Annotated[Scalar, KG.not_negative] = 0.0
+
+
+class Loads(NamedTuple):
+    """What gravity does.
+
+    Attributes:
+        weights: What hangs on each link: itself and all behind it; last what the tool holds.
+        torques: Torques and forces on the joints, N*m or N.
+    """
+
+    weights: list[Weight]
+    torques: list[Scalar]
+
+
+class Passage:
+    """A joint command on its way to the tool; the effects change it, one after the other.
+
+    Attributes:
+        m: The namespace of the formulas: ``math``, ``numpy`` or ``torch``.
+        command: The joint command, n components, rad or m.
+        motor: Where the motors are, n.
+        driven: Where the drives hold the joints, n.
+        joints: Where the joints are, n.
+        cold: The true geometry as it was measured.
+        chain: The true geometry as it is now.
+        load: The masses, or None.
+        bends: What bends the links, asked for its `Effect.flexure` when all joints are known.
+    """
+
+    __slots__ = ("_frame", "_loads", "bends", "chain", "cold", "command", "driven", "joints", "load", "m", "motor")
+
+    def __init__(self, m: ModuleType, chain: Chain, load: Load | None, command: Sequence[Scalar]) -> None:
+        self.m, self.command, self.load = m, command, load
+        self.motor = self.driven = self.joints = command
+        self.cold = self.chain = chain
+        self.bends: list[Effect] = []
+        self._loads: Loads | None = None
+        self._frame: Frame | None = None
+
+    def turn(self, motor: Sequence[Scalar]) -> None:
+        """Move the motors, and all behind them."""
+        self.motor = self.driven = self.joints = motor
+
+    def drive(self, driven: Sequence[Scalar]) -> None:
+        """Move the joints behind the motors."""
+        self.driven = self.joints = driven
+
+    @property
+    def loads(self) -> Loads:
+        """Loads at the driven joints of the straight, cold arm, which needs masses: the rest is of second order."""
+        if self._loads is None:
+            straight = frames(self.m, self.cold, self.driven)  # not kept: NumPy uses its memory again
+            weights = weights_behind(self.cold, straight, cast(Load, self.load))
+            self._loads = Loads(weights, weights_torques(self.cold, straight, weights))
+        return self._loads
+
+    @property
+    def frame(self) -> Frame:
+        """Where the tool is; joints and links are what they are from here on."""
+        if self._frame is None:
+            bends = [effect.flexure(self) for effect in self.bends]
+            both = (
+                bends[0] if len(bends) == 1 else lambda i, frame: reduce(lambda bent, one: one(i, bent), bends, frame)
+            )
+            self._frame = tool_frame(self.m, self.chain, self.joints, both if bends else None)
+        return self._frame
+
+    @frame.setter
+    def frame(self, frame: Frame) -> None:
+        self._frame = frame
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Even random numbers of N arms, and how far their tolerance class lets them differ.
+
+    Attributes:
+        even: Numbers from 0 to 1 ``(N, k)`` by what they are for; an effect's own under "own NAME".
+        spread: Standard deviations of the logarithm of sizes, by the entries of [spread].
+        temperature_rise: Range of the warm arm's temperature rise, K.
+    """
+
+    even: Mapping[str, Array]
+    spread: Any
+    temperature_rise: tuple[float, float]
+
+    def scaled(self, values: Sequence[float], key: str, first: int = 0, spread: str | float = "") -> tuple[Array, ...]:
+        """Each value times factors about 1 by its column ``(N,)`` of the numbers ``key``.
+
+        Args:
+            values: The values.
+            key: What the numbers are for.
+            first: The first value's column.
+            spread: The entry of [spread], where that is not ``key``, or the standard deviation itself.
+        """
+        size = spread if isinstance(spread, float) else getattr(self.spread, spread or key)
+        factors = np.exp(size * standard_normal_of(self.even[key]))
+        return tuple(value * factors[:, first + i] for i, value in enumerate(values))
+
+
+def standard_normal_of(even: Array) -> Array:
+    """Standard normal numbers of even ones."""
+    return np.asarray(ndtri(np.clip(even, 1e-12, 1.0 - 1e-12)))
+
+
+class Effect:
+    """What one cause does to an arm: base of frozen dataclasses of numbers, of one arm or of many.
+
+    Its class says ``place``: where it acts, `MOTOR` to `BESIDE` and fractions. It may say ``spreads``: which of its
+    numbers differ from arm to arm, each with its entry in a tolerance class's [spread], whose random numbers it then
+    shares, or with a standard deviation of its logarithm and random numbers of its own. ``needs_load``: whether it is
+    nothing without masses. ``name``: what it is registered as, and its table in plant files, where that is not the
+    class's name in lower case, words apart by ``_``.
+
+    An effect that remembers has `begin` and `carry` (and `rest`, where that is another memory); its memory is a tuple
+    of components of the joints' shape.
+
+    Attributes:
+        table: What a plant file's table is read as, where that is not the class itself as `toml_table` makes it.
+        remembers: Whether it has a memory.
+    """
+
+    name: ClassVar[str]
+    place: ClassVar[float]
+    spreads: ClassVar[Mapping[str, str | float]]
+    needs_load: ClassVar[bool]
+    remembers: ClassVar[bool]
+    table: ClassVar[Any] = None
+
+    def __init_subclass__(
+        cls, place: float, spreads: Mapping[str, str | float] | None = None, needs_load: bool = False, name: str = ""
+    ) -> None:
+        """Keep what the class says."""
+        cls.name = name or re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
+        cls.place, cls.spreads, cls.needs_load = place, spreads or {}, needs_load
+        cls.remembers = cls.carry is not Effect.carry
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Change the command's passage, unless links are to bend (`flexure`); without a memory, that is empty."""
+        at.bends.append(self)
+
+    def flexure(self, at: Passage) -> Flexure:
+        """How the links bend; of effects that do nothing else."""
+        raise NotImplementedError(f"effect '{self.name}' has neither act nor flexure")
+
+    def begin(self, at: Passage) -> Components:
+        """Its memory at rest at a command, just switched on."""
+        return ()
+
+    def rest(self, at: Passage) -> Components:
+        """Its memory where a command is held for ever, whatever was before."""
+        return self.begin(at)
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Its memory after a command has been held for ``dt`` seconds."""
+        return memory
+
+    def fault(self, arm: Arm) -> str:
+        """What of it cannot be on this arm, and what to give, for messages; empty where all can."""
+        return ""
+
+    def own_sizes(self) -> tuple[Scalar, ...]:
+        """The numbers that differ from arm to arm by random numbers of the effect's own."""
+        own = (name for name, spread in self.spreads.items() if isinstance(spread, float))
+        return tuple(number for name in own for number in _numbers(getattr(self, name)))
+
+    def drawn(self, draws: Draws) -> Self:
+        """The effect of many arms, its `spreads` drawn about its own."""
+        parts: dict[str, Any] = {}
+        used: Counter[str] = Counter()
+        for name, spread in self.spreads.items():  # sizes of one spread take its columns one after another
+            value, key = getattr(self, name), spread if isinstance(spread, str) else f"own {self.name}"
+            sizes = draws.scaled(_numbers(value), key, used[key], spread)
+            used[key] += len(sizes)
+            parts[name] = sizes if isinstance(value, tuple) else sizes[0]
+        return replace(cast(Any, self), **parts) if parts else self
+
+
+def _numbers(value: Any) -> tuple[Any, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def table_of(name: str) -> Any:
+    """What the plant file's table of a registered effect is read as; None where no file holds it.
+
+    Raises:
+        InputError: If there is no such effect, its package cannot be loaded, or it is no effect of that name.
+    """
+    kind = registry.get("effect", name)
+    if not (isinstance(kind, type) and issubclass(kind, Effect) and kind.name == name):
+        raise InputError(f"effect '{name}' is registered, but is no class of pickenv.arm.Effect with that name")
+    return kind if kind.table is None and "__pydantic_config__" in vars(kind) else kind.table
+
+
+def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Weight]:
+    """What hangs on each link: itself and all behind it; last what the tool holds.
+
+    Args:
+        chain: The chain.
+        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
+        load: The masses.
+    """
+    mass: Scalar = load.payload
+    tool = attach(frames[-1], chain.tool)
+    moment_x, moment_y = mass * tool[9], mass * tool[10]
+    weights: list[Weight] = [(mass, moment_x, moment_y)]
+    for i in reversed(range(len(chain.links))):
+        xx, xy, _, yx, yy, _, zx, zy, _, px, py, _ = frames[i + 1]
+        own, (cx, cy, cz) = load.mass[i], load.centre[i]
+        mass = mass + own
+        moment_x = moment_x + own * (px + cx * xx + cy * yx + cz * zx)
+        moment_y = moment_y + own * (py + cx * xy + cy * yy + cz * zy)
+        weights.append((mass, moment_x, moment_y))
+    return weights[::-1]
+
+
+def gravity_torques(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Scalar]:
+    """Generalised gravity forces on the joints: N*m for revolute, N for prismatic ones, positive along the joint.
+
+    Args:
+        chain: The chain.
+        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
+        load: The masses.
+    """
+    return weights_torques(chain, frames, weights_behind(chain, frames, load))
+
+
+def weights_torques(chain: Chain, frames: Sequence[Frame], weights: Sequence[Weight]) -> list[Scalar]:
+    """`gravity_torques` of what hangs on each link."""
+    torques: list[Scalar] = []
+    for link, frame, (mass, moment_x, moment_y) in zip(chain.links, frames[1:], weights, strict=False):
+        zx, zy, zz, px, py, _ = frame[6:]
+        if link.prismatic:
+            torques.append(-GRAVITY * mass * zz)
+        else:
+            torques.append(GRAVITY * (zy * (moment_x - mass * px) - zx * (moment_y - mass * py)))
+    return torques

@@ -1,1 +1,0 @@
-"""What calibrations leave of measured robots, beside what was predicted and what others reach: `pickenv bench`."""

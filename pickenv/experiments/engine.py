@@ -1,0 +1,638 @@
+"""The one engine for experiments: units × factors → rows, kept piece by piece, computed anywhere.
+
+An experiment measures each unit (an arm, a seed, a fold of a file) at every combination of its factors. A piece of work
+is one such combination; it gives any number of rows. Everything that a piece draws comes from the seed and its unit
+alone, so that two levels of a factor meet the same arms, fruit and noise, and no backend changes a number.
+
+In a folder every piece is a Parquet file with a seal, named by the hash of all that its rows depend on: inputs, levels
+and the code that makes numbers. What stands there is not computed again; `check_experiment` verifies all of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import re
+import secrets
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.arm.files.arm import content_sha256
+from pickenv.container import refusing_damage
+from pickenv.errors import InputError
+from pickenv.extras import require
+from pickenv.files import write_text, write_whole
+from pickenv.locks import FILE, locked
+from pickenv.provenance import code_fingerprint, versions
+from pickenv.sealed import check_sealed_parquet, parquet_is_sealed, sealed_parquet
+from pickenv.threads import single_threaded
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+RECORD = "experiment.json"
+"""What a folder of pieces holds beside them: which there are, and of what."""
+
+AGAIN = "run the experiment again, which makes it anew"
+ATTEMPTS = 4
+"""How often a piece is tried when the processes that work on it die."""
+
+Levels = Mapping[str, Any]
+Columns = Mapping[str, NDArray[Any]]
+Progress = Callable[[str, int, int], None]
+"""Called with (name of the experiment, pieces done, pieces in all)."""
+
+Refused = Callable[[Levels, InputError], None]
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows as columns: arrays whose first axes have one length.
+
+    Attributes:
+        columns: The columns by name, ``(N, ...)``.
+    """
+
+    columns: Columns
+
+    def __len__(self) -> int:
+        """How many rows there are."""
+        return len(next(iter(self.columns.values()), ()))
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """A column by its name."""
+        return self.columns[name]
+
+    def where(self, **levels: Any) -> Rows:
+        """The rows at these levels; a tuple of levels takes the rows at any of them."""
+        taken = np.ones(len(self), dtype=np.bool_)
+        for name, level in levels.items() if self.columns else ():
+            taken &= np.isin(self.columns[name], level if isinstance(level, tuple) else (level,))
+        return Rows({name: values[taken] for name, values in self.columns.items()})
+
+    def levels(self, *names: str) -> list[tuple[Any, ...]]:
+        """The combinations of levels of these columns, each once, in the order of their first rows."""
+        columns = [self.columns[name].tolist() for name in names] if self.columns else []
+        return list(dict.fromkeys(zip(*columns, strict=True)))
+
+    def dicts(self) -> list[dict[str, Any]]:
+        """The rows one by one, as plain values."""
+        lists = {name: values.tolist() for name, values in self.columns.items()}
+        return [dict(zip(lists, row, strict=True)) for row in zip(*lists.values(), strict=True)]
+
+    def pandas(self) -> pd.DataFrame:
+        """The rows as a table of pandas; a column of arrays becomes one of lists."""
+        import pandas as pd
+
+        flat = {name: values if values.ndim == 1 else list(values) for name, values in self.columns.items()}
+        return pd.DataFrame(flat)
+
+    def arrow(self) -> pa.Table:
+        """The rows as a table of pyarrow; a column of arrays becomes one of nested lists of fixed lengths."""
+        import pyarrow as pa
+
+        return pa.table({name: _arrow_of(values) for name, values in self.columns.items()})
+
+    @staticmethod
+    def of_arrow(table: pa.Table) -> Rows:
+        """The inverse of `arrow`."""
+        return Rows({name: _array_of(table.column(name).combine_chunks()) for name in table.column_names})
+
+    @staticmethod
+    def of(rows: Columns | Rows | Sequence[Mapping[str, Any]]) -> Rows:
+        """Rows of columns, or of one mapping per row.
+
+        Raises:
+            ValueError: If columns differ in length, or rows in their names.
+        """
+        if isinstance(rows, Rows):
+            return rows
+        if not isinstance(rows, Mapping):
+            names = list(rows[0]) if rows else []
+            if any(list(row) != names for row in rows):
+                raise ValueError("rows of one experiment have the same names in the same order")
+            rows = {name: np.array([row[name] for row in rows]) for name in names}
+        columns = {name: np.asarray(values) for name, values in rows.items()}
+        if len({len(values) for values in columns.values()}) > 1:
+            raise ValueError(f"columns {', '.join(columns)} differ in length")
+        return Rows(columns)
+
+
+def joined(parts: Sequence[Rows]) -> Rows:
+    """Rows one after the other; where a part lacks a column, or its arrays are shorter, NaN or empty text stands."""
+    filled = [part for part in parts if len(part)]
+    names = dict.fromkeys(name for part in filled for name in part.columns)
+    return Rows({name: _stacked([part.columns.get(name) for part in filled], list(map(len, filled))) for name in names})
+
+
+def _stacked(columns: Sequence[NDArray[Any] | None], lengths: Sequence[int]) -> NDArray[Any]:
+    there = [values for values in columns if values is not None]
+    shape = tuple(map(max, zip(*(values.shape[1:] for values in there), strict=True)))
+    kind: Any = np.result_type(*there)
+    kind, filler = (kind, "") if kind.kind == "U" else (float, np.nan)
+    stacked = []
+    for values, length in zip(columns, lengths, strict=True):
+        if values is None or values.shape[1:] != shape:
+            whole = np.full((length, *shape), filler, dtype=kind)
+            if values is not None:
+                whole[tuple(map(slice, values.shape))] = values
+            values = whole
+        stacked.append(values)
+    return np.concatenate(stacked)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Units that are measured at every combination of factors.
+
+    Attributes:
+        name: In file names and messages.
+        units: What is drawn, and what an interval is over: names and values, such as ``{"arm": range(64)}``.
+        factors: What is compared: names and levels, such as ``{"method": ("raw", "ls")}``.
+        measure: Called with ``rng`` and one level of each unit and factor by name; gives rows: columns, or a mapping
+            for each. ``rng`` is the unit's own, and the same at every level of the factors. It must be a function of a
+            module, or a `functools.partial` of one, where other processes are to call it.
+        seed: Seed of everything random.
+        inputs: What the rows depend on beside levels, seed and code: settings, plants, hashes of files; or a function
+            of the levels that gives it.
+        fits: Which combinations are measured, by the same names; all when left out.
+    """
+
+    name: str
+    units: Mapping[str, Sequence[Any]]
+    factors: Mapping[str, Sequence[Any]]
+    measure: Callable[..., Columns | Rows | Sequence[Mapping[str, Any]]] = field(compare=False)
+    seed: int = 0
+    inputs: tuple[Any, ...] | Callable[..., tuple[Any, ...]] = ()
+    fits: Callable[..., bool] | None = field(default=None, compare=False)
+
+    def pieces(self) -> list[Piece]:
+        """The pieces of work: factors vary slowest, in their order."""
+        found = []
+        for levels in product(*self.factors.values()):
+            for places in product(*(range(len(values)) for values in self.units.values())):
+                units = {name: self.units[name][at] for name, at in zip(self.units, places, strict=True)}
+                piece = Piece(dict(zip(self.factors, levels, strict=True)) | units, places)
+                if self.fits is None or self.fits(**piece.levels):
+                    found.append(piece)
+        return found
+
+    def measured(self, piece: Piece) -> Rows:
+        """The rows of one piece, with its levels in front."""
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=piece.place))
+        with single_threaded():
+            rows = Rows.of(self.measure(rng=rng, **piece.levels))
+        levels = {name: np.full(len(rows), value) for name, value in piece.levels.items() if name not in rows.columns}
+        return Rows(levels | dict(rows.columns))
+
+    def key(self, piece: Piece) -> str:
+        """The hash of all that a piece's rows depend on."""
+        inputs = self.inputs(**piece.levels) if callable(self.inputs) else self.inputs
+        return content_sha256(self.name, self.seed, inputs, dict(piece.levels), piece.place, code_fingerprint())
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One combination of units and factors.
+
+    Attributes:
+        levels: Level of each factor and unit by name.
+        place: Numbers of its units, which the piece's random numbers are drawn by.
+    """
+
+    levels: Levels
+    place: tuple[int, ...]
+
+    @property
+    def label(self) -> str:
+        """The levels as part of a file's name."""
+        return re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(str(level) for level in self.levels.values())).strip("-")[-80:]
+
+
+def run(
+    experiment: Experiment,
+    folder: str | Path | None = None,
+    *,
+    backend: str = "serial",
+    workers: int | None = None,
+    progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
+    refused: Refused | None = None,
+) -> Rows:
+    """Measure what is not measured yet, and give all rows in the order of the pieces.
+
+    Args:
+        experiment: What is measured.
+        folder: Where pieces are kept for the next time; nowhere when None.
+        backend: "serial", "loky" (processes of this machine), or any that joblib knows, "ray" and "dask" among them.
+        workers: Processes; as many as there are cores when None.
+        progress: Told how many pieces are done.
+        warn: Told of damaged files, which are made anew.
+        refused: Told the levels of pieces that cannot be measured, and why; they have no rows, and are tried again by
+            the next run. The first of them ends the run when None.
+
+    Raises:
+        InputError: If the backend is unknown or not installed, the folder is being worked in, processes keep dying, or
+            a piece cannot be measured and ``refused`` is None.
+    """
+    if folder is not None:
+        keep(experiment, folder, backend=backend, workers=workers, progress=progress, warn=warn, refused=refused)
+        return kept_rows(folder)
+    pieces, parts = experiment.pieces(), {}
+    for number, rows in spread(partial(_measured, experiment, pieces), range(len(pieces)), backend, workers):
+        parts[number] = rows if isinstance(rows, Rows) else _refuse(pieces[number], rows, refused)
+        if progress is not None:
+            progress(experiment.name, len(parts), len(pieces))
+    return joined([parts[number] for number in range(len(pieces))])
+
+
+def keep(
+    experiment: Experiment,
+    folder: str | Path,
+    *,
+    backend: str = "serial",
+    workers: int | None = None,
+    progress: Progress | None = None,
+    warn: Callable[[str], None] | None = None,
+    refused: Refused | None = None,
+) -> list[Path]:
+    """Measure what a folder does not hold yet, and give the pieces' files in their order; arguments as of `run`.
+
+    Rows pass through memory piece by piece; pyarrow reads the files as one data set of any size.
+    """
+    folder, pieces = Path(folder), experiment.pieces()
+    require("pyarrow")
+    with locked(folder):
+        keys = [experiment.key(piece) for piece in pieces]
+        files = [
+            folder / f"{experiment.name}_{piece.label}_{key[:16]}.parquet"
+            for piece, key in zip(pieces, keys, strict=True)
+        ]
+        _write_record(folder, {file.name: key for file, key in zip(files, keys, strict=True)}, warn)
+        todo = []
+        for number, (file, key) in enumerate(zip(files, keys, strict=True)):
+            if file.is_file() and parquet_is_sealed(file.read_bytes()):
+                _piece_table(file, key)
+                continue
+            if file.is_file() and warn is not None:
+                warn(f"{file} is damaged and is made anew")
+            todo.append(number)
+        done = len(pieces) - len(todo)
+        if progress is not None:
+            progress(experiment.name, done, len(pieces))
+        kept = dict.fromkeys(range(len(pieces)))
+        for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
+            if isinstance(rows, Rows):
+                write_piece(files[number], rows, experiment.name, keys[number])
+            else:
+                _refuse(pieces[number], rows, refused)
+                kept.pop(number)
+            done += 1
+            if progress is not None:
+                progress(experiment.name, done, len(pieces))
+        if len(kept) < len(pieces):
+            _write_record(folder, {files[number].name: keys[number] for number in kept}, warn)
+    return [files[number] for number in kept]
+
+
+def _measured(experiment: Experiment, pieces: Sequence[Piece], number: int) -> Rows | InputError:
+    try:
+        return experiment.measured(pieces[number])
+    except InputError as error:
+        return error
+
+
+def _refuse(piece: Piece, error: InputError, refused: Refused | None) -> Rows:
+    """No rows, where somebody wants to be told why; else the error itself."""
+    if refused is None:
+        raise error
+    refused(piece.levels, error)
+    return Rows({})
+
+
+# A folder of pieces.
+
+
+def kept_rows(folder: str | Path) -> Rows:
+    """The rows of an experiment's last run in this folder, each piece verified.
+
+    Raises:
+        InputError: If there is no such run, it is not complete, or a file is damaged or was edited.
+    """
+    return joined([Rows.of_arrow(table) for _, table in kept_tables(folder)])
+
+
+def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
+    """The pieces of an experiment's last run one by one, each verified; memory holds one.
+
+    Raises:
+        InputError: As `kept_rows`.
+    """
+    folder = Path(folder)
+    record = _read_record(folder / RECORD)
+    for name in record.last:
+        yield folder / name, _piece_table(folder / name, record.pieces[name])
+
+
+@dataclass(frozen=True)
+class _Record:
+    """What a folder holds: keys of pieces by file name, and the files of the last run in their order."""
+
+    pieces: Mapping[str, str]
+    last: Sequence[str]
+    versions: Mapping[str, str]
+
+    def text(self) -> str:
+        """The only text that `RECORD` may hold: its own hash stands in it."""
+        content = {
+            "format": 1,
+            "pieces": dict(self.pieces),
+            "last": list(self.last),
+            "versions": dict(self.versions),
+        }
+        own = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        return json.dumps(content | {"sha256": own}, indent=2) + "\n"
+
+
+def _write_record(folder: Path, pieces: Mapping[str, str], warn: Callable[[str], None] | None) -> None:
+    """Say what the folder holds: these pieces, and those of other runs that it held before."""
+    path, before = folder / RECORD, dict[str, str]()
+    try:
+        before |= _read_record(path).pieces if path.is_file() else {}
+    except InputError:
+        if warn is not None:
+            warn(f"{path} is damaged and is made anew")
+    there = {name: key for name, key in before.items() if (folder / name).is_file()}
+    write_text(path, _Record({**there, **pieces}, list(pieces), versions("pyarrow")).text())
+
+
+def _read_record(path: Path) -> _Record:
+    if not path.is_file():
+        raise InputError(f"{path} is missing, so {path.parent} holds no experiment; {AGAIN}")
+    with refusing_damage(path, "the record of an experiment", AGAIN):
+        text = path.read_text(encoding="utf-8")
+        content = json.loads(text)
+        found = _Record(content["pieces"], content["last"], content["versions"])
+        if text != found.text() or not set(found.last) <= set(found.pieces):
+            raise ValueError("it was edited: its own hash is another")
+    return found
+
+
+def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
+    """Write rows as one sealed file, whole or not at all; `read_piece` wants the same key."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    sink = pa.BufferOutputStream()
+    table = rows.arrow().replace_schema_metadata({"pickenv.key": key, "pickenv.experiment": name})
+    pq.write_table(table, sink, compression="zstd")
+    content = sealed_parquet(sink.getvalue().to_pybytes())
+    write_whole(path, lambda temporary: temporary.write_bytes(content))
+
+
+def read_piece(path: Path, key: str) -> Rows:
+    """The rows of one piece, to the bit; raises `InputError` where its file is missing, damaged, or another piece's."""
+    return Rows.of_arrow(_piece_table(path, key))
+
+
+def _piece_table(path: Path, key: str) -> pa.Table:
+    """The rows of one piece as a table.
+
+    Raises:
+        InputError: If the file is missing or damaged, or is another piece than its name says.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path} is missing; {AGAIN}") from error
+    check_sealed_parquet(content, path, AGAIN)
+    table = pq.read_table(pa.BufferReader(content))
+    said = (table.schema.metadata or {}).get(b"pickenv.key", b"").decode()
+    if said != key:
+        raise InputError(f"{path} holds another piece than its name says (key {said[:12]}); {AGAIN}")
+    return table
+
+
+def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
+    """Verify a folder of pieces from end to end.
+
+    Returns:
+        The record, every piece that it names and every other file beside them: each with None, or the sentence that
+        says why it is refused.
+    """
+    folder = Path(folder)
+    record = folder / RECORD
+    try:
+        pieces = _read_record(record).pieces
+    except InputError as error:
+        return [(record, str(error))]
+    found: list[tuple[Path, str | None]] = [(record, None)]
+    there = {path.name for path in folder.iterdir()} - {RECORD, FILE}
+    for name in sorted({*pieces, *there}):
+        path, reason = folder / name, None
+        if name not in pieces:
+            reason = f"{path} is no piece of this experiment; take it out of the folder"
+            if name.startswith("."):
+                reason = f"{path} was left behind by an interrupted write; delete it"
+        else:
+            try:
+                _piece_table(path, pieces[name])
+            except InputError as error:
+                reason = str(error)
+        found.append((path, reason))
+    return found
+
+
+def _arrow_of(values: NDArray[Any]) -> Any:
+    import pyarrow as pa
+
+    if values.ndim == 1:
+        return pa.array(values)
+    inner = _arrow_of(values.reshape(-1, *values.shape[2:]))
+    return pa.FixedSizeListArray.from_arrays(inner, values.shape[1])
+
+
+def _array_of(column: Any) -> NDArray[Any]:
+    import pyarrow as pa
+
+    if pa.types.is_fixed_size_list(column.type):
+        inner = _array_of(column.flatten())
+        return inner.reshape(len(column), column.type.list_size, *inner.shape[1:])
+    if pa.types.is_string(column.type):
+        return np.array(column.to_pylist())
+    values: NDArray[Any] = column.to_numpy(zero_copy_only=False)
+    return values
+
+
+def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
+    """Write rows as .csv or .parquet, whole or not at all; None is an empty cell.
+
+    Raises:
+        InputError: If the suffix is another.
+    """
+    if path.suffix not in (".csv", ".parquet"):
+        raise InputError(f"cannot write {path}: give a file name that ends in .csv or .parquet")
+    require("pandas", *(["pyarrow"] if path.suffix == ".parquet" else []))
+    import pandas as pd
+
+    table = rows.pandas() if isinstance(rows, Rows) else pd.DataFrame(list(rows), dtype=object)
+    write = partial(table.to_csv, index=False) if path.suffix == ".csv" else partial(table.to_parquet, index=False)
+    return write_whole(path, write)
+
+
+# Who computes.
+
+
+def spread(
+    work: Callable[[int], Any], numbers: Sequence[int], backend: str = "serial", workers: int | None = None
+) -> Iterator[tuple[int, Any]]:
+    """Do some work for each number, and give (number, result) in any order.
+
+    Args:
+        work: What is done; a function of a module where other processes are to do it.
+        numbers: For what.
+        backend: As `run` takes it.
+        workers: Processes; as many as there are cores, or as the cluster has, when None.
+
+    Raises:
+        InputError: If the backend is unknown or not installed, or the processes of this machine keep dying.
+    """
+    if backend == "serial" or not numbers:
+        for number in numbers:
+            yield number, work(number)
+        return
+    require("joblib")
+    from joblib import Parallel, delayed
+    from joblib.parallel import get_active_backend
+
+    left = list(numbers)
+    with _working_on(backend, workers) as deaths:
+        for _ in range(ATTEMPTS):
+            streams = get_active_backend()[0].supports_return_generator
+            parallel = Parallel(
+                n_jobs=workers or -1, return_as="generator_unordered" if streams else "list", batch_size=1
+            )
+            together = len(left) if streams else 4 * (workers or parallel._effective_n_jobs())
+            try:
+                while left:
+                    for number, result in parallel(
+                        delayed(_numbered)(work, number, os.getpid()) for number in left[:together]
+                    ):
+                        left.remove(number)
+                        yield number, result
+                return
+            except deaths:
+                continue
+    raise InputError(
+        f"the processes that worked on piece {left[0]} died {ATTEMPTS} times ({len(left)} are left); give fewer "
+        "workers or smaller pieces if memory ran out, and run it again to go on"
+    )
+
+
+@contextmanager
+def _working_on(backend: str, workers: int | None) -> Iterator[tuple[type[Exception], ...]]:
+    """The context in which joblib works on a backend; gives the errors that mean that a process died."""
+    from joblib import parallel_config
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    deaths: tuple[type[Exception], ...] = (TerminatedWorkerError,)
+    if backend == "ray":
+        deaths += (_joined_ray(workers).exceptions.RayError,)
+    try:
+        context = parallel_config(backend=backend)
+    except (ValueError, ImportError) as error:
+        raise InputError(
+            f"backend '{backend}' is not known or not installed: {error}; give serial, loky, ray or another of joblib's"
+        ) from error
+    try:
+        with context:
+            yield deaths
+    finally:
+        if backend == "ray":
+            import ray
+
+            ray.shutdown()
+
+
+STARTS = 3
+"""How often a local cluster is started before the work is given up: Ray waits 30 s, which a busy machine may pass."""
+ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_AUTH_MODE": "token"}
+"""Environment of a cluster of one's own: on loopback (on Linux, too, Ray takes it then), and with a token for work."""
+
+
+def _joined_ray(workers: int | None) -> Any:
+    """Ray, connected to the cluster at RAY_ADDRESS, or to one of this machine that takes work from nobody else."""
+    require("ray")
+    address, options = os.environ.get("RAY_ADDRESS"), dict[str, Any]()
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    if address is not None and ":" in address:
+        _check_answers(address)
+    if address is None:
+        os.environ.update(ALONE | {"RAY_AUTH_TOKEN": secrets.token_hex(32)})  # read as Ray is imported
+        options = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+    import ray
+    from ray.util.joblib import register_ray
+
+    register_ray()  # type: ignore[no-untyped-call]
+    for again in reversed(range(STARTS if address is None else 1)):
+        try:
+            if not ray.is_initialized():
+                ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+            break
+        except Exception as error:  # Ray raises many kinds here, the bare one among them
+            ray.shutdown()
+            if again:
+                continue
+            reason = (str(error).strip().splitlines() or [type(error).__name__])[0].partition(". ")[0].rstrip(".")
+            raise InputError(
+                f"Ray cannot be used at {address or 'this machine'}: {reason}; RAY_ADDRESS must name a cluster of this "
+                "version of Ray and Python, RAY_AUTH_MODE must be as on it, and the machine not too busy"
+            ) from error
+    return ray
+
+
+def _check_answers(address: str) -> None:
+    """Refuse an address where nothing answers; Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), 5.0).close()
+    except (OSError, ValueError, OverflowError) as error:
+        raise InputError(
+            f"no Ray cluster answers at {address}: {error}; start one with `ray start --head`, or leave RAY_ADDRESS "
+            "out for one on this machine"
+        ) from error
+
+
+def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any]:
+    _end_with(driver)
+    return number, work(number)
+
+
+@lru_cache(maxsize=1)
+def _end_with(driver: int) -> None:
+    """Let this worker end when its driver is killed; it would wait for ever for somebody to take its rows."""
+
+    def watch() -> None:
+        while os.getppid() == driver:
+            time.sleep(1.0)
+        os._exit(1)
+
+    if os.getppid() == driver:  # a worker of another kind has another parent
+        threading.Thread(target=watch, daemon=True).start()

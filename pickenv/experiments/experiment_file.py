@@ -1,0 +1,347 @@
+"""Experiments as files: what is drawn, what is compared, what measures it, and which numbers are made of the rows.
+
+title = "What least squares leave"
+measure = "gains.py:left"                 # a function of a file beside this one, or of an installed "package:function"
+seed = 0
+quick = { arm = 10 }
+
+[units]
+arm = 64                                  # 0 to 63; or a list
+
+[factors]
+method = ["raw", "ls"]
+
+[[estimate]]
+title = "Mean error (mm)"
+value = "error_mm"
+by = ["method"]
+over = ["arm"]
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from functools import partial
+from importlib import import_module, metadata
+from importlib.util import module_from_spec, spec_from_file_location
+from itertools import permutations
+from pathlib import Path
+from typing import Annotated, Any
+
+from pickenv.errors import InputError
+from pickenv.experiments.engine import Experiment, Rows
+from pickenv.intervals import LEAST, Estimate, estimate
+from pickenv.provenance import file_sha256
+from pickenv.texts import listed
+from pickenv.toml_tables import WHOLE, Check, Unit, made, toml_of, toml_table
+
+WORD = Check(lambda value: isinstance(value, str) and value != "", "a text")
+NAMES = Check(
+    lambda value: isinstance(value, list) and all(isinstance(name, str) for name in value), "a list of names of columns"
+)
+TABLE = Check(lambda value: isinstance(value, dict), "a table of names and values")
+LEVELS = Check(
+    lambda value: isinstance(value, dict) and all(isinstance(each, int | list) for each in value.values()),
+    "a table of names, each with a list of levels, or with a number for 0, 1, … below it",
+)
+STATISTICS = ("mean", "share", "ratio", "removed")
+STATISTIC = Check(
+    lambda value: (
+        value in ("mean", "share", "ratio", "removed")
+        or _is_named(value)
+        or (isinstance(value, float) and 0.0 < value < 1.0)
+    ),
+    f'one of {", ".join(STATISTICS)}, a probability for that quantile over units, or "file.py:function" of their means',
+)
+
+
+def _is_named(value: Any) -> bool:
+    return isinstance(value, str) and len(value.split(":")) == 2
+
+
+FUNCTION = Check(_is_named, '"file.py:function" or "package.module:function"')
+
+
+@toml_table
+class Number:
+    """One table of numbers, each with its interval.
+
+    Attributes:
+        title: Above it, with the unit.
+        value: The column that they are of; several for a function of them.
+        by: Columns that name a number.
+        over: One or two columns of units, which the intervals are over.
+        of: As `pickenv.intervals.estimate` takes it; a function is named.
+        against: Levels that the others are compared with, pair by pair.
+        where: Levels of the rows that count.
+        across: The column of ``by`` whose levels stand side by side; all in lines when left out.
+        margin: Differences whose whole interval lies within it "carry over"; a verdict stands beside each where given.
+        least: Fewest units for an interval of a mean, where they are runs whose means are nearly normal.
+        spread: Whether the standard deviation and the range of the units' means are shown beside each number.
+        digits: After the point.
+        scale: Factor on what is shown, such as 100 for percent.
+        exp: Whether what is shown is the exponential, of a function that gives a logarithm.
+        figure: Name of its figure; none when left out.
+        x: The column of ``by`` that lines are drawn along in the figure; whiskers when left out.
+        panels: The column of ``by`` whose levels have a panel each.
+        log: Whether the figure's axis of numbers is logarithmic.
+    """
+
+    _: KW_ONLY
+    title: Annotated[str, WORD]
+    value: Annotated[Any, Check(lambda value: isinstance(value, str | list), "a column, or a list of columns")]
+    by: Annotated[tuple[str, ...], NAMES] = ()
+    over: Annotated[tuple[str, ...], NAMES]
+    of: Annotated[Any, STATISTIC] = "mean"
+    against: Annotated[dict[str, Any], TABLE] | None = None
+    where: Annotated[dict[str, Any], TABLE] | None = None
+    across: Annotated[str, WORD] | None = None
+    least: Annotated[int, WHOLE.at_least(2)] = LEAST
+    spread: bool = False
+    margin: Annotated[float, Unit().positive] | None = None
+    digits: Annotated[int, WHOLE.within(0, 9)] = 2
+    scale: float = 1.0
+    exp: bool = False
+    figure: Annotated[str, WORD] | None = None
+    x: Annotated[str, WORD] | None = None
+    panels: Annotated[str, WORD] | None = None
+    log: bool = False
+
+
+@toml_table
+class _File:
+    """The keys of a file."""
+
+    _: KW_ONLY
+    title: Annotated[str, WORD]
+    measure: Annotated[str, FUNCTION]
+    seed: Annotated[int, WHOLE.not_negative] = 0
+    units: Annotated[dict[str, Any], LEVELS]
+    factors: Annotated[dict[str, Any], LEVELS] | None = None
+    settings: Annotated[dict[str, Any], TABLE] | None = None
+    quick: Annotated[dict[str, Any], TABLE] | None = None
+    fits: Annotated[str, FUNCTION] | None = None
+    estimate: tuple[Number, ...] = ()
+    figures: Annotated[dict[str, str], TABLE] | None = None
+
+
+@dataclass(frozen=True)
+class ExperimentFile:
+    """An experiment that was read from a file.
+
+    Attributes:
+        path: The file.
+        title: What it asks.
+        experiment: What is measured.
+        numbers: What is made of its rows.
+        functions: The functions that it names, by the words that name them.
+        figures: Functions that draw its rows, by the names of the figures.
+    """
+
+    path: Path
+    title: str
+    experiment: Experiment
+    numbers: tuple[Number, ...]
+    functions: Mapping[str, Callable[..., Any]]
+    figures: Mapping[str, Callable[[Rows], Any]]
+
+    def estimates(self, rows: Rows) -> list[dict[str, Any]]:
+        """The tables of numbers: "title" and "rows", each row with its levels and "estimate".
+
+        Raises:
+            InputError: If a table names a column that no row has, or rows that do not pair.
+        """
+        found = []
+        for number in self.numbers:
+            some = rows.where(**{n: tuple(v) if isinstance(v, list) else v for n, v in (number.where or {}).items()})
+            of = self.functions.get(number.of, number.of) if isinstance(number.of, str) else number.of
+            try:
+                made_of = estimate(some.columns, number.value, number.by, number.over, of, number.against, number.least)
+            except KeyError as error:
+                columns = listed(rows.columns)
+                raise InputError(f"{self.path}: no column {error} for '{number.title}'; there are {columns}") from error
+            except ValueError as error:
+                raise InputError(f"{self.path}: '{number.title}': {error}") from error
+            if number.exp:
+                made_of = [row | {"estimate": row["estimate"].exponential} for row in made_of]
+            found.append({"title": number.title, "rows": made_of})
+        return found
+
+
+def load_experiment(
+    path: str | Path, *, quick: bool = False, seed: int | None = None, changes: Mapping[str, Any] | None = None
+) -> ExperimentFile:
+    """Read an experiment's file; the code that it names is loaded, and so executed.
+
+    Args:
+        path: The file (.toml).
+        quick: Whether the values under its ``quick`` take the places of those of units, factors and settings.
+        seed: In place of its own.
+        changes: Further values of units, factors and settings by name.
+
+    Raises:
+        InputError: If it is missing, or an entry is impossible; the message names file, line and key.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"experiment {path} does not exist; give a path to a TOML file")
+    content, text = toml_of(path)
+    asked = made(_File, content, str(path), text=text)
+    parts = {"units": asked.units, "factors": asked.factors or {}, "settings": asked.settings or {}}
+    for name, value in {**((asked.quick or {}) if quick else {}), **(changes or {})}.items():
+        part = next((part for part in parts.values() if name in part), None)
+        if part is None:
+            known = listed(name for part in parts.values() for name in part)
+            raise InputError(f"{path} has no unit, factor or setting '{name}'; known are {known}")
+        part[name] = value
+    named = [asked.measure, asked.fits, *(asked.figures or {}).values()]
+    named += [number.of for number in asked.estimate if _is_named(number.of)]
+    functions = {word: _function(path, word) for word in named if word is not None}
+    measure = functions[asked.measure]
+    taken = inspect.signature(measure).parameters
+    seed = asked.seed if seed is None else seed
+    if "seed" in taken and not any("seed" in part for part in parts.values()):
+        parts["settings"]["seed"] = seed
+    for name in ("rng", *parts["units"], *parts["factors"], *parts["settings"]):
+        if name not in taken and not any(each.kind is each.VAR_KEYWORD for each in taken.values()):
+            raise InputError(f"{path}: {asked.measure} takes no argument '{name}'; it takes {listed(taken)}")
+    experiment = Experiment(
+        path.stem,
+        {name: _levels(value) for name, value in parts["units"].items()},
+        {name: _levels(value) for name, value in parts["factors"].items()},
+        partial(measure, **parts["settings"]) if parts["settings"] else measure,
+        seed,
+        (asked.measure, parts["settings"], [_origin(functions[word]) for word in sorted(functions)]),
+        None if asked.fits is None else functions[asked.fits],
+    )
+    figures = {name: functions[word] for name, word in (asked.figures or {}).items()}
+    return ExperimentFile(path, asked.title, experiment, asked.estimate, functions, figures)
+
+
+def _levels(value: int | Sequence[Any]) -> Sequence[Any]:
+    return range(value) if isinstance(value, int) else list(value)
+
+
+def _function(path: Path, word: str) -> Callable[..., Any]:
+    """The function that a file names."""
+    place, name = word.split(":")
+    try:
+        module = _beside(path.parent / place) if place.endswith(".py") else import_module(place)
+        function = getattr(module, name)
+    except (ImportError, OSError, AttributeError) as error:
+        raise InputError(f"{path} names '{word}', which cannot be loaded: {error}; give {FUNCTION.wanted}") from error
+    if not callable(function):
+        raise InputError(f"{path} names '{word}', which is no function; give {FUNCTION.wanted}")
+    return function  # type: ignore[no-any-return]
+
+
+def _beside(file: Path) -> Any:
+    """A module beside an experiment's file, which processes that work on its pieces find as well."""
+    folder = str(file.parent.resolve())
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+        os.environ["PYTHONPATH"] = os.pathsep.join([folder, *filter(None, [os.environ.get("PYTHONPATH")])])
+    known = sys.modules.get(file.stem)
+    if known is not None:
+        if Path(str(known.__file__)).resolve() != file.resolve():
+            raise ImportError(f"a module of the name {file.stem} is loaded from elsewhere; rename {file.name}")
+        return known
+    spec = spec_from_file_location(file.stem, file)
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    sys.modules[file.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        del sys.modules[file.stem]
+        raise
+    return module
+
+
+def _origin(function: Callable[..., Any]) -> str:
+    """What a function's code is known by: the hash of its file, and the version of the package that it is from."""
+    place = inspect.getsourcefile(inspect.unwrap(function))
+    package = function.__module__.partition(".")[0]
+    try:
+        version = metadata.version(package)
+    except metadata.PackageNotFoundError:
+        version = ""
+    return f"{version} {'' if place is None else file_sha256(Path(place))}"
+
+
+def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The tables of `ExperimentFile.estimates` as JSON has them: "value", "ci95", "no_interval", "std" and "range"."""
+
+    def plain(row: Mapping[str, Any]) -> dict[str, Any]:
+        number, units = row["estimate"], row["units"]
+        levels = {name: value for name, value in row.items() if name not in ("estimate", "units")}
+        levels |= {"value": number.value, "ci95": number.ends, "no_interval": number.missing}
+        if units is not None and len(units) > 1:
+            levels |= {"std": float(units.std(ddof=1)), "range": [float(units.min()), float(units.max())]}
+        return levels
+
+    return [{"title": table["title"], "rows": [plain(row) for row in table["rows"]]} for table in tables]
+
+
+def held_by_seeds(by_seed: Sequence[Sequence[Mapping[str, Any]]]) -> list[tuple[str, int, int]]:
+    """How often the intervals of one seed hold the number of another, over all pairs of seeds.
+
+    Two estimates differ by sqrt(2) of what one varies by, so that about 83 % of 95 % intervals are due.
+
+    Args:
+        by_seed: The tables of `ExperimentFile.estimates` at each seed.
+
+    Returns:
+        For each table its title, how many intervals hold, and of how many.
+    """
+    counts = []
+    for tables in zip(*by_seed, strict=True):
+        held = tried = 0
+        for one, other in permutations(tables, 2):
+            numbers = {_levels_of(row): row["estimate"].value for row in other["rows"]}
+            for row in one["rows"]:
+                ends, value = row["estimate"].ci95, numbers.get(_levels_of(row))
+                if ends is not None and value is not None:
+                    low, high = (-math.inf if ends[0] is None else ends[0], math.inf if ends[1] is None else ends[1])
+                    held, tried = held + (low <= value <= high), tried + 1
+        counts.append((tables[0]["title"], held, tried))
+    return counts
+
+
+def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    return tuple(value for name, value in row.items() if name not in ("estimate", "units"))
+
+
+def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Heads and cells of one table of numbers; levels of ``across`` stand side by side."""
+    form = f"{'+' if number.against and number.of != 'removed' else ''}.{number.digits}f"
+
+    def said(found: Estimate) -> str:
+        text = f"{number.scale * found.value:{form}}"
+        if found.ci95 is None:
+            return text
+        ends = ("open" if end is None else f"{number.scale * end:{form}}" for end in found.ci95)
+        verdict = "" if number.margin is None else f": {found.verdict(number.margin)}"
+        return f"{text} ({' to '.join(ends)}){verdict}"
+
+    names = [name for name in number.by if name != number.across]
+    if number.across is None:
+        heads, cells = [*names, "number (95 % interval)"], []
+        for row in rows:
+            cells.append([*(str(row[name]) for name in names), said(row["estimate"])])
+            if number.spread and row["units"] is not None:
+                of_units = number.scale * row["units"]
+                deviation = of_units.std(ddof=1) if len(of_units) > 1 else 0.0
+                cells[-1] += [f"{deviation:{form}}", f"{of_units.min():{form}} to {of_units.max():{form}}"]
+        return [*heads, *(["standard deviation", "range"] if number.spread else [])], cells
+    columns = list(dict.fromkeys(row[number.across] for row in rows))
+    lines: dict[tuple[str, ...], dict[Any, str]] = {}
+    for row in rows:
+        lines.setdefault(tuple(str(row[name]) for name in names), {})[row[number.across]] = said(row["estimate"])
+    cells = [[*key, *(found.get(column, "") for column in columns)] for key, found in lines.items()]
+    return [*names, *(str(column) for column in columns)], cells

@@ -1,0 +1,209 @@
+"""Simulated arms and their calibrations by a method's name, each arm measured by a tracker run of its own.
+
+"raw" is no calibration and "ls" least squares; "ls+MODEL" adds any registered residual model to them. Two have names of
+their own: "ls_bpnn" adds the paper's network, "best" a Gaussian process.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pickenv.agents.evaluation.reaches import episode_seeds
+from pickenv.arm.files.arm import content_sha256
+from pickenv.arm.plant.campaign import TRACKER, load_instrument
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_batch import plant_at, plant_count
+from pickenv.calibration import BpnnSettings, Calibration, fit
+from pickenv.envs.shared.task import check_count
+from pickenv.errors import InputError
+from pickenv.experiments.gains import random_sets
+from pickenv.inspect.runs.episode_summary import Reaches, reaches_of
+from pickenv.provenance import code_fingerprint
+from pickenv.registry import names, origin
+from pickenv.seeds import stream
+from pickenv.wrappers import Compensate
+from pickenv.wrappers.compensation import CompensationVectorWrapper
+
+METHODS = ("raw", "ls", "ls_bpnn", "best")
+"""What is compared where nothing else is asked for."""
+
+RESIDUALS = {"ls": None, "ls_bpnn": "bpnn", "best": "gp"}
+"""What methods with a name of their own add to least squares."""
+
+ORIGIN = "evaluated_arm_sha256"
+"""In a kept calibration's record: hash of the arm and of how it was calibrated."""
+
+
+@dataclass(frozen=True)
+class CalibrationPlan:
+    """How each arm is measured and fitted.
+
+    Attributes:
+        identification_poses: Poses for least squares (the paper: 100).
+        residual_poses: Poses for the residual model (the paper: 200).
+        epochs: Passes of the network's training (the paper: 500).
+        seed: Seed of poses, noise and networks; every arm has its own stream.
+        instrument: What measures them; one of `pickenv.arm.shipped_instruments`, or a path.
+    """
+
+    identification_poses: int = 100
+    residual_poses: int = 200
+    epochs: int = 100
+    seed: int = 0
+    instrument: str = TRACKER
+
+
+def check_method(method: str) -> None:
+    """Refuse an unknown method.
+
+    Raises:
+        InputError: If it is none of `METHODS` and not "ls+" with a registered residual model.
+    """
+    if method not in METHODS and not (method.startswith("ls+") and method[3:] in names("residual")):
+        models = ", ".join(names("residual"))
+        raise InputError(
+            f"unknown compensation '{method}'; give one of {', '.join(METHODS)}, or ls+ and a residual model: {models}"
+        )
+
+
+def calibrate_arm(plant: Plant, method: str, plan: CalibrationPlan | None = None, number: int = 0) -> Calibration:
+    """Measure a simulated arm with a simulated tracker and calibrate it; equal arguments give equal calibrations.
+
+    Args:
+        plant: The arm.
+        method: "ls", "ls_bpnn", "best", or "ls+" and the name of a registered residual model, such as "ls+rbf".
+        plan: How it is measured and fitted; a `CalibrationPlan` as it is by itself if left out.
+        number: The arm's number in a population; every arm has its own poses and noise.
+
+    Raises:
+        InputError: If there is no such method, or it is "raw".
+    """
+    check_method(method)
+    if method == "raw":
+        raise InputError("compensation raw calibrates nothing; give ls, ls_bpnn, best, or ls+ and a residual model")
+    plan = plan or CalibrationPlan()
+    poses, learning = (np.random.default_rng(part) for part in stream(plan.seed, "calibration", number).spawn(2))
+    counts = (plan.identification_poses, plan.residual_poses)
+    first, second = random_sets(plant, counts, poses, plan.instrument)
+    residual = residual_of(method)
+    return fit(
+        plant.arm,
+        first,
+        second if residual else None,
+        known_frames=True,
+        residual=residual or "bpnn",
+        rng=learning,
+        settings=BpnnSettings(epochs=plan.epochs) if residual == "bpnn" else None,
+    ).calibration
+
+
+def residual_of(method: str) -> str | None:
+    """The residual model that a method adds to least squares; None of "raw" and "ls"."""
+    return RESIDUALS.get(method, method.partition("+")[2] or None)
+
+
+def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
+    """What names alone do not say: where a method's residual model is from, and the numbers of the instrument."""
+    residual = residual_of(method)
+    return None if residual is None else str(origin("residual", residual)), load_instrument(plan.instrument)
+
+
+# Calibrations that are kept: made once per arm, method and plan.
+
+
+def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationPlan, number: int) -> Calibration:
+    """The calibration of an arm from a folder, where it is made if it is not there; arguments as of `calibrate_arm`.
+
+    A file belongs to the arm's own numbers, to the plan and to the code that fits; its record says so as well.
+
+    Raises:
+        InputError: If the kept file is damaged, or of another arm or plan than its name says.
+    """
+    key = content_sha256(plant, method, sources_of(method, plan), plan, number, code_fingerprint())
+    path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', plant.name)}-{method}-{key[:16]}.npz"
+    if not path.is_file():
+        calibration = calibrate_arm(plant, method, plan, number)
+        calibration = replace(calibration, record={**calibration.record, ORIGIN: key})
+        calibration.save(path)
+        return calibration
+    calibration = Calibration.load(path, plant.arm)
+    if calibration.record.get(ORIGIN) != key:
+        raise InputError(
+            f"{path} is the calibration of another arm or protocol than its name says; delete it, or give another "
+            "--cache"
+        )
+    return calibration
+
+
+def compensators(
+    plants: Plant, method: str, plan: CalibrationPlan, folder: Path | None = None
+) -> list[Compensate] | None:
+    """One compensator per arm of a population (or of a single arm), from the folder if there is one; None for "raw".
+
+    Raises:
+        InputError: As `kept_calibration` does, or if there is no such method.
+    """
+    check_method(method)
+    if method == "raw":
+        return None
+    arms = [plants] if (count := plant_count(plants)) is None else [plant_at(plants, i) for i in range(count)]
+    make = calibrate_arm if folder is None else partial(kept_calibration, folder)
+    return [make(arm, method, plan, number).compensator() for number, arm in enumerate(arms)]
+
+
+# Any client's policy, judged raw and behind calibrations of the same arm, on the same fruit.
+
+
+def reaches_behind(
+    act: Callable[[Any], ArrayLike],
+    compensations: Sequence[str] = METHODS[:3],
+    *,
+    id: str = "pickenv/ReachScaled-v0",
+    plant: str = "qiao2026",
+    episodes: int = 100,
+    seed: int = 0,
+    **arguments: Any,
+) -> dict[str, Reaches]:
+    """Let a policy reach for the same fruit raw and calibrated.
+
+    Args:
+        act: Takes observations of all episodes at once, ``(N, ...)`` or a dict of them, and gives actions ``(N, n)``.
+        compensations: Methods as of `calibrate_arm`, and "raw"; each calibrates the arm anew with a simulated tracker.
+        id: A reach environment with a native vector.
+        plant: The arm as it is.
+        episodes: N, one fruit each.
+        seed: Seed of fruit and calibrations; no two seeds share any.
+        arguments: Further arguments of the environment.
+
+    Returns:
+        The ends of the episodes for each compensation.
+
+    Raises:
+        InputError: If a compensation or an argument is unknown, or the environment has no native vector.
+    """
+    check_count("episodes", episodes)
+    for name in compensations:
+        check_method(name)
+    if id not in gym.registry or gym.spec(id).vector_entry_point is None:
+        raise InputError(f"'{id}' is no environment with a native vector; give one such as pickenv/ReachScaled-v0")
+    seeds = episode_seeds(seed, episodes)
+    ends = {}
+    for name in compensations:
+        envs: Any = gym.make_vec(id, num_envs=episodes, autoreset_mode="Disabled", plant=plant, **arguments)
+        inner = envs.unwrapped
+        for calibration in compensators(inner.task.plant, name, CalibrationPlan(seed=seed)) or ():
+            envs = CompensationVectorWrapper(envs, calibration)
+        observations, infos = envs.reset(seed=list(seeds))
+        for _ in range(inner.max_episode_steps):
+            observations, _, _, _, infos = envs.step(act(observations))
+        ends[name] = reaches_of(inner.plant.geometry, seeds, infos)
+    return ends

@@ -1,0 +1,368 @@
+"""Policies compared: policies × compensations × feedback × plants, on the same arms and fruit, one row an episode.
+
+Arms are drawn from a population that no policy was trained on. Fruit, arms, pictures and calibrations depend on the
+seed alone, so that any two policies of one plant can be compared pair by pair; another seed shares nothing with it.
+`pickenv evaluate` is one seed, `pickenv bench policies` several. Calibrations are made first, once per arm and method.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal
+
+import numpy as np
+
+from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
+from pickenv.agents.evaluation.reaches import moments_of
+from pickenv.agents.evaluation.rollout import roll_out
+from pickenv.agents.policies.learned import BASELINES
+from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
+from pickenv.agents.policies.policy import Policy
+from pickenv.arm.plant.named_plants import draw_arms
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.calibration import Calibration
+from pickenv.envs.picking.pick import PickEnv
+from pickenv.envs.reaching.vector import ReachVectorEnv
+from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
+from pickenv.errors import InputError
+from pickenv.experiments import methods
+from pickenv.experiments.engine import Columns, Experiment, Progress, Rows, run
+from pickenv.inspect.runs.episode_summary import Reaches
+from pickenv.inspect.runs.run_folder import listed_files
+from pickenv.limits import check_limit
+from pickenv.orchard.gripper import load_gripper
+from pickenv.provenance import file_sha256
+from pickenv.registry import names, origin
+from pickenv.seeds import seed_words, stream
+
+CYCLE_MM = 2.0
+"""Radius within which a cycle is over, for the cycle time."""
+
+PICK_PLANT = "field"
+"""Plant of the picking task."""
+
+PICKERS: Mapping[str, Callable[[Any], Policy]] = {"scripted": ScriptedPick, "hasty": partial(ScriptedPick, **HASTY)}
+"""Who picks: gently and after waiting for the arm to settle, and neither."""
+
+LONGEST_CANOPY = 400
+"""Steps after which a canopy is left, as in `pickenv/Pick-v0`."""
+
+
+@dataclass(frozen=True)
+class PolicySettings:
+    """What is compared.
+
+    Attributes:
+        policies: Names of registered policies or of shipped baselines, policy files, or folders of one training with
+            several seeds.
+        compensations: Methods as of `calibrate_arm`, and "raw".
+        feedback: "encoders" (open loop) and "camera".
+        plants: Plant presets.
+        grippers: Names of grippers.
+        arms: Arms drawn for each plant and seed.
+        episodes: Fruits per arm.
+        seeds: Seeds of arms, fruit, pictures and calibrations.
+        tolerances: Class of the arms' tolerances.
+        camera_noise_mm: Standard deviation per axis of the camera's view of the gap.
+        fruit_noise_mm: The same for the fruit's position.
+        plan: How arms are calibrated; its seed is the comparison's.
+        canopies: Canopies that each of `PICKERS` clears with each arm.
+    """
+
+    policies: tuple[str, ...] = ("scripted", "oracle", "servo", "adaptive")
+    compensations: tuple[str, ...] = methods.METHODS
+    feedback: tuple[str, ...] = FEEDBACK
+    plants: tuple[str, ...] = ("qiao2026", "orchard")
+    grippers: tuple[str, ...] = ("li_cup", "compliant_hand")
+    arms: int = 64
+    episodes: int = 32
+    seeds: tuple[int, ...] = (0,)
+    tolerances: str = "coarse"
+    camera_noise_mm: float = 1.0
+    fruit_noise_mm: float = 0.0
+    plan: methods.CalibrationPlan = field(default_factory=methods.CalibrationPlan)
+    canopies: int = 0
+
+    def __post_init__(self) -> None:
+        for compensation in self.compensations:
+            methods.check_method(compensation)
+        for feedback in self.feedback:
+            check_choice("feedback", feedback, FEEDBACK)
+        for gripper in self.grippers:
+            load_gripper(gripper)
+        for name in ("camera_noise_mm", "fruit_noise_mm"):
+            check_number(name, getattr(self, name))
+        check_limit("arms", self.arms, "compared arms")
+        check_limit("episodes", self.episodes, "episodes")
+        check_limit("epochs", self.plan.epochs, "epochs")
+
+    def population(self, plant: str, seed: int) -> Plant:
+        """The arms of a plant that a seed draws, as the environments draw them."""
+        return draw_arms(plant, self.tolerances, self.arms, np.random.default_rng(population_seed(seed)))
+
+    def levels(self, name: str) -> tuple[Any, ...]:
+        """What one of the fields names, each once."""
+        return tuple(dict.fromkeys(getattr(self, name)))
+
+
+def population_seed(seed: int) -> int:
+    """The seed of a comparison's arms, given its own."""
+    return seed_words(stream(seed, "arms"), 1)[0]
+
+
+def run_policies(
+    settings: PolicySettings,
+    folder: Path | None = None,
+    *,
+    task: Literal["reaching", "picking"] = "reaching",
+    cache: Path | None = None,
+    backend: str = "serial",
+    workers: int | None = None,
+    progress: Progress | None = None,
+    fits: Callable[..., bool] = lambda **levels: True,
+) -> Rows:
+    """Let policies reach, or pick, with the same arms behind every compensation.
+
+    Args:
+        settings: What is compared.
+        folder: Where rows are kept for the next time, or None.
+        task: "reaching", for every policy with every feedback that it can use; "picking", where each of `PICKERS`
+            clears canopies of `pickenv/Pick-v0` with the arms of `PICK_PLANT`, the same for every compensation.
+        cache: Where calibrations are kept for the next time; in the former's "calibrations", or nowhere, when None.
+        backend: Who computes, as of `pickenv.experiments.run`.
+        workers: Processes.
+        progress: Called with (stage, done, in all).
+        fits: Called with plant, compensation, policy, seed and so on by name: whether that is measured.
+
+    Returns:
+        Of reaching a row for each episode: plant, compensation, feedback, policy, seed and training (number of the file
+        of one with several), whether it was ``learned``, ``arm`` (no two seeds share a number) and ``episode``;
+        ``error_mm`` and ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last), ``cycle_steps``
+        until the tool is within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a gripper takes the
+        fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm and gripper, over all canopies:
+        grasps ``attempted``, fruit ``collected`` undamaged, ``picks_per_hour`` of these without the ways between
+        canopies, and sums over grasps of the distance between fruit and true tool (``error_sum_mm``) and of the tool's
+        angle with the vertical (``tilt_sum_deg``).
+
+    Raises:
+        InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.
+    """
+    kept = cache if folder is None or cache is not None else folder / "calibrations"
+    make = _reaching if task == "reaching" else _picking
+    how: dict[str, Any] = {"backend": backend, "workers": workers, "progress": progress}
+    with TemporaryDirectory() if kept is None else nullcontext(kept) as place:
+        kept = Path(place).resolve()
+        experiment = make(settings, kept, fits)
+        calibrations = _calibrations(settings, kept, experiment)
+        if calibrations.pieces():
+            with listed_files(kept):
+                run(calibrations, **how)
+        return run(experiment, None if folder is None else folder / task, **how)
+
+
+def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) -> Experiment:
+    """The arms that an experiment is to be run with, calibrated and kept one by one."""
+    wanted = {tuple(piece.levels[name] for name in BEHIND) for piece in experiment.pieces()}
+    return Experiment(
+        f"calibrations, {experiment.name}",
+        {"seed": settings.levels("seeds"), "arm": range(settings.arms)},
+        {name: tuple(dict.fromkeys(experiment.factors[name])) for name in BEHIND[:2]},
+        partial(_calibrated, settings, kept),
+        fits=lambda arm, **levels: levels["compensation"] != "raw" and tuple(map(levels.get, BEHIND)) in wanted,
+    )
+
+
+BEHIND = ("plant", "compensation", "seed")
+"""What tells one calibrated population from another."""
+
+
+def _calibrated(settings: PolicySettings, kept: Path, *, rng: np.random.Generator, arm: int, **behind: Any) -> Columns:
+    return {"key": np.array([_calibration(settings, kept, arm=arm, **behind).record[methods.ORIGIN]])}
+
+
+def _calibration(
+    settings: PolicySettings, kept: Path, *, plant: str, compensation: str, seed: int, arm: int
+) -> Calibration:
+    plan = replace(settings.plan, seed=seed)
+    return methods.kept_calibration(kept, plant_at(settings.population(plant, seed), arm), compensation, plan, arm)
+
+
+def _inputs(
+    settings: PolicySettings,
+    kinds: Mapping[str, Kind],
+    *,
+    plant: str,
+    compensation: str,
+    policy: str,
+    seed: int,
+    **_: Any,
+) -> tuple[Any, ...]:
+    """What a piece's rows depend on beside its levels; another policy or seed changes none of it."""
+    learned = kinds[policy].files if policy in kinds else ()
+    files = [path for name in learned for path in (Path(name), BASELINES / f"{name}.npz") if path.is_file()]
+    return (
+        replace(settings, policies=(), compensations=(), feedback=(), plants=(), seeds=()),
+        settings.population(plant, seed),
+        [load_gripper(name) for name in settings.grippers],
+        [file_sha256(path) for path in files],
+        str(origin("policy", policy)) if policy in names("policy") else None,
+        methods.sources_of(compensation, settings.plan),
+    )
+
+
+# Reaching.
+
+
+def _reaching(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -> Experiment:
+    kinds = {name: _entrant(name) for name in settings.policies}
+    labels = [policy_name(name) for name in kinds]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise InputError(f"two policies are called '{label}'; give one of them another name")
+
+    def able(**levels: Any) -> bool:
+        kind = kinds[levels["policy"]]
+        behind = levels["compensation"] == "raw" or not kind.raw_only
+        there = levels["feedback"] in kind.feedback and levels["training"] < (len(kind.files) or 1)
+        return behind and there and fits(**levels)
+
+    experiment = Experiment(
+        "reaching",
+        {"seed": settings.levels("seeds"), "training": range(max(len(kind.files) or 1 for kind in kinds.values()))},
+        {"plant": settings.levels("plants"), "compensation": settings.levels("compensations")}
+        | {"feedback": settings.levels("feedback"), "policy": tuple(kinds)},
+        partial(_reaches, settings, kinds, kept),
+        inputs=partial(_inputs, replace(settings, canopies=0), kinds),
+        fits=able,
+    )
+    if not experiment.pieces():
+        needs = (
+            f"{name} needs feedback {' or '.join(kind.feedback)}{' and compensation raw' if kind.raw_only else ''}"
+            for name, kind in kinds.items()
+        )
+        raise InputError(
+            f"no policy can be run with feedback {' or '.join(settings.feedback)} and compensation "
+            f"{' or '.join(settings.compensations)}: {', '.join(needs)}; change one of them"
+        )
+    return experiment
+
+
+def _entrant(name: str) -> Kind:
+    """What kind of policy a name stands for; with what feedback one of somebody else's making can be run is tried."""
+    kind, able, refusal = kind_of(name), [], ""
+    if len(kind.feedback) == 1:
+        return kind
+    for feedback in kind.feedback:
+        env = ReachVectorEnv(1, feedback=feedback)
+        try:
+            maker_of(name)(env, 0).act(env.reset(seed=0)[0])
+            able.append(feedback)
+        except InputError as error:
+            refusal = str(error)
+    if not able:
+        raise InputError(refusal)
+    return replace(kind, feedback=tuple(able))
+
+
+def _reaches(
+    settings: PolicySettings, kinds: Mapping[str, Kind], kept: Path, *, rng: np.random.Generator, plant: str,
+    compensation: str, feedback: str, policy: str, seed: int, training: int,
+) -> Columns:  # fmt: skip
+    """The episodes of one policy; they draw as the environments do, and not from ``rng``."""
+    kind, population = kinds[policy], settings.population(plant, seed)
+    noise = float(np.hypot(settings.camera_noise_mm, settings.fruit_noise_mm))
+    rollout = roll_out(
+        maker_of((kind.files or (policy,))[training], noise, compensation),
+        settings.arms,
+        settings.episodes,
+        seed,
+        compensators=methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept),
+        sequential=kind.sequential,
+        steps=kind.steps,
+        plant=plant,
+        feedback=feedback,
+        camera_noise_mm=settings.camera_noise_mm if feedback == "camera" else 0.0,
+        fruit_noise_mm=settings.fruit_noise_mm,
+        tolerances=settings.tolerances,
+        population_seed=population_seed(seed),
+    )
+    reaches, count = rollout.reaches, len(rollout.arm)
+    chances = {f"chance_{name}": rollout.capture(load_gripper(name)) for name in settings.grippers}
+    return {
+        "policy": np.full(count, policy_name(policy)),
+        "learned": np.full(count, bool(kind.files)),
+        "arm": settings.levels("seeds").index(seed) * settings.arms + rollout.arm,
+        "episode": np.arange(count) // settings.arms,
+        "error_mm": reaches.position_error_mm,
+        "attitude_deg": reaches.attitude_error_deg,
+        "cycle_steps": rollout.cycle_steps(CYCLE_MM),
+        "way_mm": rollout.error_mm.T,
+        **chances,
+        **{each.name: np.asarray(getattr(reaches, each.name)) for each in fields(Reaches)},
+    }
+
+
+def reaches_in(rows: Rows) -> Reaches:
+    """The ends of the episodes of rows of one plant."""
+    columns: dict[str, Any] = {each.name: rows[each.name] for each in fields(Reaches)}
+    commands = rows["joint_command"]
+    return Reaches(**columns | {"joint_command": commands[:, np.isfinite(commands).all(axis=0)]})
+
+
+# Picking.
+
+
+def _picking(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -> Experiment:
+    return Experiment(
+        "picking",
+        {"seed": settings.levels("seeds"), "arm": range(settings.arms)},
+        {"plant": (PICK_PLANT,), "gripper": settings.levels("grippers")}
+        | {"policy": tuple(PICKERS), "compensation": settings.levels("compensations")},
+        partial(_picks, settings, kept),
+        inputs=partial(_inputs, settings, {}),
+        fits=fits,
+    )
+
+
+def _picks(
+    settings: PolicySettings,
+    kept: Path,
+    *,
+    rng: np.random.Generator,
+    gripper: str,
+    policy: str,
+    arm: int,
+    **behind: Any,
+) -> list[dict[str, Any]]:
+    """What one picker does with one arm and gripper, over all its canopies."""
+    seed, steps, collected, grasps = behind["seed"], 0, 0, []
+    env = PickEnv(
+        plant=behind["plant"],
+        gripper=gripper,
+        arms="per_episode",
+        tolerances=settings.tolerances,
+        population=settings.arms,
+        population_seed=population_seed(seed),
+    )
+    if behind["compensation"] != "raw":
+        env.compensator = _calibration(settings, kept, arm=arm, **behind).compensator()
+    picker = PICKERS[policy](env)
+    for canopy in seed_words(stream(seed, "picks", arm), settings.canopies):
+        attempted = 0
+        for moment in moments_of(env, picker, canopy, options={"arm": arm}, steps=LONGEST_CANOPY):
+            info, steps = moment.info, steps + 1
+            if info["attempted"] > attempted:
+                attempted = info["attempted"]
+                grasps.append((np.hypot(info["grasp_lateral_mm"], info["grasp_axial_mm"]), info["tilt_deg"]))
+        steps, collected = steps - 1, collected + info["collected"]  # the first moment is the reset
+    error, tilt = np.reshape(grasps, (-1, 2)).sum(axis=0)
+    row: dict[str, Any] = {"arm": settings.levels("seeds").index(seed) * settings.arms + arm, "attempted": len(grasps)}
+    row |= {"collected": collected, "picks_per_hour": 3600.0 * collected / (steps * CONTROL_PERIOD)}
+    return [row | {"error_sum_mm": error, "tilt_sum_deg": tilt}]

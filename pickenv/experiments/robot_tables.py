@@ -1,0 +1,211 @@
+"""What `pickenv bench calibration` hands over: rows for programs (JSON), tables for people (Markdown)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from pickenv.experiments.engine import Rows
+from pickenv.experiments.gains import LEARNT, LS
+from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench, bench_row
+from pickenv.intervals import Ends
+
+GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
+HELD = {"random": "random fifths", "blocks": "blocks", "poses": "its 20 random poses"}
+
+SPREAD_HEADS = ("robot and rows judged", "nominal (mm)", "geometry (mm)", "best model (mm)", "published (mm)")
+NOTE = (
+    "Random fifths: mean over ten splits (lowest to highest). Blocks: each tenth of the file judged without itself, "
+    "with the 95 % interval between blocks. Other poses: 95 % interval over poses. None where one "
+    "block outweighs the others."
+)
+PEER_HEADS = ("calibration of the UR5", "200 of its rows, RMS (mm)", "its 20 random poses, mean (mm)", "what it does")
+
+
+def bench_json(bench: Bench) -> dict[str, Any]:
+    """Every row in one format; reductions are fractions, None where there is no such figure.
+
+    Keys of a row: "table" ("gains", "best" or "peers"), "robot", "split" ("random", "blocks" or "poses"), "model",
+    "nominal_mm" (base and tool fitted), "held_out_mm", "published_mm" (a mean, of others), "measured_reduction" (of
+    what "before" names), "ci95" of it, "predicted_reduction" (by twins of other rows) and "predicted_ci95" (where one
+    more arm would lie), "statistic" ("rms" or "mean") and "rows" judged.
+    """
+    return {
+        "rows": [*bench.gains, *_best_rows(bench.models), *_peer_rows(bench.peers)],
+        "agreement": agreement(bench.gains),
+        "settings": asdict(bench.settings),
+        "skipped": dict(bench.skipped),
+    }
+
+
+def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
+    """What models remove of rows in blocks, for the demonstration's table: its `measured_gains.json`.
+
+    Args:
+        bench: What calibrations leave.
+        made: The date.
+    """
+    arms: dict[str, dict[str, Any]] = {}
+    for gain in (gain for gain in bench.gains if gain["split"] != "random"):
+        facts = {"arm": gain["robot"], "rows": gain["rows"], "rows_in_file": gain["rows_in_file"]}
+        arm = arms.setdefault(gain["robot"], facts)
+        if gain["model"] == LS:
+            arm |= {"ls_mm": round(gain["held_out_mm"], 3), "removed": {}}
+        else:
+            shares = (gain["measured_reduction"], *(gain["ci95"] or ()))
+            arm["removed"][gain["model"]] = [round(value, 3) for value in shares]
+    folds = bench.settings.folds
+    return {"made_by": "pickenv bench calibration", "made": made, "folds": folds, "arms": list(arms.values())}
+
+
+def _best_rows(models: Rows) -> list[dict[str, Any]]:
+    """LS and the best model of each row of the table of measured robots."""
+    rows = []
+    for name, nominal, ls, best in _by_row(models):
+        spread = SPREAD[name]
+        steps = {"LS": (nominal, ls)} | ({f"best: {best['used']}": (ls, best)} if spread.terms != "none" else {})
+        for model, (before, left) in steps.items():
+            values = (nominal["value_mm"], before["value_mm"], left["value_mm"])
+            rows.append(
+                bench_row("best", spread.real.robot, spread.how, model, *values)
+                | {"before": before["model"], "held_out_spread_mm": _ends(left)}
+                | {"published_mm": spread.published, "statistic": spread.statistic, "rows": left["rows"]}
+            )
+    return rows
+
+
+def _by_row(rows: Rows) -> Iterable[tuple[Any, ...]]:
+    """Names of rows, each with what was measured of it."""
+    return ((name, *rows.where(row=name).dicts()) for (name,) in rows.levels("row"))
+
+
+def _ends(model: dict[str, Any]) -> list[float | None]:
+    return [None if np.isnan(model[end]) else model[end] for end in ("low_mm", "high_mm")]
+
+
+def _peer_rows(peers: Rows) -> list[dict[str, Any]]:
+    """Each peer on the held-out rows, and on the other poses."""
+    real, rows = SETS[PEER_SET], []
+    for row in peers.dicts():
+        name = PEER_ROWS[row["row"]]
+        label, held_out = f"{OURS}: LS" if name == OURS else name, row["split"] == "random"
+        others = {"statistic": "rms"} if held_out else {"published_mm": real.published, "statistic": "mean"}
+        values = (row["nominal_mm"], row["nominal_mm"], row["held_out_mm"])
+        rows.append(bench_row("peers", real.robot, row["split"], label, *values) | others | {"note": row["note"]})
+    return rows
+
+
+def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, float | int | None]:
+    """How well gains were predicted, over all sets, splits and models.
+
+    Args:
+        gains: Rows of the table "gains".
+    """
+    pairs = [(gain["predicted_reduction"], gain["measured_reduction"]) for gain in gains]
+    apart = [100.0 * abs(predicted - measured) for predicted, measured in pairs]
+    signs = [
+        (predicted > 0.0) == (measured > 0.0)
+        for gain, (predicted, measured) in zip(gains, pairs, strict=True)
+        if gain["split"] != "random" and gain["model"] in LEARNT
+    ]
+    return {
+        "sets": len({gain["robot"] for gain in gains}),
+        "gains": len(gains),
+        "median_absolute_difference_points": float(np.quantile(apart, 0.5)) if apart else None,
+        "ninth_decile_points": float(np.quantile(apart, 0.9)) if apart else None,
+        "learnt_on_blocks": len(signs),
+        "sign_right": float(np.mean(signs)) if signs else None,
+    }
+
+
+def agreement_words(bench: Bench) -> str:
+    """How well gains were predicted, in a sentence or two; empty where none was asked for."""
+    if not bench.gains:
+        return ""
+    words = agreement(bench.gains)
+    used = {
+        gain["robot"]: f"{gain['rows']}" + f" of {gain['rows_in_file']}" * (gain["rows_in_file"] > gain["rows"])
+        for gain in bench.gains
+    }
+    refused = sum(gain["refused_draws"] for gain in bench.gains if gain["model"] == LS)
+    signs = words["sign_right"]
+    sign = "The sign of what a learnt residual does on blocks is right in"
+    right = "" if signs is None else f" {sign} {100.0 * signs:.0f} %."
+    sets = "set" if words["sets"] == 1 else "sets"
+    anew = f" ({refused} could not be calibrated, and others were drawn in their place)" if refused else ""
+    return (
+        f"{words['gains']} gains on {words['sets']} {sets} of rows: predicted and measured are "
+        f"{words['median_absolute_difference_points']:.1f} percentage points apart in the median, "
+        f"{words['ninth_decile_points']:.1f} in the worst tenth.{right} {bench.settings.folds} folds, "
+        f"{bench.settings.draws} arms drawn for each{anew}. Rows used, equally spaced in the file: "
+        f"{', '.join(f'{robot} {rows}' for robot, rows in used.items())}."
+    )
+
+
+def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
+    """The rows of the table of predicted beside measured reductions."""
+    cells: list[tuple[str, ...]] = []
+    for gain in bench.gains:
+        predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
+        names = (gain["robot"], HELD[gain["split"]], gain["model"])
+        sizes = (f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}")
+        shares = (_percent(predicted, gain["predicted_ci95"]), _percent(measured, gain["ci95"]))
+        cells.append((*names, *sizes, *shares, f"{100.0 * (predicted - measured):+.1f}"))
+    return cells
+
+
+def _percent(value: float, ends: Ends | None) -> str:
+    said = f"{100.0 * value:.1f} %"
+    return said if ends is None else f"{said} ({100.0 * ends[0]:.1f} to {100.0 * ends[1]:.1f})"
+
+
+def spread_table(models: Rows) -> str:
+    """The Markdown table of the rows of measured robots that were judged."""
+    table = []
+    for name, nominal, ls, best in _by_row(models):
+        row = SPREAD[name]
+        judged = f"{row.real.robot}, {HELD[row.how]}, {'RMS' if row.statistic == 'rms' else 'mean'}"
+        remark = f"; {row.remark}" if row.remark else ""
+        used = f"{_millimetres(best)}: {best['used']}{remark}" if row.terms != "none" else ""
+        published = "" if row.published is None else f"{row.published:g}"
+        table.append((judged, _millimetres(nominal), _millimetres(ls), used, published))
+    return _markdown(SPREAD_HEADS, table)
+
+
+def _millimetres(model: dict[str, Any]) -> str:
+    """A value with its spread in brackets, three digits after the point below 1 mm."""
+    value, (low, high) = model["value_mm"], _ends(model)
+    digits = 3 if value < 1.0 else 2
+    return f"{value:.{digits}f}" + ("" if low is None else f" ({low:.{digits}f} to {high:.{digits}f})")
+
+
+def peer_cells(bench: Bench) -> list[tuple[str, ...]]:
+    """The rows of the table of what peers leave on the UR5's rows."""
+    return [
+        (PEER_ROWS[name], f"{held_out['held_out_mm']:.4f}", f"{poses['held_out_mm']:.4f}", poses["note"])
+        for name, held_out, poses in _by_row(bench.peers)
+    ]
+
+
+def _markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
+    lines += ["".join(f"| {text} " if text else "| " for text in cells) + "|" for cells in rows]
+    return "\n".join(lines) + "\n"
+
+
+def bench_page(bench: Bench) -> str:
+    """All tables as one Markdown page."""
+    parts = ["# Calibrations of measured robots\n"]
+    if bench.gains:
+        parts += ["## Gains predicted by twins, and measured\n", _markdown(GAIN_HEADS, gain_cells(bench))]
+        parts.append(agreement_words(bench) + "\n")
+    if len(bench.models):
+        parts += ["## Geometry and the best model\n", spread_table(bench.models), NOTE + "\n"]
+    if len(bench.peers):
+        parts += ["## Peers on the UR5's rows\n", _markdown(PEER_HEADS, peer_cells(bench))]
+    if bench.skipped:
+        parts += ["## Not made\n", *(f"- {name}: {reason}" for name, reason in bench.skipped.items()), ""]
+    return "\n".join(parts)

@@ -1,0 +1,477 @@
+"""A tolerance study: what it varies, read from a TOML file; and what each of its arms is and meets.
+
+A study is a list of settings: populations of arms, how they are calibrated, and what they carry. Files and columns are
+in mm, deg and kg, and every name says so; inside it is SI.
+
+Everything follows from the study's seed and the arm's own number alone, never from chunks, workers or settings: arm 17
+deviates in the same direction in every grade, reaches for the same fruit and is measured at the same poses. No two arms
+share anything, so that they are independent, and a yield is that of the design over its workspace.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, replace
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.arm.files.arm import content_sha256
+from pickenv.arm.kinematics.forward import forward
+from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.arm.plant.campaign import TRACKER, Instrument, NormalDraws, load_instrument, normal_draws
+from pickenv.arm.plant.named_plants import load_plant
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.tolerances import GRADE, Tolerances, draw_plants, load_tolerances
+from pickenv.calibration.identification.least_squares import identify
+from pickenv.calibration.model.arm_model import ErrorModel, link_model
+from pickenv.calibration.model.measurements import (
+    ATTITUDE_STD,
+    POSITION_STD,
+    Measurements,
+    random_joints,
+    tracked,
+)
+from pickenv.envs.shared.task import GOAL_MARGIN
+from pickenv.errors import InputError
+from pickenv.limits import LIMITS
+from pickenv.registry import names
+from pickenv.toml_tables import ONCE, SHARE, WHOLE, Check, Key, Unit, made, toml_of, toml_table
+
+VERSION = 3
+"""Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""
+
+RAW, LS = "raw", "ls"
+METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
+"""No calibration; least squares; least squares and a learnt residual of that kind."""
+
+
+@toml_table
+class Noise:
+    """Standard deviation of the tracker, per axis.
+
+    Attributes:
+        position_mm: Of a position, mm.
+        attitude_deg: Of an attitude, deg.
+    """
+
+    position_mm: Annotated[float, Unit("mm").within(*LIMITS["position_mm"]), Key("position_mm")]
+    attitude_deg: Annotated[float, Unit("deg").within(*LIMITS["attitude_deg"]), Key("attitude_deg")]
+
+
+DEFAULT_NOISE = Noise(POSITION_STD * 1e3, math.degrees(ATTITUDE_STD))
+"""The tracker of a study that names none."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One cell of a study: a population, how its arms are calibrated, and what they carry.
+
+    Attributes:
+        number: Position in the study's list, from 0.
+        tolerances: Tolerance class.
+        it_grade: ISO 286-1 grade of the lengths.
+        poses: Calibration poses; 0 without calibration.
+        noise: Of the tracker; zero without calibration.
+        method: One of `METHODS`.
+        payload_kg: Mass held at the tool while picking; calibrations are made with the plant's own.
+    """
+
+    number: int
+    tolerances: str
+    it_grade: int
+    poses: int
+    noise: Noise
+    method: str
+    payload_kg: float
+
+    def columns(self) -> dict[str, Any]:
+        """The columns that name this setting."""
+        return {
+            "setting": self.number,
+            "tolerances": self.tolerances,
+            "it_grade": self.it_grade,
+            "poses": self.poses,
+            "noise_mm": self.noise.position_mm,
+            "noise_deg": self.noise.attitude_deg,
+            "payload_kg": self.payload_kg,
+            "method": self.method,
+        }
+
+
+POSES = WHOLE.within(*LIMITS["poses"])
+METHOD = Check(METHODS.__contains__, f"one of {', '.join(METHODS)}")
+TRACKERS = Check(lambda value: isinstance(value, list), "a list of tables with position_mm and attitude_deg")
+PLANT = Check(lambda value: isinstance(value, str), "the name of a plant preset or a path to a plant file (.toml)")
+INSTRUMENT = Check(lambda value: isinstance(value, str), "the name of a shipped instrument or a path to a file (.toml)")
+IN_PICKING, IN_CALIBRATION = Key(section="picking"), Key(section="calibration")
+PAYLOAD, RADIUS = Unit("kg").within(*LIMITS["payload_kg"]), Unit("mm").within(*LIMITS["radius_mm"]).positive
+
+
+@toml_table
+class StudyConfig:
+    """A study; `load_study` reads it.
+
+    Attributes:
+        plant: Plant preset, or path to a plant file.
+        seed: Seed of arms, noise, fruit and poses.
+        arms: Arms N of every setting.
+        chunk: Arms that are worked on and stored together.
+        fruit: Fruit M that every arm reaches for.
+        payload_kg: Payloads.
+        radius_mm: An arm has a fruit when its tool ends this near.
+        share: An arm is within specification when it has at least this share of the fruit.
+        tolerances: Tolerance classes, by name or path.
+        it_grades: ISO 286-1 grades, each instead of the class's own; None for the class's own.
+        methods: Calibrations, of `METHODS`.
+        poses: Numbers of calibration poses.
+        noise: Standard deviations of the tracker's readings, range and centring within.
+        instrument: What measures the arms, and how long it waits; one of `pickenv.arm.shipped_instruments`, or a path.
+        residual_poses: Further poses for a learnt residual.
+    """
+
+    _: KW_ONLY
+    plant: Annotated[str, PLANT]
+    seed: Annotated[int, WHOLE.within(*LIMITS["seed"])] = 0
+    arms: Annotated[int, WHOLE.within(*LIMITS["arms"])]
+    chunk: Annotated[int, WHOLE.within(*LIMITS["chunk"])] = 250
+    fruit: Annotated[int, WHOLE.within(*LIMITS["fruit"]), IN_PICKING] = 100
+    payload_kg: Annotated[tuple[float, ...], PAYLOAD, ONCE, Key("payload_kg", "picking")] = (0.0,)
+    radius_mm: Annotated[float, RADIUS, Key("radius_mm", "specification")]
+    share: Annotated[float, SHARE.positive, Key(section="specification")]
+    tolerances: Annotated[tuple[str, ...], ONCE, Key("classes", "tolerances")]
+    it_grades: Annotated[tuple[int, ...], GRADE, ONCE, Key(section="tolerances")] | None = None
+    methods: Annotated[tuple[Annotated[str, METHOD], ...], ONCE, IN_CALIBRATION] = (LS,)
+    poses: Annotated[tuple[int, ...], POSES, ONCE, IN_CALIBRATION] = (30,)
+    noise: Annotated[tuple[Noise, ...], TRACKERS, ONCE, IN_CALIBRATION] = (DEFAULT_NOISE,)
+    residual_poses: Annotated[int, POSES, IN_CALIBRATION] = 100
+    instrument: Annotated[str, INSTRUMENT, IN_CALIBRATION] = TRACKER
+
+    def settings(self) -> tuple[Setting, ...]:
+        """All cells: populations first, payloads last; an arm without calibration has neither poses nor tracker."""
+        classes = self.load_tolerances().items()
+        populations = [(name, grade) for name, own in classes for grade in (self.it_grades or (own.it_grade,))]
+        calibrations = [
+            (method, poses, noise)
+            for method in self.methods
+            for poses, noise in ([(0, Noise(0.0, 0.0))] if method == RAW else product(self.poses, self.noise))
+        ]
+        cells = product(populations, calibrations, self.payload_kg)
+        return tuple(
+            Setting(number, name, grade, poses, noise, method, payload)
+            for number, ((name, grade), (method, poses, noise), payload) in enumerate(cells)
+        )
+
+    def chunks(self) -> range:
+        """Numbers of the chunks."""
+        return range(-(-self.arms // self.chunk))
+
+    def arms_of(self, chunk: int) -> range:
+        """Numbers of the arms of a chunk."""
+        return range(chunk * self.chunk, min((chunk + 1) * self.chunk, self.arms))
+
+    def quick(self) -> StudyConfig:
+        """A small version for trying things out: the same settings on 40 arms and 20 fruit at most."""
+        return replace(self, arms=min(self.arms, 40), fruit=min(self.fruit, 20), chunk=min(self.chunk, 20))
+
+    def load_plant(self) -> Plant:
+        """The design that arms are drawn from.
+
+        Raises:
+            InputError: If the plant is unknown or impossible, or cannot carry the payloads.
+        """
+        plant = load_plant(self.plant)
+        if plant.load is None and any(self.payload_kg):
+            raise InputError(
+                f"plant '{plant.name}' has no [load], so a payload changes nothing; leave payload_kg out or at 0"
+            )
+        return plant
+
+    def load_instrument(self) -> Instrument:
+        """What measures the arms.
+
+        Raises:
+            InputError: If it is unknown or impossible.
+        """
+        return load_instrument(self.instrument)
+
+    def load_tolerances(self) -> dict[str, Tolerances]:
+        """The tolerance classes by name.
+
+        Raises:
+            InputError: If one is unknown or impossible.
+        """
+        return {name: load_tolerances(name) for name in self.tolerances}
+
+    def sha256(self) -> str:
+        """Hash of everything that the rows depend on, the numbers of plant, instrument and tolerance classes among it.
+
+        Raises:
+            InputError: If plant, instrument or tolerance class are unknown or impossible.
+        """
+        parts = self.load_plant(), self.load_instrument(), list(self.load_tolerances().values())
+        return content_sha256(VERSION, self, *parts)
+
+    def toml(self) -> str:
+        """This configuration as a TOML file that `load_study` reads."""
+        noise = ", ".join(
+            f"{{ position_mm = {n.position_mm!r}, attitude_deg = {n.attitude_deg!r} }}" for n in self.noise
+        )
+        grades = "" if self.it_grades is None else f"it_grades = {list(self.it_grades)}\n"
+        return (
+            f"plant = {json.dumps(self.plant)}\nseed = {self.seed}\narms = {self.arms}\nchunk = {self.chunk}\n\n"
+            f"[picking]\nfruit = {self.fruit}\npayload_kg = {list(self.payload_kg)}\n\n"
+            f"[specification]\nradius_mm = {self.radius_mm!r}\nshare = {self.share!r}\n\n"
+            f"[tolerances]\nclasses = {json.dumps(self.tolerances)}\n{grades}\n"
+            f"[calibration]\nmethods = {json.dumps(self.methods)}\nposes = {list(self.poses)}\nnoise = [{noise}]\n"
+            f"residual_poses = {self.residual_poses}\ninstrument = {json.dumps(self.instrument)}\n"
+        )
+
+
+def load_study(path: str | Path) -> StudyConfig:
+    """Read a study from a TOML file (`scripts/tolerance_study.toml` shows every key).
+
+    Raises:
+        InputError: If the file is missing or an entry is impossible; the message names the file and the key.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"study {path} does not exist; give a path to a TOML file")
+    content, text = toml_of(path)
+    for key in ("sha256", "arithmetic"):  # in results folders
+        content.pop(key, None)
+    config = made(StudyConfig, content, str(path), text=text)
+    config.load_tolerances()  # what is unknown is refused now, not an hour later
+    config.load_plant()
+    config.load_instrument()
+    return config
+
+
+# What is drawn.
+
+ARM_STREAM, TRACKER_STREAM, FRUIT_STREAM, POSES_STREAM, RESIDUAL_STREAM = range(5)
+"""First part of the key of each random stream."""
+
+MAX_TILT = math.radians(30.0)
+"""Fruit are reached for with the tool this near to the vertical, as in `pickenv/Reach-v0`."""
+
+DRAWS = 1000
+"""Joints drawn for every fruit before an arm counts as unable to hold its tool upright."""
+
+AT_ONCE = 4
+"""Joints drawn for every fruit at a time; of the shipped arms two in five or more are upright."""
+
+TRIED = 5
+"""Arms for which a study's numbers of poses are tried before it begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class Circumstances:
+    """What one arm meets, whatever the setting.
+
+    Attributes:
+        number: The arm's number.
+        fruit: Nominal joints that bring the tool to each of its fruit ``(M, n)``, rad or m.
+        poses: Calibration poses ``(P, n)``, spread evenly; a setting with fewer uses the first ones.
+        tracker: How the tracker errs there, and what the arm's friction does, in standard deviations.
+    """
+
+    number: int
+    fruit: Array
+    poses: Array
+    tracker: NormalDraws
+
+    @property
+    def perfect(self) -> Circumstances:
+        """The same with nothing left to chance: neither in the tracker nor in the friction."""
+        return replace(self, tracker=NormalDraws(*(np.zeros_like(part) for part in self.tracker)))
+
+
+@dataclass(frozen=True, eq=False)
+class Protocol:
+    """A study made ready.
+
+    Attributes:
+        config: What is studied.
+        settings: Its cells.
+        design: The plant that arms are drawn from.
+        tolerances: Tolerance classes by name.
+        model: What least squares identifies.
+        tracker: What measures the arms, but for how it errs.
+    """
+
+    config: StudyConfig
+    settings: tuple[Setting, ...]
+    design: Plant
+    tolerances: Mapping[str, Tolerances]
+    model: ErrorModel
+    tracker: Instrument
+
+    @property
+    def nominal(self) -> Geometry:
+        """What the controller believes."""
+        return self.design.arm.nominal
+
+    def populations(self) -> list[list[Setting]]:
+        """The settings by population: those that draw the same arms."""
+        groups: dict[tuple[str, int], list[Setting]] = {}
+        for setting in self.settings:
+            groups.setdefault((setting.tolerances, setting.it_grade), []).append(setting)
+        return list(groups.values())
+
+    def draw(self, setting: Setting, arms: range) -> Plant:
+        """These arms of a setting's population, as a batch."""
+        parent = np.random.SeedSequence(self.config.seed, spawn_key=(ARM_STREAM,), n_children_spawned=arms.start)
+        tolerances = replace(self.tolerances[setting.tolerances], it_grade=setting.it_grade)
+        return draw_plants(self.design, tolerances, len(arms), np.random.default_rng(parent))
+
+    def circumstances(self, arm: int) -> Circumstances:
+        """What an arm meets, by its number.
+
+        Raises:
+            InputError: If no joints are found that hold the tool upright.
+        """
+        count = max((setting.poses for setting in self.settings), default=0)
+        return Circumstances(
+            number=arm,
+            fruit=_upright_joints(self.nominal, self.config.fruit, self.stream(FRUIT_STREAM, arm)),
+            poses=spread_joints(self.nominal, count, self.stream(POSES_STREAM, arm)),
+            tracker=normal_draws(self.design, count, self.stream(TRACKER_STREAM, arm)),
+        )
+
+    def instrument(self, setting: Setting) -> Instrument:
+        """What measures the arms of a setting."""
+        noise = MeasurementNoise(setting.noise.position_mm * 1e-3, math.radians(setting.noise.attitude_deg))
+        return replace(self.tracker, noise=noise)
+
+    def stream(self, purpose: int, arm: int) -> np.random.Generator:
+        """The random numbers of an arm for a purpose: one of the streams above but the arms'."""
+        return np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(purpose, arm)))
+
+
+def prepared_study(config: StudyConfig) -> Protocol:
+    """Load what a study needs, and try its first arms.
+
+    Raises:
+        InputError: If plant or tolerance class are unknown, poses are too few to calibrate with, or no fruit is found.
+    """
+    design = config.load_plant()
+    protocol = Protocol(
+        config,
+        config.settings(),
+        design,
+        config.load_tolerances(),
+        link_model(design.arm.nominal),
+        config.load_instrument(),
+    )
+    ideal = Plant(design.name, design.arm, design.arm.nominal)
+    calibrated = {setting.poses: setting for setting in protocol.settings if setting.poses}
+    for arm in range(TRIED if calibrated else 1):
+        perfect = protocol.circumstances(arm).perfect
+        for setting in calibrated.values():  # of an arm as its controller believes, by a tracker that does not err
+            identify(protocol.model, protocol.nominal, measured(protocol, ideal, setting, perfect))
+    return protocol
+
+
+def measured(protocol: Protocol, arm: Plant, setting: Setting, around: Circumstances) -> Measurements:
+    """What the setting's tracker sees of an arm at its calibration poses."""
+    instrument, poses = protocol.instrument(setting), setting.poses
+    return tracked(arm, instrument, around.poses[:poses], around.tracker.first(poses))
+
+
+def carrying(plant: Plant, payload_kg: float) -> Plant:
+    """The plant with a mass held at its tool; a plant without masses stays as it is."""
+    return plant if plant.load is None else replace(plant, load=replace(plant.load, payload=payload_kg))
+
+
+def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
+    """Joints ``(count, n)`` spread evenly over the joint ranges (scrambled Halton): so is every first part of them."""
+    if not count:
+        return np.empty((0, nominal.joints))
+    return np.asarray(qmc.scale(qmc.Halton(nominal.joints, rng=rng).random(count), nominal.lower, nominal.upper))
+
+
+def _upright_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
+    """Joints ``(count, n)`` away from their limits that hold the tool upright, drawn evenly among such joints."""
+    margin = GOAL_MARGIN * (nominal.upper - nominal.lower)
+    inner = replace(nominal, lower=nominal.lower + margin, upper=nominal.upper - margin)
+    upright = np.empty((0, nominal.joints))
+    for _ in range(DRAWS // AT_ONCE):
+        joints = random_joints(inner, AT_ONCE * count, rng)
+        steep = forward(nominal, joints).rotation[:, 2, 2] >= math.cos(MAX_TILT)
+        upright = np.concatenate([upright, joints[steep]])
+        if len(upright) >= count:
+            return upright[:count]
+    raise InputError(
+        f"of {DRAWS * count} joint poses only {len(upright)} hold the tool within {math.degrees(MAX_TILT):.0f} deg of "
+        f"the vertical, too few for {count} fruit; give another arm"
+    )
+
+
+# How each drawn arm differs from its design: the columns that sensitivity analyses start from. ``delta_PARAMETER_mm``
+# or ``_deg``: true minus nominal; ``size_EFFECT``: factor on the design's size; ``sine_EFFECT`` and
+# ``cosine_EFFECT``: that factor times sine and cosine of the phase, as a periodic error acts; ``rise_K``: the warm
+# arm's temperature rise. Numbers that change nothing at rest (frequencies, time constants) are left out.
+
+
+SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
+    "joint_stiffness": ("joint_compliance", lambda effect: effect.stiffness),
+    "flexural_rigidity": ("boom_bending", lambda effect: (effect.flexural_rigidity,)),
+    "torsional_rigidity": ("boom_torsion", lambda effect: (effect.torsional_rigidity,)),
+    "bearing_stiffness": ("slide_compliance", lambda effect: tuple(each.stiffness for each in effect.bearings)),
+    "lead": ("transmission_error", lambda effect: effect.lead),
+    "roller_clearance": ("roller_play", lambda effect: (effect.clearance,)),
+    "backlash": ("backlash", lambda effect: effect.width),
+    "friction_forward": ("stick_band", lambda effect: effect.forward),
+    "friction_backward": ("stick_band", lambda effect: effect.backward),
+    "ground_stiffness": ("base_tilt", lambda effect: effect.stiffness),
+    "creep": ("base_tilt", lambda effect: (effect.creep,)),
+    "settlement": ("base_tilt", lambda effect: (effect.settlement,)),
+}
+"""Which numbers of which effect each column holds; effects of random numbers of their own have columns by name."""
+
+
+def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
+    """The columns for a batch of arms.
+
+    Args:
+        design: What they were drawn from.
+        arms: N arms.
+
+    Returns:
+        Columns ``(N,)`` by name. Numbers that are zero in the design, and so in every arm, have none.
+    """
+    nominal = design.arm.nominal
+    names = iter(nominal.parameter_names)
+    columns: dict[str, Array] = {}
+    for kind in ("alpha", "a", "theta", "d"):
+        difference = getattr(arms.geometry, kind) - getattr(nominal, kind)
+        angle = kind in ("alpha", "theta")
+        for i in range(nominal.joints):
+            column = f"delta_{next(names)}_{'deg' if angle else 'mm'}"
+            columns[column] = np.degrees(difference[:, i]) if angle else 1e3 * difference[:, i]
+    own = {effect.name: (effect.name, type(effect).own_sizes) for effect in design.effects if effect.own_sizes()}
+    for name, (effect, numbers) in {**SIZES, **own}.items():
+        if design.effect(effect) is None:
+            continue
+        sizes = numbers(design.effect(effect))
+        for i, (size, drawn) in enumerate(zip(sizes, numbers(arms.effect(effect)), strict=True), start=1):
+            if size:
+                columns[f"size_{name}_{i}" if len(sizes) > 1 else f"size_{name}"] = drawn / size
+    drives, thermal = arms.effect("transmission_error"), arms.effect("thermal_growth")
+    if drives is not None:
+        pairs = zip(design.effect("transmission_error").harmonics, drives.harmonics, strict=True)
+        for i, (own, term) in enumerate(pairs, start=1):
+            if own.amplitude:
+                size = term.amplitude / own.amplitude
+                columns[f"sine_transmission_error_{i}"] = size * np.sin(term.phase)
+                columns[f"cosine_transmission_error_{i}"] = size * np.cos(term.phase)
+    if thermal is not None:
+        columns["rise_K"] = np.asarray(thermal.final_rise)
+    return columns

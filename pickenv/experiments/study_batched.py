@@ -1,0 +1,324 @@
+"""Calibrate and judge thousands of arms of a study at once, in torch: the arms are the last axis of every component.
+
+The same physics, least squares and compensation as arm by arm (`pickenv.experiments.study_arms`), so that the rows
+agree. All arms start at the nominal geometry. What is redundant follows from each arm's own poses, and is nearly always
+the same; an arm with others, or one that needs more than undamped steps, is handed over. Components are ``(M, N)`` at
+fruit and ``(P, N)`` at poses, arms last. SI.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from operator import itemgetter
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from pickenv.arm.effects.drives import read_frame
+from pickenv.arm.kinematics.forward import Chain, Frame, attach, chain_of, frames, tool_frame
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
+from pickenv.arm.kinematics.pose_error import frame_error
+from pickenv.arm.kinematics.task_space import link_column
+from pickenv.arm.plant.campaign import Place, in_components, visited
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant_batch import plant_at, plants_on, with_links
+from pickenv.arm.plant.tree import tree_map
+from pickenv.calibration.compensation.compensator import Compensator, corrected
+from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, judged_step
+from pickenv.calibration.model.arm_model import ErrorModel
+from pickenv.errors import InputError
+from pickenv.experiments.engine import Rows, joined
+from pickenv.experiments.study import RAW, Circumstances, Protocol, Setting, carrying, measured
+from pickenv.experiments.study_arms import Outcomes, chunk_rows, evaluate_arm, gathered, reach_status
+from pickenv.threads import torch_on_one_thread
+
+BLOCKS = {"cpu": 2**14, "cuda": 2**22}
+"""Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
+
+IN_TIME = 8
+"""Times as many where the arms are measured in time."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Commands:
+    """What N arms are told.
+
+    Attributes:
+        joints: Components ``(M, N)``, rad or m.
+        missed: Fruit out of each arm's reach ``(N,)``, as far as its calibration can say.
+        steps: Least-squares steps ``(N,)``.
+        converged: Whether the arm was calibrated here ``(N,)``; the others are handed over.
+    """
+
+    joints: Sequence[Tensor]
+    missed: NDArray[np.int64]
+    steps: NDArray[np.int64]
+    converged: NDArray[np.bool_]
+
+
+def evaluate_batch(protocol: Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
+    """The rows of a chunk of arms; what they draw follows from the study's seed and their numbers, not from ``rng``."""
+    place = partial(torch.as_tensor, dtype=torch.float64, device=device)
+    arms, size = protocol.config.arms_of(chunk), _block_size(protocol, device)
+    blocks = [range(first, min(first + size, arms.stop)) for first in range(arms.start, arms.stop, size)]
+    with torch_on_one_thread():
+        return joined([_evaluate_block(protocol, block, place) for block in blocks])
+
+
+def judge_batch(protocol: Protocol, setting: Setting, plants: Plant, around: Sequence[Circumstances]) -> Outcomes:
+    """Any batch of arms in one setting, each in its own circumstances, on this processor."""
+    place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
+    size, parts = _block_size(protocol, "cpu"), []
+    with torch_on_one_thread():
+        for first in range(0, len(around), size):
+            part = slice(first, first + size)
+            parts += _outcomes(protocol, [setting], plants_on(plants, itemgetter(part)), around[part], place)
+    return gathered(parts)
+
+
+def check_device(device: str) -> None:
+    """Refuse a device that this machine lacks.
+
+    Raises:
+        InputError: If it is not "cpu" or "cuda", or there is no such GPU.
+    """
+    if device not in BLOCKS:
+        raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
+    if device == "cuda" and not torch.cuda.is_available():
+        raise InputError("torch sees no CUDA device on this machine; give --device cpu")
+
+
+def _block_size(protocol: Protocol, device: str) -> int:
+    """Arms worked on together; of arms measured in time more, as each step of each move then is for all of them."""
+    poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
+    return max(1, poses // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
+
+
+def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> Rows:
+    around = [protocol.circumstances(arm) for arm in arms]
+    populations = []
+    for settings in protocol.populations():
+        plants = protocol.draw(settings[0], arms)
+        populations.append((plants, _outcomes(protocol, settings, plants, around, place)))
+    return chunk_rows(protocol, arms, populations)
+
+
+def _outcomes(
+    protocol: Protocol, settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances], place: Place
+) -> list[Outcomes]:
+    """Outcomes of all arms of one population in each of its settings."""
+    placed, count = plants_on(plants, place), len(around)
+    targets = in_components(torch, np.stack([one.fruit for one in around], axis=1), place)
+    read = visited_frames(protocol, placed, around, place)
+    wanted = tool_frame(torch, chain_of(protocol.nominal), targets)
+    commands: dict[tuple[Any, ...], _Commands] = {}
+    outcomes = []
+    for setting in settings:
+        key = (setting.method, setting.poses, setting.noise)
+        if key not in commands:
+            commands[key] = _commands(protocol, setting, read, around, (targets, wanted), place)
+        command = commands[key]
+        error = frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, command.joints))
+        position, attitude = _norms(error[:3], count), _norms(error[3:], count)
+        status = [reach_status(int(missed), protocol.config) for missed in command.missed]
+        steps = command.steps.tolist()
+        for i in np.flatnonzero(~command.converged).tolist():
+            (alone,) = evaluate_arm(protocol, [setting], plant_at(plants, i), around[i])
+            status[i], steps[i] = alone.status[0], alone.iterations[0]
+            position[i], attitude[i] = alone.position[0], alone.attitude[0]
+        outcomes.append(Outcomes(setting, status, steps, position, attitude))
+    return outcomes
+
+
+def _commands(
+    protocol: Protocol,
+    setting: Setting,
+    read: Sequence[Tensor],
+    around: Sequence[Circumstances],
+    fruit: tuple[list[Tensor], Frame],
+    place: Place,
+) -> _Commands:
+    """Calibrate all arms, as they were read, as the setting says; correct their commands for targets, wanted frames."""
+    count, (targets, wanted) = len(around), fruit
+    if setting.method == RAW:
+        none = np.zeros(count, dtype=np.int64)
+        return _Commands(targets, none, none, np.ones(count, dtype=bool))
+    identified = identify_batch(protocol, setting, read, around, place)
+    chain = tree_map(place, chain_of(identified.geometry, np))
+    chains = (chain_of(protocol.nominal), chain)
+    joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
+    gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], wanted[9:], strict=True)]
+    missed = np.sum(_norms(gap, count) > 1e-3 * protocol.config.radius_mm, axis=1)
+    return _Commands(joints, missed, identified.steps, identified.converged)
+
+
+def _norms(components: Sequence[Tensor], count: int) -> Array:
+    """Norms of vectors of three components ``(M, N)``, as an array ``(N, M)``."""
+    x, y, z = components
+    norms = torch.sqrt(x * x + y * y + z * z)
+    return np.ascontiguousarray(norms.expand(-1, count).cpu().numpy().T)
+
+
+# Rank-aware least squares of many arms, step by step as `least_squares` takes them.
+
+STEPS = 10
+"""Steps before an arm counts as one that needs more; three or four are usual."""
+
+
+@dataclass(frozen=True, eq=False)
+class BatchIdentification:
+    """Geometries identified for N arms.
+
+    Attributes:
+        geometry: Link parameters ``(N, n)``.
+        steps: Least-squares steps of each arm ``(N,)``.
+        converged: Whether the usual parameters and undamped steps led to the minimum ``(N,)``.
+    """
+
+    geometry: Geometry
+    steps: NDArray[np.int64]
+    converged: NDArray[np.bool_]
+
+
+def visited_frames(protocol: Protocol, plants: Plant, around: Sequence[Circumstances], place: Place) -> list[Tensor]:
+    """True tool frames ``(P, N)`` when the tracker reads them, at all calibration poses that the study has."""
+    visits = np.stack([one.poses for one in around], axis=1)
+    stops = np.stack([one.tracker.stops for one in around], axis=-1)
+    frame = visited(plants, torch, visits, protocol.tracker, stops, place)
+    return [torch.as_tensor(value).broadcast_to(visits.shape[:2]) for value in frame]
+
+
+def identify_batch(
+    protocol: Protocol, setting: Setting, read: Sequence[Tensor], around: Sequence[Circumstances], place: Place
+) -> BatchIdentification:
+    """Read and identify many arms.
+
+    Args:
+        protocol: The study.
+        setting: Poses and tracker.
+        read: Frames from `visited_frames`; a setting of fewer poses takes the first.
+        around: What each arm meets.
+        place: Puts arrays where torch computes.
+    """
+    nominal, count, poses = protocol.nominal, len(around), setting.poses
+    design, instrument = protocol.design, protocol.instrument(setting)
+    assert instrument.noise is not None
+    draws = [one.tracker.first(poses) for one in around]
+    bare = Plant(design.name, design.arm, design.arm.nominal)  # for what the instrument says of itself: weights
+    weights = place(measured(protocol, bare, setting, around[0]).row_weights)
+    joints = in_components(torch, np.stack([one.poses[:poses] for one in around], axis=1), place)
+    reading = in_components(torch, np.stack([one.reading for one in draws], axis=1), place)
+    mounting = in_components(torch, np.stack([one.mounting for one in draws]), place)
+    frame = tuple(value[:poses] for value in read)
+    seen = read_frame(torch, instrument.noise, instrument.stand, frame, reading, mounting)
+    links, tool = _links(chain_of(nominal), joints)
+    weighted = _residual(weights, tool, seen)
+    matrix = _jacobian(nominal, protocol.model, weights, links, tool)
+    kept, usual = _usual_parameters(matrix)
+    matrix = matrix[:, :, torch.as_tensor(kept)]
+    names = tuple(protocol.model.names[k] for k in kept)
+    model = ErrorModel(protocol.model.columns[kept], names, protocol.model.tolerance[kept])
+    geometry = _displaced_links(nominal, model, np.zeros((count, len(kept))))
+    history = _rms(weighted)
+    running = torch.as_tensor(usual).to(history.device)
+    converged, steps = torch.zeros_like(running), torch.zeros_like(history, dtype=torch.int64)
+    for _ in range(STEPS):
+        step, sound = _solve(matrix, weighted)
+        moved = _displaced_links(geometry, model, step.cpu().numpy() * model.tolerance)
+        links, tool = _links(tree_map(place, chain_of(moved, np)), joints)
+        moved_weighted = _residual(weights, tool, seen)
+        rms = _rms(moved_weighted)
+        # From here on as in `least_squares`, arm by arm; what it would shorten is left to it.
+        _, negligible, better, finished = judged_step(step, (matrix @ step[:, :, None])[..., 0], weighted, history, rms)
+        accepted = running & sound & better
+        converged |= running & sound & torch.where(better, finished, negligible)
+        steps += accepted
+        chosen = accepted.cpu().numpy()[:, None]
+        geometry = with_links(moved, lambda yes, no, chosen=chosen: np.where(chosen, yes, no), geometry)
+        history = torch.where(accepted, rms, history)
+        running = accepted & ~finished
+        if not running.any():
+            break
+        weighted, matrix = moved_weighted, _jacobian(nominal, model, weights, links, tool)
+    return BatchIdentification(geometry, steps.cpu().numpy(), converged.cpu().numpy())
+
+
+def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The parameters ``(K,)`` that most arms can identify, and which arms those are ``(N,)``; as `identifiability`.
+
+    Args:
+        matrix: Stacked, scaled Jacobians ``(N, rows, P)``, in order of preference.
+    """
+    rows, parameters = matrix.shape[1:]
+    r = matrix if rows <= parameters else torch.linalg.qr(matrix, mode="r").R
+    threshold = REDUNDANCY_TOLERANCE * torch.linalg.vector_norm(r, dim=1).amax(1)
+    basis = torch.zeros_like(r)
+    masks: list[Tensor] = []
+    for k in range(parameters):
+        rest = r[:, :, k, None]
+        for _ in range(2):
+            rest = rest - basis @ (basis.mT @ rest)
+        size = torch.linalg.vector_norm(rest, dim=1)
+        mask = (size[:, 0] > threshold) & (sum(masks, torch.zeros_like(threshold)) < r.shape[1])
+        basis[:, :, k] = torch.where(mask[:, None], rest[..., 0] / size, 0.0)
+        masks.append(mask)
+    patterns, which, counts = np.unique(
+        torch.stack(masks, dim=1).cpu().numpy(), axis=0, return_inverse=True, return_counts=True
+    )
+    most = int(np.argmax(counts))
+    return np.flatnonzero(patterns[most]), np.ravel(which) == most
+
+
+def _links(chain: Chain, joints: Sequence[Tensor]) -> tuple[list[Frame], Frame]:
+    """Frames of the links and of the tool."""
+    links = frames(torch, chain, joints)
+    return links, attach(links[-1], chain.tool)
+
+
+def _residual(weights: Tensor, tool: Frame, measured: Frame) -> Tensor:
+    """Whitened differences ``(N, 6P)`` of measured and predicted poses; ``weights`` of the six rows of a pose."""
+    error = torch.stack(frame_error(torch, tool, measured))
+    return (error * weights[:, None, None]).permute(2, 0, 1).flatten(1)
+
+
+def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequence[Frame], tool: Frame) -> Tensor:
+    """Whitened derivatives ``(N, 6P, K)`` by the parameters, in tolerances."""
+    shape = torch.broadcast_shapes(*(value.shape for value in tool[9:]))
+    columns = torch.zeros((6, *shape, len(model.columns)), dtype=torch.float64, device=weights.device)
+    for k, column in enumerate(model.columns.tolist()):
+        kind, joint = divmod(column, nominal.joints)
+        derivative = link_column(LINK_PARAMETERS[kind], links[joint], links[joint + 1], tool[9:], ())
+        for row, value in enumerate(derivative):
+            columns[row, ..., k] = value
+    scaled = columns * weights[:, None, None, None] * torch.as_tensor(model.tolerance).to(columns)
+    return scaled.permute(2, 0, 1, 3).flatten(1, 2)
+
+
+def _solve(matrix: Tensor, weighted: Tensor) -> tuple[Tensor, Tensor]:
+    """Least-squares steps ``(N, K)``, and whether the equations were sound ``(N,)``.
+
+    The normal equations do: what they lose of a step, the next step makes good.
+    """
+    turned = matrix.mT
+    factor, failed = torch.linalg.cholesky_ex(turned @ matrix)
+    right = turned @ weighted[..., None]
+    return torch.cholesky_solve(right, factor)[..., 0], failed == 0
+
+
+def _rms(weighted: Tensor) -> Tensor:
+    return (weighted**2).mean(1).sqrt()
+
+
+def _displaced_links(geometry: Geometry, model: ErrorModel, change: Array) -> Geometry:
+    """Geometries ``(N, n)`` with ``change`` ``(N, K)`` added to the model's link parameters."""
+    shape = (len(change), geometry.joints)
+    moved = with_links(geometry, lambda values: np.broadcast_to(values, shape).copy())
+    for k, column in enumerate(model.columns.tolist()):
+        kind, joint = divmod(column, geometry.joints)
+        getattr(moved, LINK_PARAMETERS[kind])[:, joint] += change[:, k]
+    return moved

@@ -1,0 +1,318 @@
+"""What a study's folder gets to look at: one HTML file that needs no network, figures, and a recording for Rerun.
+
+The page: verdict first, then yields, errors, what matters, origin. The recording: a setting's worst, median and best
+arm side by side, each calibrated at its own poses; all reach for the fruit of the worst one, so that they can be
+compared.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+
+from pickenv.arm.kinematics.forward import forward
+from pickenv.arm.kinematics.pose_error import pose_error
+from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.errors import InputError
+from pickenv.experiments.study import LS, RAW, StudyConfig, carrying, prepared_study
+from pickenv.experiments.study_arms import OK, arm_commands
+from pickenv.experiments.study_figures import study_drawings
+from pickenv.experiments.study_findings import Findings, gather, ranked, setting_label, specified, study_verdict
+from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summary, study_of, write_sobol
+from pickenv.files import write_text
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, write_drawings
+from pickenv.inspect.reports.report_page import Page, PageTable, Pair, Part, Section, html_of
+from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
+from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors, compared, policy_errors
+from pickenv.inspect.runs.field_grid import field_grid
+from pickenv.inspect.runs.run_folder import Run, TakePicture
+
+COUNTS = ("within", "arms", "failed")
+MOST_REASONS = 10
+YIELD_OF = (
+    "Every arm is calibrated at poses of its own, spread over the joint ranges, and reaches for fruit of its own, "
+    "wherever its tool can be upright. A yield is that of the design over this region, and its interval (Wilson, 95 %) "
+    "is over all that was drawn. Settings share all three, so that their differences are known better than the yields."
+)
+COMPONENTS = (
+    "One thing is drawn again while the others are held: shares of the variance of the logarithm of the radius that "
+    "holds the required share of an arm's fruit. Alone: what it explains by itself; with interactions: what would be "
+    "lost without it."
+)
+SHARES = (
+    "The squared error of each arm over its own fruit is regressed on what was drawn for the arm and on the squares of "
+    "that; what chance alone would explain is taken off, so that a tolerance without effect has a share of zero on "
+    "average. The mean square error is what a tolerance adds to it; what R² leaves is interaction, the arm's own fruit "
+    "and poses, and tracker noise."
+)
+MATTERS = 8
+"""Parameters listed for each setting; the figure shows more."""
+
+
+def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
+    """Write a finished study's figures, report and recording into its folder; returns what was written.
+
+    Args:
+        folder: The study's results.
+        sobol_samples: A power of two, for Sobol indices of the shown settings; none for 0.
+    """
+    folder, written = Path(folder), []
+    findings = gather(folder)
+    if sobol_samples:
+        shown = [number for number in findings.sensitivities if findings.yields[number]["method"] in (RAW, LS)]
+        written.append(write_sobol(folder, shown, sobol_samples))
+    written += write_drawings(study_drawings(findings), folder / "figures")
+    written.append(write_text(folder / "report.html", study_page(folder, findings)))
+    best = max(findings.yields, key=lambda row: row["yield_low"])
+    if best["failed"] < best["arms"]:
+        written.append(record_study(folder, best["setting"], folder / "arms.rrd"))
+    return written
+
+
+def drawings(run: Run) -> Drawings:
+    """The figures of a study's folder."""
+    return study_drawings(gather(run.folder))
+
+
+def page(run: Run, picture: TakePicture | None = None) -> str:
+    """The report of a study's folder as HTML.
+
+    Raises:
+        InputError: If the folder holds no finished study.
+    """
+    read_summary(run.folder)  # what is not there is said before anything is computed
+    return study_page(run.folder, gather(run.folder))
+
+
+def study_page(folder: str | Path, findings: Findings) -> str:
+    """The report as HTML.
+
+    Raises:
+        InputError: If the study is not finished.
+    """
+    summary, config = read_summary(folder), findings.protocol.config
+    drawn = [d for d in study_drawings(findings) if isinstance(d, Drawing)]
+
+    def figures(start: str) -> list[Drawing]:
+        return [drawing for drawing in drawn if drawing.name.startswith(start)]
+
+    yields = (Pair(figures("yield_")), _yield_table(findings), _failures(findings))
+    errors = (Pair(figures("error_")), _error_table(findings), *_placements(findings, figures("placement_")))
+    shares = (*figures("sensitivity_"), *_sensitivity_tables(findings), *_sobol_tables(folder, findings))
+    return html_of(
+        Page(
+            f"Tolerance study of {findings.protocol.design.name}",
+            f"{config.arms} simulated arms in each of {len(findings.yields)} settings, {config.fruit} fruit each, seed "
+            f"{config.seed}; nothing here was measured",
+            study_verdict(config, findings.yields),
+            (
+                Section("Yields", yields, YIELD_OF),
+                Section("Errors", errors),
+                Section("Where the differences come from", _component_tables(summary), COMPONENTS),
+                Section("Which tolerance matters", shares, SHARES),
+            ),
+            _origin(Path(folder), config, summary),
+            _tiles(config, summary),
+            contents=True,
+        )
+    )
+
+
+def _percents(row: Row, key: str) -> tuple[str, str]:
+    """A share and its interval, percent, in two cells."""
+    low, high = (None if row[end] is None else 100 * row[end] for end in (f"{key}_low", f"{key}_high"))
+    return f"{100 * row[key]:.1f}", between(low, high, 1)
+
+
+def _tiles(config: StudyConfig, summary: Row) -> dict[str, str]:
+    reaches = config.arms * config.fruit * len(config.settings())
+    return {
+        "specification of an arm": f"{100 * config.share:g} % within {config.radius_mm:g} mm",
+        "arms, each in every setting": f"{config.arms}",
+        "simulated reaches": f"{reaches:,}".replace(",", "\u202f"),
+        f"by the executor {summary['executor']}": f"{summary['seconds']:.0f} s",
+    }
+
+
+def _yield_table(findings: Findings) -> PageTable:
+    rows = [
+        (setting_label(row), *_percents(row, "yield"), *(f"{row[key]}" for key in COUNTS)) for row in findings.yields
+    ]
+    heads = ("setting", "yield (%)", "95 % interval", "arms within", "arms", "without a result")
+    return PageTable(f"Arms that pick {specified(findings.protocol.config)}", heads, rows)
+
+
+def _failures(findings: Findings) -> str | PageTable:
+    """Why arms have no result."""
+    reasons: Counter[str] = Counter()
+    for batch in findings.rows.to_batches(columns=["status"], filter=pc.field("status") != OK, use_threads=False):
+        reasons.update(batch["status"].to_pylist())
+    if not reasons:
+        return "Every arm has a result in every setting."
+    rows = [(reason, f"{count}") for reason, count in reasons.most_common(MOST_REASONS)]
+    return PageTable("Why arms have no result; they count as not within specification", ("reason", "rows"), rows)
+
+
+def _error_table(findings: Findings) -> PageTable:
+    values = {(r["setting"], r["quantity"], r["probability"]): r for r in findings.quantiles}
+    columns = {  # with digits
+        "mean error, median arm (mm)": ("error_mean_mm", 0.5, 2),
+        "mean error, 95 % of arms below (mm)": ("error_mean_mm", 0.95, 2),
+        "attitude error, median arm (deg)": ("attitude_mean_deg", 0.5, 3),
+    }
+
+    def cell(row: Row, digits: int) -> str:
+        return estimated(row["value"], row["low"], row["high"], digits) if row["arms"] else "-"
+
+    rows = [
+        (setting_label(row), *(cell(values[row["setting"], *key], digits) for *key, digits in columns.values()))
+        for row in findings.yields
+    ]
+    return PageTable(
+        "Errors of an arm over its fruit: quantiles over arms, 95 % intervals, open where few arms set no bound",
+        ("setting", *columns),
+        rows,
+    )
+
+
+def _component_tables(summary: Row) -> list[Part]:
+    heads = ("drawn anew", "alone (%)", "95 % interval", "with interactions (%)", "95 % interval")
+    parts: list[Part] = []
+    for setting in summary["components"]:
+        label, rows = setting_label(setting), setting["shares"]
+        if setting["missing"] is not None:
+            parts.append(f"{label}: {setting['missing']}.")
+        else:
+            parts.append(_index_table(f"{label}: {rows[0]['arms']} further arms", heads, rows))
+    return parts
+
+
+def _index_table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> PageTable:
+    cells = [(row["group"], *_percents(row, "first_order"), *_percents(row, "total")) for row in rows]
+    return PageTable(caption, heads, cells)
+
+
+def _placements(findings: Findings, figures: Sequence[Drawing]) -> tuple[Part, ...]:
+    rows = [
+        (findings.label(setting), f"{p.error_mm:.2f}", percent(p.percentile, *p.interval), f"{p.arms}")
+        for setting, p in findings.placements.items()
+        if not isinstance(p, str)
+    ]
+    heads = ("setting", "its mean error (mm)", "arms with a smaller error", "arms")
+    name = findings.protocol.design.name
+    caption = f"The true arm of {name} itself, compared with each arm at that arm's own fruit and poses"
+    return (Pair(figures), PageTable(caption, heads, rows)) if rows else ()
+
+
+def _sensitivity_tables(findings: Findings) -> list[Part]:
+    parts: list[Part] = []
+    heads = ("tolerance", "share of variance (%)", "95 % interval", "mean square error (mm²)", "95 % interval")
+    for setting, shares in findings.sensitivities.items():
+        label = findings.label(setting)
+        if isinstance(shares, str):
+            parts.append(f"{label}: {shares}.")
+            continue
+        kinds = [(f"all {row['parameter']}", row) for row in shares if row["level"] == "kind"]
+        parameters = [(row["parameter"], row) for row in shares if row["level"] == "parameter"][:MATTERS]
+        rows = [
+            (
+                name,
+                *_percents(row, "share"),
+                f"{row['mean_square_mm2']:.4f}",
+                between(row["mean_square_low_mm2"], row["mean_square_high_mm2"], 4),
+            )
+            for name, row in kinds + parameters
+        ]
+        first = shares[0]
+        caption = f"{label}: {first['arms']} arms, R² {first['r2']:.2f} (adjusted {first['r2_adjusted']:.2f})"
+        parts.append(PageTable(caption, heads, rows))
+    return parts
+
+
+def _sobol_tables(folder: str | Path, findings: Findings) -> list[PageTable]:
+    heads = ("tolerances", "first order (%)", "95 % interval", "total (%)", "95 % interval")
+    return [
+        _index_table(
+            f"Sobol indices, {findings.label(number)}, perfect tracker: {rows[0]['arms']} further arms", heads, rows
+        )
+        for number, rows in read_sobol(folder).items()
+    ]
+
+
+def _origin(folder: Path, config: StudyConfig, summary: Row) -> dict[str, str]:
+    packages = {name: version(name) for name in ("numpy", "scipy", "pyarrow", "torch")}
+    return {
+        "Made by": f"pickenv study {folder.name}/study.toml --executor {summary['executor']} --out DIR",
+        "Plant": config.plant,
+        "Seed": f"{config.seed}",
+        "pickenv": str(summary["pickenv"]),
+        "Reported with": named_values({"Python": platform.python_version(), **packages}),
+        "Configuration, SHA-256": str(summary["config_sha256"]),
+        "Rows, SHA-256": str(summary["table_sha256"]),
+    }
+
+
+# The recording.
+
+GRID_STEP = 0.1
+"""Cell size of the error fields, m."""
+
+
+def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
+    """Write the recording of three arms of a setting (.rrd), whole or not at all.
+
+    Args:
+        folder: A study's results.
+        setting: Number of the setting.
+        path: The file to write, usually `arms.rrd`.
+
+    Raises:
+        InputError: If there is no such setting, or no arm of it has a result.
+    """
+    from pickenv.inspect.recordings.comparison_recording import record_comparison
+
+    return record_comparison(arms_compared(folder, setting), path)
+
+
+def arms_compared(folder: str | Path, setting: int) -> Comparison:
+    """Worst, median and best arm of a setting in the place of policies; see `record_study`."""
+    protocol = prepared_study(study_of(folder))
+    config, nominal = protocol.config, protocol.nominal
+    if not 0 <= setting < len(protocol.settings):
+        raise InputError(f"there is no setting {setting}; give a number from 0 to {len(protocol.settings) - 1}")
+    cell, grid = protocol.settings[setting], field_grid(nominal, GRID_STEP, config.seed)
+    places = ranked(read_rows(folder), setting)
+    arms = {name: plant_at(protocol.draw(cell, range(arm, arm + 1)), 0) for name, (arm, _) in places.items()}
+    fruit = protocol.circumstances(places["worst"][0]).fruit
+
+    def errors_of(name: str, number: int) -> PolicyErrors:
+        """One arm's errors over the field and at the fruit, calibrated as the setting says."""
+        arm, around = arms[name], protocol.circumstances(number)
+        loaded = carrying(arm, cell.payload_kg)
+
+        def reached(targets: Any) -> tuple[Any, Any, Any]:
+            joints = arm_commands(protocol, cell, arm, replace(around, fruit=targets)).joints
+            pose = loaded.tool_pose(joints)
+            return joints, pose.position, pose_error(forward(nominal, targets), pose)
+
+        _, _, field = reached(grid.joints)
+        joints, positions, errors = reached(fruit)
+        success = 1e3 * np.linalg.norm(errors[:, :3], axis=1) <= config.radius_mm
+        return policy_errors(f"{name} arm (number {number})", field, joints, positions, errors, success, name)
+
+    return compared(
+        arms["worst"],
+        grid,
+        (errors_of(name, arm) for name, (arm, _) in places.items()),
+        seed=config.seed,
+        fruit=forward(nominal, fruit).position,
+        tolerance_mm=config.radius_mm,
+    )

@@ -1,0 +1,468 @@
+"""Run a tolerance study or go on with one, and read its folder: yields and quantiles per setting.
+
+A folder holds `study.toml` (the configuration, with its hash), `rows` (an experiment whose units are chunks of arms,
+one row for each arm and setting) and, when the study is complete, `summary.json`. Each is checked against the others
+when it is read: the pieces of an experiment are named by the hash of their study, and the summary states theirs.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.acero as acero
+import pyarrow.compute as pc
+import pyarrow.dataset as ds
+
+from pickenv import __version__
+from pickenv.errors import InputError
+from pickenv.experiments.engine import RECORD, Experiment, check_experiment, keep, kept_tables
+from pickenv.experiments.study import LS, RAW, Protocol, Setting, StudyConfig, load_study, prepared_study
+from pickenv.experiments.study_arms import FIGURES, OK, evaluate_chunk
+from pickenv.files import write_text
+from pickenv.intervals import quantile_levels, share_interval
+from pickenv.locks import locked
+from pickenv.toml_tables import toml_of
+
+Row = Mapping[str, Any]
+
+ROWS, SUMMARY, SOBOL = "rows", "summary.json", "sobol.json"
+"""Parts of a study's folder."""
+SOBOL_AGAIN = "run `pickenv study` with --sobol again"
+
+BATCHED = "batched"
+"""Works on all arms of a chunk at once; the other executors work arm by arm."""
+EXECUTORS = {"serial": "serial", "joblib": "loky", "ray": "ray", BATCHED: "loky"}
+"""The backend of each executor: where chunks are worked on."""
+
+
+def run_study(
+    config: StudyConfig,
+    folder: Path,
+    *,
+    executor: str = "joblib",
+    workers: int | None = None,
+    device: str = "cpu",
+    progress: Callable[[int, int], None] | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Compute what is missing of a study and summarise it.
+
+    Args:
+        config: The study.
+        folder: Results; chunks already there are kept.
+        executor: A name of `EXECUTORS`. A cluster of Ray is found by RAY_ADDRESS; without it one is started here.
+        workers: Processes; one per core when None, but a single one for "batched".
+        device: Where "batched" computes: "cpu" or "cuda".
+        progress: Called with (arms done, arms in all).
+        warn: Told of damaged files, which are computed again.
+
+    Returns:
+        The summary, which is also written to ``folder/summary.json``.
+
+    Raises:
+        InputError: If the executor is unknown, or the folder holds another study or is being worked in.
+    """
+    if executor not in EXECUTORS:
+        raise InputError(f"unknown executor '{executor}'; give one of {', '.join(EXECUTORS)}")
+    protocol, backend, arithmetic = prepared_study(config), EXECUTORS[executor], "arm by arm"
+    measure: Callable[..., Any] = partial(evaluate_chunk, protocol)
+    if executor == BATCHED:
+        measure, arithmetic = _batched(protocol, device), f"batched on {device}"
+        backend = "serial" if device != "cpu" or (workers or 1) == 1 else backend
+    finished: list[int] = []
+
+    def count(_: str, chunks: int, total: int) -> None:
+        finished.append(chunks)
+        if progress is not None:
+            progress(min(chunks * config.chunk, config.arms), config.arms)
+
+    with locked(folder):
+        _claim(folder, config, arithmetic)
+        inputs = (config.sha256(), arithmetic)
+        units = {"chunk": config.chunks()}
+        experiment = Experiment(_name(config), units, {}, measure, config.seed, inputs)
+        begin = time.perf_counter()
+        files = keep(experiment, folder / ROWS, backend=backend, workers=workers, progress=count, warn=warn)
+        about = {"executor": executor, "seconds": time.perf_counter() - begin, "chunks_reused": finished[0]}
+        # The summary comes last: where it stands, the study is complete.
+        return write_record(folder / SUMMARY, _summary(protocol, folder, files, about))
+
+
+def _batched(protocol: Protocol, device: str) -> Callable[..., Any]:
+    learnt = sorted({setting.method for setting in protocol.settings} - {RAW, LS})
+    if learnt:
+        raise InputError(f"the batched executor has no {learnt[0]}; give --executor joblib, or leave that method out")
+    from pickenv.experiments.study_batched import check_device, evaluate_batch
+
+    check_device(device)
+    return partial(evaluate_batch, protocol, device=device)
+
+
+def _name(config: StudyConfig) -> str:
+    """Name of a study's experiment, and so the beginning of its files' names."""
+    return f"study-{config.sha256()[:16]}"
+
+
+def _summary(protocol: Protocol, folder: Path, files: Sequence[Path], about: Row) -> dict[str, Any]:
+    config, table, rows = protocol.config, table_sha256(folder), ds.dataset([str(file) for file in files])
+    yields = yields_of(rows, config.share).to_pylist()
+    quantiles = quantiles_of(rows).to_pylist()
+    return {
+        "plant": config.plant,
+        "simulated": True,
+        "pickenv": __version__,
+        "arms": config.arms,
+        "settings": len(protocol.settings),
+        "fruit": config.fruit,
+        "seed": config.seed,
+        "radius_mm": config.radius_mm,
+        "share": config.share,
+        **about,
+        "config_sha256": config.sha256(),
+        "table_sha256": table,
+        "yield": yields,
+        "quantiles_mm": [row for row in quantiles if row["quantity"].endswith("_mm")],
+        "quantiles_deg": [row for row in quantiles if row["quantity"].endswith("_deg")],
+        "components": [_components(protocol, protocol.settings[row["setting"]]) for row in held(yields, ("method",))],
+    }
+
+
+def _components(protocol: Protocol, setting: Setting) -> dict[str, Any]:
+    """What the differences between arms come from in a setting that stands for its method, or why it is not known."""
+    from pickenv.experiments.study_variance import components_of
+
+    try:
+        return setting.columns() | {"shares": components_of(protocol, setting), "missing": None}
+    except InputError as error:
+        return setting.columns() | {"shares": [], "missing": str(error)}
+
+
+# The folder.
+
+
+def _claim(folder: Path, config: StudyConfig, arithmetic: str) -> None:
+    """Have a folder for a study: write its configuration, or check that it holds the same one."""
+    described, sha256 = folder / "study.toml", config.sha256()
+    if not described.is_file():
+        if (folder / ROWS).exists():
+            raise InputError(f"{folder} holds rows but no study.toml that says of what; give another --out")
+        write_text(described, f'sha256 = "{sha256}"\narithmetic = "{arithmetic}"\n{config.toml()}')
+        return
+    other = study_of(folder).sha256()
+    if other != sha256:
+        raise InputError(
+            f"{folder} holds the results of another configuration (hash {other[:12]}, this one has {sha256[:12]}); "
+            "give another --out, or that configuration to go on"
+        )
+    before = toml_of(described)[0].get("arithmetic")
+    if before != arithmetic:
+        raise InputError(
+            f"{folder} holds rows computed {before}, and rows computed {arithmetic} differ from them in the last "
+            "digits; go on with the executor that began it, or give another --out"
+        )
+
+
+def study_of(folder: str | Path) -> StudyConfig:
+    """The configuration of a results folder, its hash computed again.
+
+    Raises:
+        InputError: If the folder holds no study, or another one than its hash says.
+    """
+    path = Path(folder) / "study.toml"
+    config, (content, _) = load_study(path), toml_of(path)
+    recorded, sha256 = str(content.get("sha256", "")), config.sha256()
+    if not recorded:
+        raise InputError(f"{path} is not the record of a results folder; give another folder")
+    if recorded != sha256:
+        raise InputError(
+            f"{path} was edited, or its plant or tolerance classes have changed, since its rows were computed (hash "
+            f"{recorded[:12]}, its content has {sha256[:12]}); put it back as it was, or run the study in another "
+            "folder"
+        )
+    return config
+
+
+def _chunks(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
+    """The rows in order, a chunk at a time, each verified: memory does not grow with the number of arms."""
+    rows = Path(folder) / ROWS
+    if not (rows / RECORD).is_file():
+        raise InputError(f"{rows} holds no results; run `pickenv study` first")
+    name = _name(study_of(folder))
+    for path, table in kept_tables(rows):
+        if not path.name.startswith(f"{name}_"):
+            raise InputError(f"{path} belongs to another study than {name}; take the rows away and run the study again")
+        yield path, table
+
+
+def read_rows(folder: str | Path) -> ds.Dataset:
+    """All rows of a folder, every chunk verified, to be streamed in batches.
+
+    Raises:
+        InputError: If the folder holds no rows, or a chunk is missing or is not what it should be.
+    """
+    return ds.dataset([str(path) for path, _ in _chunks(folder)], format="parquet")
+
+
+def table_sha256(folder: str | Path) -> str:
+    """Hash of all rows, sorted by arm and setting; it does not depend on how they are cut into chunks.
+
+    Each column is hashed on its own, numbers as little-endian bytes and texts as UTF-8 lines, then names and hashes
+    together.
+
+    Raises:
+        InputError: As `read_rows`.
+    """
+    hashes: dict[str, Any] = {}
+    for _, table in _chunks(folder):
+        for name in table.column_names:
+            if name != "chunk":
+                hashes.setdefault(name, hashlib.sha256()).update(_column_bytes(table.column(name)))
+    lines = "".join(f"{name} {digest.hexdigest()}\n" for name, digest in hashes.items())
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+def _column_bytes(column: pa.ChunkedArray) -> bytes:
+    if pa.types.is_string(column.type):
+        return "".join(f"{text}\n" for text in column.to_pylist()).encode()
+    values = column.to_numpy()
+    return bytes(values.astype(values.dtype.newbyteorder("<")).tobytes())
+
+
+def write_record(path: Path, content: Row) -> dict[str, Any]:
+    """Write JSON that carries the hash of its own content; returns it with the hash ("sha256")."""
+    sealed = {**content, "sha256": _content_sha256(content)}
+    write_text(path, json.dumps(sealed, indent=2, allow_nan=False) + "\n")
+    return sealed
+
+
+def read_record(path: Path, sha256: str, again: str) -> dict[str, Any]:
+    """What `write_record` wrote about a study ("config_sha256").
+
+    Args:
+        path: The file.
+        sha256: Hash of the study that it must be about.
+        again: What to do about a file that is refused, as the end of a sentence.
+
+    Raises:
+        InputError: If it is missing, damaged, edited, or about another study.
+    """
+    try:
+        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        recorded, about = record.pop("sha256"), record["config_sha256"]
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+        raise InputError(f"{path} is missing or damaged; {again}") from error
+    if recorded != _content_sha256(record):
+        raise InputError(f"{path} was edited or damaged after it was written (its hash does not hold); {again}")
+    if about != sha256:
+        raise InputError(f"{path} is about another study (hash {str(about)[:12]}, not {sha256[:12]}); {again}")
+    return record
+
+
+def _content_sha256(content: Row) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def read_summary(folder: str | Path) -> dict[str, Any]:
+    """The summary of a finished study.
+
+    Raises:
+        InputError: If it is missing, damaged, edited, or of another study or other rows.
+    """
+    path, again = Path(folder) / SUMMARY, f"run `pickenv study CONFIG --out {folder}` again to go on"
+    table = table_sha256(folder)
+    summary = read_record(path, study_of(folder).sha256(), f"the study is not finished: {again}")
+    if summary["table_sha256"] != table:
+        raise InputError(f"{path} was made from other rows than those beside it; {again}")
+    return summary
+
+
+def write_sobol(folder: str | Path, settings: Sequence[int], samples: int) -> Path:
+    """Compute the Sobol indices of some settings of a study and write them into its folder for the report.
+
+    Raises:
+        InputError: As `pickenv.experiments.study_variance.sobol_of`.
+    """
+    from pickenv.experiments.study_variance import sobol_of
+
+    config, path = study_of(folder), Path(folder) / SOBOL
+    protocol = prepared_study(config)
+    indices = {f"{number}": sobol_of(protocol, protocol.settings[number], samples) for number in settings}
+    write_record(path, {"config_sha256": config.sha256(), "indices": indices})
+    return path
+
+
+def read_sobol(folder: str | Path) -> dict[int, list[dict[str, Any]]]:
+    """What `write_sobol` wrote; empty where nothing was written.
+
+    Raises:
+        InputError: If the file is damaged, edited or about another study.
+    """
+    path = Path(folder) / SOBOL
+    if not path.is_file():
+        return {}
+    record = read_record(path, study_of(folder).sha256(), SOBOL_AGAIN)
+    return {int(number): list(rows) for number, rows in record["indices"].items()}
+
+
+def check_folder(folder: str | Path) -> list[tuple[Path, str | None]]:
+    """Verify a study's folder from end to end.
+
+    What can be made anew from these (report, figures, recording) is not looked at.
+
+    Returns:
+        The configuration, the record and every file among the rows, missing chunks, the summary and Sobol indices where
+        there are some: each with None, or the sentence that says why it is refused.
+    """
+    folder = Path(folder)
+    described = _fault(study_of, folder, folder / "study.toml")
+    rows = check_experiment(folder / ROWS)
+    if described[1] is not None:
+        rows = [(path, reason or f"{path} cannot be judged without a sound {described[0]}") for path, reason in rows]
+    checks = [described, *rows, _fault(read_summary, folder, folder / SUMMARY)]
+    return checks + ([_fault(read_sobol, folder, folder / SOBOL)] if (folder / SOBOL).exists() else [])
+
+
+def _fault(read: Callable[[Path], Any], folder: Path, path: Path) -> tuple[Path, str | None]:
+    """A file of a folder, and the sentence with which reading it is refused."""
+    try:
+        read(folder)
+    except InputError as error:
+        return path, str(error)
+    return path, None
+
+
+# Aggregates over rows that pass through memory in batches, one group per setting. The rows are a Parquet data set of
+# any size; pyarrow's engine reads it once, in one thread and in order, so that equal rows give equal bits.
+
+SETTING = ("setting", "tolerances", "it_grade", "poses", "noise_mm", "noise_deg", "payload_kg", "method")
+"""Columns that name a setting."""
+VARIED = ("it_grade", "poses", "noise_mm", "payload_kg")
+"""What a study may vary, beside tolerance class and method."""
+
+PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
+EXACT_ROWS = 2_000_000
+"""Rows whose values of one column are held at once, 16 MB."""
+CENTROIDS = 5_000
+"""Of each digest: a quantile's rank is then right to about one part in ten thousand."""
+
+
+def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
+    """The rows in which everything that is not shown stands at its middle value; raw arms have no poses and noise."""
+    calibrated = [row for row in rows if row["method"] != RAW] or rows
+    middle = {}
+    for name in ("tolerances", *VARIED):
+        values = list(dict.fromkeys(row[name] for row in calibrated))
+        middle[name] = values[(len(values) - 1) // 2]
+
+    def fits(row: Row) -> bool:
+        free = ("poses", "noise_mm") if row["method"] == RAW else ()
+        return all(row[name] == value for name, value in middle.items() if name not in (*shown, *free))
+
+    return [row for row in rows if fits(row)]
+
+
+def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:
+    """The yield of every setting: the share of arms within specification, with Wilson's interval.
+
+    An arm is within specification if the share of its fruit inside the specified radius reaches the required share. An
+    arm whose calibration failed is not. Shares are numbers from 0 to 1.
+
+    Args:
+        rows: A study's rows, of any number; they are read in batches.
+        required_share: Share of an arm's fruit that must lie within the specified radius.
+
+    Returns:
+        One row per setting: its columns, ``arms``, ``failed`` (arms without a result), ``within`` (arms within
+        specification), ``yield`` and Wilson's 95 % interval ``yield_low``, ``yield_high``.
+    """
+    within = pc.if_else(pc.field("share_within") >= required_share, 1, 0)  # a failed arm's share is NaN: not within
+    table = _grouped(
+        rows,
+        {"within": within, "lost": pc.if_else(pc.field("status") == OK, 0, 1)},
+        ("within", "hash_count", None, "arms"),
+        ("lost", "hash_sum", None, "failed"),
+        ("within", "hash_sum", None, "within"),
+    )
+    counts = zip(table["within"].to_pylist(), table["arms"].to_pylist(), strict=True)
+    shares = np.array([(k / n, *share_interval(k, n)) for k, n in counts]).reshape(-1, 3)
+    for name, values in zip(("yield", "yield_low", "yield_high"), shares.T, strict=True):
+        table = table.append_column(name, pa.array(values))
+    return table
+
+
+def quantiles_of(
+    rows: ds.Dataset,
+    columns: Sequence[str] = FIGURES,
+    probabilities: Sequence[float] = PROBABILITIES,
+    exact_rows: int = EXACT_ROWS,
+) -> pa.Table:
+    """Quantiles of arms' errors in every setting, failed arms left out; mm and degrees.
+
+    Up to `EXACT_ROWS` rows they are exact; beyond, t-digests (Dunning and Ertl 2019) keep memory flat. The i-th of N
+    values stands at probability (i - 1/2) / N, in both (Hazen's definition). The 95 % band, from order statistics,
+    needs no assumption about the distribution. Its ends are open where so few arms cannot bound the quantile: below 5 %
+    and above 95 % of fewer than 72.
+
+    Args:
+        rows: A study's rows, of any number; they are read in batches, one column at a time.
+        columns: The error columns.
+        probabilities: Which quantiles.
+        exact_rows: Rows up to which they are exact.
+
+    Returns:
+        One row per setting, column and probability: the setting's columns, ``quantity``, ``arms``, ``probability``,
+        ``value`` and the 95 % band ``low``, ``high``; null for an end that is open, and where no arm has a result.
+    """
+    judged = {"judged": pc.if_else(pc.field("status") == OK, 1, 0)}
+    settings = _grouped(rows, judged, ("judged", "hash_sum", None, "arms")).to_pylist()
+    counts = {row["arms"] for row in settings}
+    levels = {n: [(float(p), *quantile_levels(n, p)) for p in probabilities] for n in counts}
+    wanted = np.unique([level for bands in levels.values() for band in bands for level in band if level is not None])
+    aggregate, options = "hash_list", None
+    if rows.count_rows() > exact_rows:
+        aggregate, options = "hash_tdigest", pc.TDigestOptions(q=wanted.tolist(), delta=CENTROIDS)
+    quantiles: list[dict[str, Any]] = []
+    for column in columns:
+        value = {"value": pc.if_else(pc.is_nan(pc.field(column)), None, pc.field(column))}
+        table = _grouped(rows, value, ("value", aggregate, options, "values"))
+        for setting, values in zip(settings, table["values"], strict=True):
+            numbers = values.values.to_numpy(zero_copy_only=False)
+            if aggregate == "hash_list" and setting["arms"]:
+                numbers = np.quantile(numbers[~np.isnan(numbers)], wanted, method="hazen")
+            at = dict(zip(wanted.tolist(), numbers.tolist(), strict=True)) if setting["arms"] else {}
+            for probability, band in zip(probabilities, levels[setting["arms"]], strict=True):
+                ends = {name: at.get(level) for name, level in zip(("value", "low", "high"), band, strict=True)}
+                quantiles.append({**setting, "quantity": column, "probability": probability, **ends})
+    return pa.Table.from_pylist(quantiles)
+
+
+def _grouped(
+    rows: ds.Dataset, columns: Mapping[str, pc.Expression], *aggregates: tuple[str, str, Any, str]
+) -> pa.Table:
+    """Aggregate computed columns per setting, in one pass and with memory that does not grow with the rows.
+
+    Args:
+        rows: A study's rows.
+        columns: What is computed of each row, by name.
+        aggregates: What is computed of those in each setting: column, pyarrow's name of the aggregate, its options, and
+            the name of the result.
+
+    Returns:
+        A table with `SETTING` and the aggregates, one row per setting, by number.
+    """
+    every = {name: pc.field(name) for name in SETTING} | dict(columns)
+    steps = [
+        acero.Declaration("scan", acero.ScanNodeOptions(rows, use_threads=False)),
+        acero.Declaration("project", acero.ProjectNodeOptions(list(every.values()), list(every))),
+        acero.Declaration("aggregate", acero.AggregateNodeOptions(list(aggregates), keys=list(SETTING))),
+    ]
+    table: pa.Table = acero.Declaration.from_sequence(steps).to_table(use_threads=False)
+    return table.sort_by("setting")

@@ -1,0 +1,491 @@
+"""What arms' errors differ by: drawn anew one by one, by Sobol's indices, and by regression on a study's rows.
+
+Components: the arm, its fruit, its poses or the tracker is drawn again while the others are held, on arms beyond the
+study's own. Figure: the radius that holds the required share of an arm's fruit, which decides whether it is within
+specification. Its logarithm, so that a share is one of relative errors, and a few bad arms do not decide alone.
+
+Sobol's indices (Saltelli 2010) divide the variance of the squared RMS error, mm^2, among groups of tolerances, with
+interactions and without a model, but with arms of their own. The tracker does not err. Each row of the sample has fruit
+and poses of its own, the same for all arms that are compared in it: the indices are averages over fruit and poses.
+
+Sensitivities: the squared error of an arm is a quadratic form of its deviations, so it is regressed on each deviation x
+and on x^2 (standardised; the arm's RMS error over its own fruit, squared, in mm^2). For independent deviations the
+variance of b x + c x^2 is the parameter's first-order share, c is what its spread adds to the mean square error, and
+what R^2 leaves is interaction, the arm's own fruit and poses, the tracker, and what no column holds. A regression finds
+a share even where there is none: what scatter alone would give is taken off, so that a tolerance without effect has a
+share of zero on average. Intervals come from the jackknife over groups of arms (`_interval`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+from pyarrow.dataset import Dataset
+from scipy.special import chndtr, chndtrinc, ndtri, stdtrit
+from scipy.stats import qmc
+
+from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.tolerances import plants_from, random_columns
+from pickenv.errors import InputError
+from pickenv.experiments.study import LS, RAW, Circumstances, Protocol, Setting
+from pickenv.experiments.study_arms import OK, figures
+from pickenv.intervals import mean_interval, statistic_interval
+from pickenv.threads import single_threaded
+
+# Which share of a variance each of several independent causes makes: first-order and total indices (Saltelli 2010).
+# Row by row the figure is computed with all causes drawn once (A), all drawn again (B), and for each cause with that
+# one taken from B and the others from A. Anything else that a row's figures share is averaged over and makes no
+# variance.
+
+
+def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[str]) -> list[dict[str, Any]]:
+    """The indices of causes, from R independent blocks of n rows.
+
+    Args:
+        first: The figure with all causes from A ``(R, n)``.
+        second: With all from B ``(R, n)``.
+        mixed: For each of G causes, with it alone from B ``(G, R, n)``.
+        names: Of the causes.
+
+    Returns:
+        For each cause ``group``, ``first_order`` (its share alone), ``total`` (with all its interactions, never less),
+        and their 95 % intervals ``first_order_low`` and so on; None where there are too few blocks for one.
+
+    Raises:
+        InputError: If nothing varies.
+    """
+    whole = 0.5 * np.mean((first - second) ** 2, axis=1)
+    if not whole.any():
+        raise InputError("the figure is the same whatever is drawn; there is no variance to divide")
+    # Jansen 1999: differences within a row alone, so that what the row shares drops out
+    alone, every = whole - 0.5 * np.mean((second - mixed) ** 2, axis=2), 0.5 * np.mean((first - mixed) ** 2, axis=2)
+    indices = []
+    for name, one, all_ in zip(names, alone, every, strict=True):
+        if one.mean() > all_.mean():  # by chance: both then estimate the share of a cause without interactions
+            one = all_ = 0.5 * (one + all_)
+        row: dict[str, Any] = {"group": name}
+        for key, part in (("first_order", one), ("total", all_)):
+            value = float(part.mean() / whole.mean())
+            low, high = _ends(part, whole, value)
+            row |= {key: value, f"{key}_low": low, f"{key}_high": high}
+        indices.append(row)
+    return indices
+
+
+def _ends(part: Array, whole: Array, value: float) -> tuple[float | None, float | None]:
+    """The interval of a ratio of means over blocks ``(R,)``: within 0 to 1, but holding the value that is shown."""
+    if not part.any():
+        return 0.0, 0.0  # the cause changes nothing
+    ends = statistic_interval(np.stack([part, whole], axis=1), lambda rows: rows[:, 0].mean() / rows[:, 1].mean())
+    return (None, None) if ends is None else (min(max(ends[0], 0.0), value), max(min(ends[1], 1.0), value))
+
+
+# Components.
+
+MOST_ARMS, LEAST_ARMS = 256, 30
+"""Arms of the design at most, and fewest for which it is made: of 20 arms intervals of totals hold 92 %."""
+
+
+def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
+    """Shares of the variance of the arms' logarithmic errors in one setting.
+
+    Args:
+        protocol: The study; as many arms are drawn as it has, from `LEAST_ARMS` to `MOST_ARMS`, each judged six times.
+        setting: One of its settings, raw or least squares.
+
+    Returns:
+        As `variance_indices`, of the groups arms, fruit, and for least squares poses and tracker; with the number of
+        ``arms``.
+
+    Raises:
+        InputError: If the setting's method is another, or too few arms can be judged.
+    """
+    if setting.method not in (RAW, LS):
+        raise InputError(f"components of variance of method '{setting.method}' would take too long")
+    count = min(MOST_ARMS, protocol.config.arms)
+    if count < LEAST_ARMS:
+        raise InputError(f"{count} arms are too few to divide their variance; give {LEAST_ARMS}")
+    begin = protocol.config.arms  # arms that the study has not
+    numbers = range(begin, begin + count), range(begin + count, begin + 2 * count)
+    arms, arms_anew = (protocol.draw(setting, part) for part in numbers)
+    around, around_anew = ([protocol.circumstances(number) for number in part] for part in numbers)
+    pairs = list(zip(around, around_anew, strict=True))
+    causes: dict[str, tuple[Plant, list[Circumstances]]] = {
+        "arms": (arms_anew, around),
+        "fruit": (arms, [replace(one, fruit=new.fruit) for one, new in pairs]),
+    }
+    if setting.poses:
+        causes["poses"] = arms, [replace(one, poses=new.poses) for one, new in pairs]
+        causes["tracker"] = arms, [replace(one, tracker=new.tracker) for one, new in pairs]
+    every = np.stack([_log_errors(protocol, setting, *case) for case in ((arms, around), (arms_anew, around_anew))])
+    mixed = np.stack([_log_errors(protocol, setting, *case) for case in causes.values()])
+    judged = np.isfinite(every).all(axis=0) & np.isfinite(mixed).all(axis=0)
+    if judged.sum() < LEAST_ARMS:
+        raise InputError(f"only {judged.sum()} of {count} arms can be judged, too few to divide their variance")
+    first, second = every[:, judged, None]
+    rows = variance_indices(first, second, mixed[:, judged, None], list(causes))
+    return [row | {"arms": int(judged.sum())} for row in rows]
+
+
+def _log_errors(protocol: Protocol, setting: Setting, arms: Plant, around: Sequence[Circumstances]) -> Array:
+    """Logarithms of the radii that hold the required share of the arms' fruit ``(N,)``; NaN for an arm not judged."""
+    from pickenv.experiments.study_batched import judge_batch
+
+    outcomes = judge_batch(protocol, setting, arms, around)
+    radius = np.quantile(outcomes.position, protocol.config.share, axis=1)
+    return np.log(np.where([text == OK for text in outcomes.status], radius, np.nan))
+
+
+# Sobol's indices.
+
+GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "joint stiffness": ("joint_compliance", ("joint_stiffness",)),
+    "flexural rigidity": ("boom_bending", ("flexural_rigidity",)),
+    "bearing stiffness": ("slide_compliance", ("bearing_stiffness",)),
+    "transmission error": ("transmission_error", ("lead", "transmission_error", "phase")),
+    "drive harmonics": ("drive_harmonics", ("drive_harmonics",)),
+    "local structure": ("local_structure", ("local_structure",)),
+    "roller clearance": ("roller_play", ("roller_clearance",)),
+    "backlash": ("backlash", ("backlash",)),
+    "friction": ("stick_band", ("friction",)),
+    "temperature": ("thermal_growth", ("temperature_rise",)),
+    "ground": ("base_tilt", ("ground_stiffness", "sinkage")),
+}
+"""For each group of effects, the effect and the random numbers (`random_columns`) that it takes."""
+SOBOL_STREAM = 7
+"""Key of the random numbers, apart from those of the study's rows."""
+SCRAMBLES = 32
+"""Independent Sobol sequences that a sample consists of; the intervals are over them."""
+LEAST_SAMPLES = 8 * SCRAMBLES
+"""Rows of a sample at least: with fewer the intervals hold too seldom."""
+SAMPLES = 2048
+"""Rows of a sample when nothing else is asked."""
+
+
+def tolerance_groups(design: Plant) -> dict[str, list[int]]:
+    """Columns of an arm's even random numbers by group; effects that the design has not are left out."""
+    columns, n = random_columns(design), design.arm.nominal.joints
+    alpha, a, theta, d = (list(columns["geometry"][k * n : (k + 1) * n]) for k in range(4))
+    own = {name.replace("_", " "): (name, (f"own {name}",)) for name in design.names if f"own {name}" in columns}
+    effects = {
+        group: [i for key in keys for i in columns[key]]
+        for group, (name, keys) in ({**GROUPS, **own}).items()
+        if design.effect(name) is not None
+    }
+    return {"angles": alpha + theta, "lengths": a + d, **effects}
+
+
+def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[str, Any]]:
+    """Sobol indices of the groups in one setting.
+
+    Args:
+        protocol: The study.
+        setting: One of its settings, raw or least squares.
+        samples: A power of two; (groups + 2) times as many arms are made.
+
+    Returns:
+        As `sobol_indices`, with the number of arms.
+
+    Raises:
+        InputError: If the setting's method is another, or an arm cannot be judged.
+    """
+    from pickenv.experiments.study_batched import judge_batch
+
+    if setting.method not in (RAW, LS):
+        raise InputError(
+            f"Sobol indices of method '{setting.method}' would take too long; choose a setting of raw or ls"
+        )
+    groups = tolerance_groups(protocol.design)
+    tolerances = replace(protocol.tolerances[setting.tolerances], it_grade=setting.it_grade)
+    active = [i for columns in groups.values() for i in columns]
+    every = max(columns.stop for columns in random_columns(protocol.design).values())
+
+    @cache
+    def around(row: int) -> Circumstances:
+        return protocol.circumstances(protocol.config.arms + row).perfect
+
+    def squared_error(even: Array, rows: NDArray[np.int64]) -> Array:
+        whole = np.full((len(even), every), 0.5)
+        whole[:, active] = even
+        plants = plants_from(protocol.design, tolerances, whole)
+        outcomes = judge_batch(protocol, setting, plants, [around(row) for row in rows.tolist()])
+        for status in outcomes.status:
+            if status != OK:
+                raise InputError(f"Sobol indices of setting {setting.number} need every arm's error: {status}")
+        return figures(outcomes.position, outcomes.attitude, protocol.config.radius_mm)["error_rms_mm"] ** 2
+
+    places = np.cumsum([0, *(len(columns) for columns in groups.values())]).tolist()
+    numbered = {name: range(a, b) for name, a, b in zip(groups, places, places[1:], strict=False)}
+    rng = np.random.default_rng(np.random.SeedSequence(protocol.config.seed, spawn_key=(SOBOL_STREAM,)))
+    rows = sobol_indices(squared_error, numbered, samples, rng)
+    return [row | {"arms": samples * (len(groups) + 2)} for row in rows]
+
+
+def sobol_indices(
+    model: Callable[[Array, NDArray[np.int64]], Array],
+    groups: Mapping[str, Sequence[int]],
+    samples: int,
+    rng: np.random.Generator,
+) -> list[dict[str, Any]]:
+    """Sobol indices, first and total, of groups of independent inputs.
+
+    Args:
+        model: From even random numbers ``(N, d)`` in 0..1, and the rows of the sample that they stand in ``(N,)``, to
+            one finite number for each ``(N,)``. What it makes of the row's number is averaged over.
+        groups: For each group, which inputs belong to it; together they name every input once.
+        samples: Rows of the sample, a power of two; the model is evaluated (number of groups + 2) times as often.
+        rng: Draws the scrambled Sobol sequences, `SCRAMBLES` of them.
+
+    Returns:
+        As `variance_indices`. Total minus first order is interaction.
+
+    Raises:
+        InputError: If the groups do not name every input once, or ``samples`` is no power of two or too few.
+    """
+    inputs = sorted(i for group in groups.values() for i in group)
+    d = len(inputs)
+    if inputs != list(range(d)) or not d:
+        raise InputError(f"the groups name inputs {inputs}; name each of 0 to {max(inputs, default=0)} once")
+    if samples < LEAST_SAMPLES or samples & (samples - 1):
+        raise InputError(f"{samples} samples; give a power of two from {LEAST_SAMPLES}, such as {SAMPLES}")
+    even = np.concatenate([qmc.Sobol(2 * d, rng=rng).random(samples // SCRAMBLES) for _ in range(SCRAMBLES)])
+    first, second = even[:, :d], even[:, d:]
+
+    def figure(numbers: Array) -> Array:
+        return model(numbers, np.arange(samples)).reshape(SCRAMBLES, -1)
+
+    mixed = []
+    for group in groups.values():
+        swapped = first.copy()
+        swapped[:, list(group)] = second[:, list(group)]
+        mixed.append(figure(swapped))
+    return variance_indices(figure(first), figure(second), np.stack(mixed), list(groups))
+
+
+# Sensitivities.
+
+DEVIATION = re.compile(r"delta_.+_(mm|deg)|size_.+|(sine|cosine)_.+|rise_K")
+"""Columns that hold what was drawn for an arm."""
+BLOCKS = 100
+"""Groups of arms that the jackknife leaves out in turn; an arm's group follows from its number."""
+ARMS_PER_TERM = 5
+"""A regression is refused on fewer arms for each of its terms."""
+TAILS = (0.975, 0.025)
+
+
+def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
+    """Shares of the variance of the arms' squared errors, per parameter and per kind of parameter.
+
+    Args:
+        rows: A study's rows, of any number; they are read in batches.
+        setting: Number of the setting; failed arms are left out.
+
+    Returns:
+        One row per parameter and per kind, largest share first: ``parameter`` (or the kind's name), ``kind``, ``level``
+        (parameter or kind), ``share`` of the variance (by chance also below zero, where there is none) with its 95 %
+        interval ``share_low``, ``share_high``, ``mean_square_mm2`` (what its spread adds to the mean of the squared
+        error) with its interval, ``linear`` (standardised regression coefficient of the deviation; NaN for several),
+        and the whole regression's ``r2``, ``r2_adjusted`` and ``arms``.
+
+    Raises:
+        InputError: If nothing varies, or there are too few arms for the number of deviations.
+    """
+    names, sums = _moments(rows, setting)
+    arms, terms = int(sums[:, 0, 0].sum()), 2 * len(names) + 1
+    if not names:
+        raise InputError(f"nothing varies between the arms of setting {setting}; give its tolerances a spread")
+    if arms < ARMS_PER_TERM * terms:
+        raise InputError(
+            f"setting {setting} has {arms} arms with a result; its {len(names)} deviations need {ARMS_PER_TERM * terms}"
+        )
+    groups: dict[tuple[str, str], list[int]] = {}
+    for level, group_of in (("parameter", parameter_of), ("kind", tolerance_kind)):
+        for i, name in enumerate(names):
+            groups.setdefault((level, group_of(name)), []).append(i)
+    places, whole = list(groups.values()), sums.sum(axis=0)
+    with single_threaded():  # small systems: threads would only wait for one another
+        every = _regressed(whole, places)
+        left_out = [_regressed(whole - block, places) for block in sums if block[0, 0]]
+    blocks, chance = len(left_out), _share_by_chance(every, left_out, places, arms)
+    about = {"r2": every.r2, "r2_adjusted": 1.0 - (1.0 - every.r2) * (arms - 1) / (arms - terms), "arms": arms}
+    squares = np.array([part.mean_square for part in left_out])
+    spread = np.sqrt((blocks - 1) / blocks * np.sum((squares - squares.mean(axis=0)) ** 2, axis=0))  # the jackknife's
+    half = float(stdtrit(blocks - 1, TAILS[0])) * spread
+    roots = np.sqrt(np.maximum(every.share, 0.0))
+    pseudo = blocks * roots - (blocks - 1) * np.sqrt(np.maximum([part.share for part in left_out], 0.0))
+    table: list[dict[str, Any]] = []
+    for i, ((level, name), place) in enumerate(groups.items()):
+        low, high = _interval(every.share[i], chance[i], pseudo[:, i])
+        table.append(
+            {
+                "parameter": name,
+                "kind": tolerance_kind(names[place[0]]),
+                "level": level,
+                "share": float(every.share[i] - chance[i]),
+                "share_low": low,
+                "share_high": high,
+                "mean_square_mm2": float(every.mean_square[i]),
+                "mean_square_low_mm2": float(every.mean_square[i] - half[i]),
+                "mean_square_high_mm2": float(every.mean_square[i] + half[i]),
+                "linear": float(every.linear[i]) if level == "parameter" and len(place) == 1 else float("nan"),
+                **about,
+            }
+        )
+    return pa.Table.from_pylist(sorted(table, key=lambda row: -row["share"]))
+
+
+def parameter_of(column: str) -> str:
+    """The parameter that a column belongs to: its own name, or that of the error whose sine or cosine it is."""
+    return re.sub(r"^(sine|cosine)_", "size_", column)
+
+
+def tolerance_kind(column: str) -> str:
+    """What kind of tolerance a deviation's column belongs to: angles, lengths, or the effect whose size it is."""
+    if column.startswith("delta_"):
+        return "angles" if column.endswith("_deg") else "lengths"
+    if column == "rise_K":
+        return "temperature rise"
+    return re.sub(r"_\d+$", "", parameter_of(column).removeprefix("size_")).replace("_", " ")
+
+
+def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
+    """The sums that a regression needs, of a setting's rows read twice: for means and spreads, and for the products.
+
+    Returns:
+        The k deviations that vary, and sums of products ``(BLOCKS, 2 k + 2, 2 k + 2)`` of 1, x, x^2 and the squared
+        error in mm^2, where x is the deviation minus its mean, over its standard deviation.
+    """
+    names = [name for name in rows.schema.names if DEVIATION.fullmatch(name)]
+    judged = (pc.field("setting") == setting) & (pc.field("status") == OK)
+
+    def batches(columns: Sequence[str]) -> Any:
+        for batch in rows.to_batches(columns=list(columns), filter=judged, use_threads=False):
+            if batch.num_rows:
+                yield [batch[name].to_numpy(zero_copy_only=False) for name in columns]
+
+    count, total, squares = 0, np.zeros(len(names)), np.zeros(len(names))
+    for columns in batches(names):
+        values = np.stack(columns, axis=1) if columns else np.zeros((0, 0))
+        count, total, squares = count + len(values), total + values.sum(axis=0), squares + (values**2).sum(axis=0)
+    mean = total / max(count, 1)
+    deviation = np.sqrt(np.maximum(squares / max(count, 1) - mean**2, 0.0))
+    varies = deviation > 1e-9 * np.maximum(np.abs(mean), 1e-3)
+    varied = [name for name, used in zip(names, varies, strict=True) if used]
+    size = 2 * len(varied) + 2
+    sums = np.zeros((BLOCKS, size, size))
+    for arm, error, *columns in batches(["arm", "error_rms_mm", *varied]):
+        x = (np.stack(columns, axis=1) - mean[varies]) / deviation[varies] if columns else np.zeros((len(arm), 0))
+        z = np.column_stack([np.ones(len(arm)), x, x**2, error**2])
+        sums += _products(z, arm % BLOCKS)
+    return varied, sums
+
+
+def _products(z: Array, block: NDArray[np.int64]) -> Array:
+    """Sums of products of the rows ``(n, q)`` of each block ``(BLOCKS, q, q)``."""
+    order = np.argsort(block, kind="stable")
+    count = np.bincount(block, minlength=BLOCKS)
+    place = np.arange(len(block)) - np.repeat(np.cumsum(count) - count, count)
+    padded = np.zeros((BLOCKS, max(int(count.max()), 1), z.shape[1]))  # a row of zeros adds nothing
+    padded[block[order], place] = z[order]
+    return np.asarray(np.swapaxes(padded, 1, 2) @ padded)
+
+
+@dataclass(frozen=True, eq=False)
+class _Regression:
+    """A regression on 2 k terms, x and x^2 of k deviations, and what it says of G groups of them.
+
+    Attributes:
+        slopes: ``(2 k,)``, mm^2.
+        terms: Covariance of the terms ``(2 k, 2 k)``.
+        variance: Of the squared error, mm^4.
+        share: Of the variance ``(G,)``, with what scatter alone gives.
+        mean_square: What the groups' spread adds to the mean of the squared error ``(G,)``, mm^2.
+        linear: Standardised coefficient of each group's first deviation ``(G,)``.
+        r2: Share of the variance that all of them explain.
+    """
+
+    slopes: Array
+    terms: Array
+    variance: float
+    share: Array
+    mean_square: Array
+    linear: Array
+    r2: float
+
+
+def _regressed(sums: Array, groups: Sequence[Sequence[int]]) -> _Regression:
+    """Regress on sums of products of one set."""
+    count = sums[0, 0]
+    mean = sums[0] / count
+    covariance = sums / count - np.outer(mean, mean)
+    terms, variance = covariance[1:-1, 1:-1], covariance[-1, -1]
+    steadied = terms + np.diag(1e-10 * np.diag(terms))  # two deviations that are one share what they explain
+    slopes = np.linalg.solve(steadied, covariance[1:-1, -1])
+    k = len(slopes) // 2
+    every = [_terms_of(group, k) for group in groups]
+    return _Regression(
+        slopes=slopes,
+        terms=terms,
+        variance=float(variance),
+        share=np.array([slopes[p] @ terms[np.ix_(p, p)] @ slopes[p] / variance for p in every]),
+        mean_square=np.array([slopes[k:][list(group)].sum() for group in groups]),
+        linear=np.array([slopes[group[0]] * np.sqrt(terms[group[0], group[0]] / variance) for group in groups]),
+        r2=float(slopes @ covariance[1:-1, -1] / variance),
+    )
+
+
+def _terms_of(group: Sequence[int], deviations: int) -> list[int]:
+    """Places of x and x^2 of a group among the terms."""
+    return [*group, *(deviations + i for i in group)]
+
+
+def _share_by_chance(
+    whole: _Regression, left_out: Sequence[_Regression], groups: Sequence[Sequence[int]], arms: int
+) -> Array:
+    """What the scatter of the slopes alone adds to each group's share ``(G,)``.
+
+    The scatter is the jackknife's, which holds for errors of any distribution; it is too large by as much as few arms
+    leave the regression (the leverage), and put right for that.
+    """
+    k = len(whole.slopes) // 2
+    slopes = np.array([part.slopes for part in left_out])
+    scatter = np.sqrt((len(slopes) - 1) / len(slopes) * (1.0 - (2 * k + 1) / arms)) * (slopes - slopes.mean(axis=0))
+    added = []
+    for group in groups:
+        p = _terms_of(group, k)
+        added.append(np.sum((scatter[:, p] @ whole.terms[np.ix_(p, p)]) * scatter[:, p]) / whole.variance)
+    return np.array(added)
+
+
+def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:
+    """95 % interval of a share without what chance adds.
+
+    The root of a share is a length in the space of slopes, and its standard error the same everywhere, so that the
+    share over that error squared is noncentral chi-square, as if of ``chance / error**2`` degrees of freedom. The
+    interval holds the noncentralities that such a share does not contradict. It begins at zero where zero is one of
+    them, and holds the estimate where that is below zero.
+
+    Args:
+        share: With what chance adds.
+        chance: What that is.
+        pseudo: The jackknife's pseudo-values of the share's root; their skewness gives each side an error of its own.
+    """
+    estimate, ends = share - chance, mean_interval(pseudo)
+    if ends is None:
+        return estimate, estimate
+    bounds = []
+    for end, tail in zip(ends, TAILS, strict=True):
+        scale = ((end - pseudo.mean()) / float(ndtri(TAILS[0]))) ** 2
+        freedom = max(chance / scale, 1e-6)
+        possible = chndtr(share / scale, freedom, 0.0) > tail  # else no share at all is too much already
+        bounds.append(scale * float(chndtrinc(share / scale, freedom, tail)) if possible else 0.0)
+    return min(bounds[0], estimate), max(bounds[1], estimate)

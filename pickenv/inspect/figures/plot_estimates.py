@@ -1,0 +1,118 @@
+"""Figures of numbers with their 95 % intervals: whiskers side by side, or lines with bands along a number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from pickenv.inspect.colours import policy_colours, policy_label
+from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb
+from pickenv.intervals import Estimate
+
+Row = Mapping[str, Any]
+LINE_INCHES = 0.17
+"""Height of a whisker with the room around it."""
+
+
+def estimates_figure(
+    rows: Sequence[Row],
+    label: str,
+    by: Sequence[str],
+    *,
+    x: str | None = None,
+    colour: str | None = None,
+    panels: str | None = None,
+    log: bool = False,
+    scale: float = 1.0,
+) -> Figure:
+    """Numbers with their intervals, an open end as far as the number itself.
+
+    Args:
+        rows: Each with the columns of ``by`` and "estimate", as from `pickenv.intervals.estimate`.
+        label: What the numbers are, with their unit.
+        by: Columns that name a number.
+        x: A column of numbers, which lines are drawn along; whiskers are drawn when None.
+        colour: The column that colours tell apart; the first that is none of the others when None.
+        panels: A column whose levels have a panel each.
+        log: Whether the numbers' axis is logarithmic.
+        scale: Factor on the numbers.
+    """
+    free = [name for name in by if name not in (x, panels)]
+    colour = colour or (free[-1] if free else None)
+    keys = [] if colour is None else list(dict.fromkeys(row[colour] for row in rows))
+    colours = dict(zip(keys, rgb(policy_colours([str(key) for key in keys])), strict=True))
+    groups: dict[Any, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row[panels] if panels else "", []).append(row)
+    places = list(dict.fromkeys(tuple(row[name] for name in free if name != colour) for row in rows))
+    height = 3.2 if x else 1.0 + LINE_INCHES * len(places) * max(len(keys), 1)
+    with new_figure(WIDTH, height) as figure:
+        axes: Any = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
+        for axis, (title, some) in zip(axes, groups.items(), strict=True):
+            axis.set_title(str(title))
+            if x is not None:
+                _lines(axis, some, x, free, colours, colour, scale)
+                axis.set(xlabel=x, yscale="log" if log else "linear")
+            else:
+                _whiskers(axis, some, places, [name for name in free if name != colour], colours, colour, scale)
+                axis.set(xlabel=label, xscale="log" if log else "linear")
+            for one in (axis.xaxis, axis.yaxis):
+                if one.get_scale() == "log":
+                    plain_decades(one)
+        if x is not None:
+            axes[0].set_ylabel(label)
+        for key, shade in colours.items():
+            axes[0].plot([], [], color=shade, linewidth=3.0, label=policy_label(str(key)))
+        if len(colours) > 1:
+            figure.legend(loc="outside lower center", ncols=min(len(colours), 4))
+    return figure
+
+
+def _ends(found: Estimate, scale: float) -> tuple[float, float]:
+    low, high = found.ci95 or (None, None)
+    return scale * (found.value if low is None else low), scale * (found.value if high is None else high)
+
+
+def _lines(
+    axis: Any,
+    rows: Sequence[Row],
+    x: str,
+    free: Sequence[str],
+    colours: Mapping[Any, Any],
+    colour: str | None,
+    scale: float,
+) -> None:
+    series: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        series.setdefault(tuple(row[name] for name in free), []).append(row)
+    for some in series.values():
+        some = sorted(some, key=lambda row: float(row[x]))
+        shade = colours[some[0][colour]] if colour else None
+        places = [float(row[x]) for row in some]
+        axis.plot(places, [scale * row["estimate"].value for row in some], color=shade)
+        low, high = np.transpose([_ends(row["estimate"], scale) for row in some])
+        axis.fill_between(places, low, high, color=shade, alpha=0.2, linewidth=0)
+
+
+def _whiskers(
+    axis: Any,
+    rows: Sequence[Row],
+    places: Sequence[tuple[Any, ...]],
+    names: Sequence[str],
+    colours: Mapping[Any, Any],
+    colour: str | None,
+    scale: float,
+) -> None:
+    keys = list(colours)
+    for row in rows:
+        key = row[colour] if colour else None
+        beside = 0.0 if key is None else (keys.index(key) + 0.5) / len(keys) - 0.5
+        y = places.index(tuple(row[name] for name in names)) + 0.8 * beside
+        shade = colours.get(key)
+        axis.plot(_ends(row["estimate"], scale), [y, y], color=shade, linewidth=3.0, alpha=0.55)
+        axis.plot([scale * row["estimate"].value], [y], "|", color=shade, markersize=8, mew=1.6)
+    axis.set_yticks(range(len(places)), [", ".join(map(str, place)) for place in places])
+    axis.set_ylim(len(places) - 0.5, -0.5)

@@ -1,1 +1,0 @@
-"""What a study draws: its configuration, deviations and shared protocol."""

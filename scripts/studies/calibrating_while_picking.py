@@ -1,0 +1,159 @@
+"""Can a policy with a memory learn to calibrate its arm while it picks, and how does it compare with a Kalman filter?
+
+The task is `pickenv.wrappers.SameArm`: runs of 20 picks on an arm that is not told, with a camera of 1 mm per axis and
+ten looks at each fruit. A recurrent policy (RecurrentPPO) and one over a window (PPO) learnt it on 4096 arms of
+`qiao2026`, class coarse; they are the shipped baselines and their other seeds, and are trained here where they are not
+there yet. The filter has the same looks and the same action; its two settings are the best of a few on arms of its own.
+All are judged on the same fresh arms and fruit. Simulated throughout.
+"""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from train_baselines import training_of
+
+import pickenv  # noqa: F401
+from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
+from pickenv.agents.policies.remembering import RememberingPolicy, load_remembering
+from pickenv.agents.training.training import train
+from pickenv.arm import Array, forward
+from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.calibration.compensation.compensator import aimed, taught
+from pickenv.experiments import Rows, estimate
+from pickenv.inspect.figures.style import WIDTH, new_figure
+from pickenv.seeds import seed_words, stream
+from pickenv.wrappers import SameArmVector
+from pickenv.wrappers.same_arm import SEEN_MM
+
+LEARNT = {"recurrent": "recurrent_camera", "window": "history_camera"}
+FILTER, NOMINAL = "Kalman filter", "no memory: the nominal arm"
+PICKS, LOOKS, CAMERA_MM = 20, 10, 1.0
+TRIED = {"unmodelled_std": (0.1e-3, 0.2e-3, 0.5e-3, 1e-3), "prior": (0.5, 1.0, 2.0)}
+"""Settings of the filter that are tried on arms of its own."""
+
+SHOWN = {"first pick": range(1), "picks 2 to 5": range(1, 5), "picks 11 to 20": range(10, 20)}
+
+
+def task(plant: str, arms: int, number: int) -> SameArmVector:
+    """Fresh arms, all at once; ``number`` 0 to be judged on, 1 to choose settings by."""
+    seed = seed_words(stream(0, "arms", 1 + number), 1)[0]
+    camera: dict[str, Any] = {"feedback": "camera", "camera_noise_mm": CAMERA_MM, "fruit_noise_mm": 0.0}
+    drawn = {"arms": "per_episode", "population": arms, "population_seed": seed, "tolerances": "coarse"}
+    envs = gym.make_vec("pickenv/Reach-v0", num_envs=arms, plant=plant, **camera, **drawn)
+    return SameArmVector(envs, picks=PICKS, window=PICKS, looks=LOOKS)
+
+
+def picked(envs: SameArmVector, make: Any, runs: int) -> Array:
+    """Errors ``(arms, runs, picks)`` in mm; the same fruit for everybody."""
+    errors = np.zeros((envs.num_envs, runs, PICKS))
+    for run in range(runs):
+        seeds = seed_words(stream(0, "picks", run), envs.num_envs)
+        seen, _ = envs.reset(seed=seeds, options={"arm": np.arange(envs.num_envs)})
+        choose = make()
+        for pick in range(PICKS):
+            seen, _, _, _, infos = envs.step(choose(envs, seen))
+            errors[:, run, pick] = infos.get("final_info", infos)["position_error_mm"]
+    return errors
+
+
+class Remembering:
+    """Aims as a policy with a memory says; it sees as many past picks as it was trained with."""
+
+    def __init__(self, policy: RememberingPolicy) -> None:
+        self.policy, self.state = policy, policy.begin(0)
+
+    def __call__(self, envs: SameArmVector, seen: Any) -> Any:
+        """The next actions."""
+        if not envs.run.pick:
+            self.state = self.policy.begin(len(seen))
+        actions, self.state = self.policy.aim(seen[:, : self.policy.memory.inputs], self.state)
+        return actions
+
+
+class Filtering:
+    """Aims as one Kalman filter per arm says."""
+
+    def __init__(self, settings: AdaptiveSettings) -> None:
+        std = float(np.hypot(settings.camera_std / np.sqrt(LOOKS), settings.unmodelled_std))
+        self.settings, self.noise = settings, MeasurementNoise(std, 0.0)
+        self.filters: list[Any] = []
+        self.stood: Array = np.zeros(0)
+
+    def __call__(self, envs: SameArmVector, seen: Any) -> Any:
+        """The next actions."""
+        run, n = envs.run, envs.run.task.joints
+        if not run.pick:
+            self.filters = [AdaptiveReach(envs, self.settings).start] * len(seen)
+        else:
+            error = seen[:, 2 * n : 2 * n + 3].astype(float) * SEEN_MM * 1e-3
+            tools = forward(run.geometry, self.stood).position + error
+            self.filters = taught(self.filters, self.stood, tools, self.noise, 0.0, 0.0)
+        away = forward(run.geometry, aimed(run.geometry, self.filters, run.joints)).position
+        actions = (away - forward(run.geometry, run.joints).position) / (run.memory.reach_mm * 1e-3)
+        self.stood = run.memory.aim(run.geometry, run.joints, actions)
+        return actions
+
+
+@cache
+def tuned_filter(arms: int = 12) -> AdaptiveSettings:
+    """The settings of the filter that leave least in the second half of a run, on arms that nothing is judged on."""
+    envs = task("qiao2026", arms, 1)
+    tried = [
+        AdaptiveSettings(camera_std=CAMERA_MM * 1e-3, unmodelled_std=u, prior=p) for u, p in product(*TRIED.values())
+    ]
+    left = [picked(envs, partial(Filtering, each), 1)[..., PICKS // 2 :].mean() for each in tried]
+    return tried[int(np.argmin(left))]
+
+
+def trained(name: str, seed: int, folder: Path) -> RememberingPolicy:
+    """A training of a baseline; what is there is not trained again."""
+    out = folder / name / str(seed)
+    if not (out / "policy.npz").is_file():
+        train(training_of(name, seed, folder / "calibration.npz"), out, resume=(out / "checkpoint.pt").is_file())
+    return load_remembering(out / "policy.npz")
+
+
+def fits(training: int, plant: str, policy: str) -> bool:
+    """What learns nothing beforehand is judged once."""
+    return policy in LEARNT or training == 0
+
+
+def measure(rng: np.random.Generator, training: int, plant: str, policy: str, arms: int, runs: int, folder: str) -> Any:
+    """Errors of one policy, a row for each arm, run and pick."""
+    make: Any = partial(Filtering, tuned_filter()) if policy == FILTER else lambda: aims_at_the_fruit
+    if policy in LEARNT:
+        make = partial(Remembering, trained(LEARNT[policy], training, Path(folder)))
+    errors = picked(task(plant, arms, 0), make, runs)
+    arm, run, pick = (index.ravel() for index in np.indices(errors.shape))
+    when = np.array([next((name for name, some in SHOWN.items() if k in some), "") for k in pick])
+    return {"arm": arm, "run": run, "pick": pick + 1, "when": when, "error_mm": errors.ravel()}
+
+
+def aims_at_the_fruit(envs: SameArmVector, seen: Any) -> Array:
+    """The nominal arm's actions."""
+    return np.zeros((envs.num_envs, 3))
+
+
+def curves(rows: Rows) -> Any:
+    """Error against the number of the pick, one panel per kind of arm."""
+    plants = [plant for (plant,) in rows.levels("plant")]
+    with new_figure(WIDTH, 2.9) as figure:
+        panels = figure.subplots(1, len(plants), sharey=True, squeeze=False)[0]
+        for axes, plant in zip(panels, plants, strict=True):
+            axes.set(title=f"{plant}, coarse", xlabel="pick on the same arm")
+            for number, (policy,) in enumerate(rows.levels("policy")):
+                some = rows.where(plant=plant, policy=policy).columns
+                points = [row["estimate"] for row in estimate(some, "error_mm", ("pick",), ("arm", "training"))]
+                x, ends = np.arange(1, PICKS + 1), [point.ci95 or (point.value,) * 2 for point in points]
+                axes.plot(x, [point.value for point in points], color=f"C{number}", label=policy, linewidth=1.3)
+                axes.fill_between(x, *np.array(ends, dtype=float).T, color=f"C{number}", alpha=0.2, linewidth=0)
+        panels[0].set_ylim(bottom=0.0)
+        panels[0].set_ylabel("mean error (mm), 95 % interval")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure

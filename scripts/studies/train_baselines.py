@@ -1,0 +1,182 @@
+"""Train, judge and ship the learned baselines: `python scripts/studies/train_baselines.py` writes the baselines again.
+
+Five seeds each; the first is shipped. Judged on arms that no training saw, with calibrations of their own. Options:
+`--out FOLDER` for the runs, `--only NAME`, `--seeds N`, and `--cards` to judge the shipped policies as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from pickenv.agents.evaluation.compared_policies import load_any
+from pickenv.agents.policies.learned import BASELINES, LearnedPolicy
+from pickenv.agents.policies.remembering import RememberingPolicy
+from pickenv.agents.training.hyperparams import tuned
+from pickenv.agents.training.training import train
+from pickenv.agents.training.training_setup import Training
+from pickenv.arm import load_plant
+from pickenv.experiments import CalibrationPlan, PolicySettings, calibrate_arm, evaluation_rows, run_policies
+from pickenv.experiments.policy_tables import interval_words, with_interval
+from pickenv.files import write_text
+
+SEEDS = 5
+CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0, "fruit_noise_mm": 0.0}
+
+BASELINES_BY_NAME: dict[str, dict[str, Any]] = {
+    "ppo_encoders": {"algorithm": "ppo", "compensated": True},
+    "ppo_camera": {"algorithm": "ppo", "arguments": CAMERA},
+    "sac_her_encoders": {"algorithm": "sac", "env_id": "pickenv/ReachGoal-v0", "compensated": True},
+    "sac_her_camera": {"algorithm": "sac", "env_id": "pickenv/ReachGoal-v0", "arguments": CAMERA},
+    "tqc_her_encoders": {"algorithm": "tqc", "env_id": "pickenv/ReachGoal-v0", "compensated": True},
+    "tqc_her_camera": {"algorithm": "tqc", "env_id": "pickenv/ReachGoal-v0", "arguments": CAMERA},
+    "recurrent_camera": {"algorithm": "ppo_lstm"},
+    "history_camera": {"algorithm": "ppo_history"},
+}
+
+
+def training_of(name: str, seed: int, calibration: Path) -> Training:
+    """The training of a baseline."""
+    what = dict(BASELINES_BY_NAME[name])
+    compensate = str(calibration) if what.pop("compensated", False) else None
+    return Training(seed=seed, compensate=compensate, evaluate_every=100_000, **what)
+
+
+def calibration_file(out: Path) -> Path:
+    """A calibration of the training arm, fitted if it is not there."""
+    path = out / "calibration.npz"
+    if not path.is_file():
+        calibrate_arm(load_plant("qiao2026"), "ls", CalibrationPlan(), 0).save(path)
+    return path
+
+
+def judged(name: str, policy: str, out: Path, compensations: tuple[str, ...]) -> list[dict[str, Any]]:
+    """One row per compensation, of a folder of trainings or of one policy."""
+    settings = PolicySettings(
+        policies=(policy,),
+        compensations=compensations,
+        feedback=("camera" if name.endswith("camera") else "encoders",),
+        plants=("qiao2026",),
+        grippers=("li_cup",),
+    )
+    rows = run_policies(settings, cache=out / "calibrations", backend="loky")
+    found = []
+    for row in evaluation_rows(settings, rows):
+        some = rows.where(compensation=row["compensation"])
+        by_seed = [float(some.where(training=number)["error_mm"].mean()) for (number,) in some.levels("training")]
+        found.append(row | {"by_seed": by_seed, "attitude_deg": float(some["attitude_deg"].mean())})
+    return found
+
+
+def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[str, Any]]) -> str:
+    """The model card."""
+    what = policy.record["training"]
+    size = sum(weight.size + bias.size for weight, bias in zip(policy.weights, policy.biases, strict=True))
+    behind = "behind a calibration (least squares)" if what["compensate"] else "on the raw arm"
+    rows = [
+        f"| {row['compensation']} | {row['mean_mm']:.3f} | "
+        f"{interval_words(row['ci95'], 3) or 'none: ' + row['no_interval']} | "
+        f"{with_interval(row['median_arm_mm'], row['median_arm_ci95'], 3)} | "
+        f"{with_interval(row['p95_arm_mm'], row['p95_arm_ci95'], 3)} | "
+        f"{', '.join(f'{each:.3f}' for each in row['by_seed'])} | {row['attitude_deg']:.2f} |"
+        for row in found
+    ]
+    judged_on = found[0]
+    fruit = judged_on["episodes"] // judged_on["arms"] // judged_on["trainings"]
+    camera = isinstance(policy, RememberingPolicy) or policy.scaling.camera
+    arguments = tuned(policy.algorithm, what["env_id"]).get("env_kwargs", {}) | what["arguments"]
+    if isinstance(policy, RememberingPolicy):
+        size += sum(value.size for value in policy.arrays.values())
+        behind = "on the raw arms of a population, runs of 20 fruit each (`pickenv.wrappers.SameArm`)"
+        sees = (
+            "It drives with the nominal arm, aims beside the fruit by what the camera saw at past picks of the same "
+            "arm, and learns the camera's view of a fruit when the next episode begins. The first fruit of an arm it "
+            "meets as if nothing were known; so every arm wants a policy of its own."
+        )
+        use = [
+            "from pickenv.agents.policies.remembering import RememberingReach, load_remembering",
+            "",
+            f'policy = RememberingReach(env, load_remembering("{name}"))',
+            "policy.reset()  # before every fruit; a new arm wants a new policy",
+        ]
+    else:
+        sees = (
+            "Observations and actions are scaled by the gap to the fruit (`pickenv/wrappers/gap.py`), so accuracy is "
+            "limited by what the policy can see, not by its network."
+        )
+        use = ["from pickenv.agents.policies.learned import load_policy", "", f'policy = load_policy("{name}")']
+    names = " ".join(row["compensation"] for row in found)
+    goal = isinstance(policy, LearnedPolicy) and policy.scaling.goal
+    return "\n".join(
+        [
+            f"# {name}",
+            "",
+            f"{policy.algorithm.upper()}{' with HER' if goal else ''} on `{what['env_id']}`, arm `{policy.arm}`, plant "
+            f"`{arguments.get('plant', 'qiao2026')}`, trained {behind}; {policy.record['steps']} steps, "
+            f"{size} weights, seed {what['seed']}.",
+            f"Arguments of the environment: `{arguments}`. Parameters: "
+            f"`pickenv/zoo/hyperparams/{policy.algorithm}.py`.",
+            "",
+            "## Use",
+            "",
+            f"Feedback `{'camera' if camera else 'encoders'}`. {sees}",
+            "",
+            "```python",
+            *use,
+            "action = policy.act(observation)",
+            "```",
+            "",
+            "## Results",
+            "",
+            f"Final errors on {judged_on['arms']} arms drawn from tolerance class {judged_on['tolerances']} that no "
+            f"training saw, {fruit} fruit each, each with its own calibration (seed {judged_on['seeds'][0]}). Mean, "
+            "median "
+            f"and 95th percentile are over arms; 95 % intervals over {judged_on['interval_over']}.",
+            "",
+            "| compensation | mean (mm) | 95 % | median arm (mm) | 95th arm (mm) | by seed (mm) | attitude (deg) |",
+            "|---|---|---|---|---|---|---|",
+            *rows,
+            "",
+            "## Limits",
+            "",
+            "Trained for one arm's nominal geometry; it refuses other arms.",
+            "No obstacles, no joint torques, one fruit at a time; a simulated arm, never a real one.",
+            "",
+            f"Judged by `python scripts/studies/train_baselines.py --cards --compensations {names}`; trained by it "
+            "without --cards.",
+            "",
+        ]
+    )
+
+
+def main() -> None:
+    """Train and judge what is asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/baselines"))
+    parser.add_argument("--only", choices=tuple(BASELINES_BY_NAME))
+    parser.add_argument("--seeds", type=int, default=SEEDS)
+    parser.add_argument("--cards", action="store_true", help="Judge the shipped policies anew; train nothing.")
+    parser.add_argument("--compensations", nargs="+", default=["raw", "ls"])
+    options = parser.parse_args()
+    for name in [options.only] if options.only else BASELINES_BY_NAME:
+        if options.cards:
+            policy, judged_policy = load_any(name), name
+        else:
+            trained = []
+            for seed in range(options.seeds):
+                out = options.out / name / str(seed)
+                again = (out / "checkpoint.pt").is_file()  # goes on where it was interrupted
+                trained.append(train(training_of(name, seed, calibration_file(options.out)), out, resume=again))
+            policy, judged_policy = trained[0].policy, str(options.out / name)
+            policy.save(BASELINES / f"{name}.npz")
+        found = judged(name, judged_policy, options.out, tuple(options.compensations))
+        write_text(BASELINES / f"{name}.md", card(name, policy, found))
+        print(name, {row["compensation"]: (round(row["mean_mm"], 3), row["by_seed"]) for row in found}, flush=True)
+
+
+if __name__ == "__main__":
+    main()

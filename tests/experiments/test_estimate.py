@@ -1,0 +1,123 @@
+"""Numbers of rows with their intervals: what counts once, what is paired, and what is refused."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import trim_mean
+
+from pickenv.experiments import Rows, estimate
+from pickenv.intervals import clustered_share_interval, crossed_interval, interquartile_estimate, mean_interval
+
+ARMS, FRUIT = 12, 5
+
+
+def errors(seed=0, trainings=1):
+    """Errors of arms, each with an own mean, and half as large behind a calibration."""
+    rng = np.random.default_rng(seed)
+    own = rng.lognormal(1.0, 0.5, (ARMS, trainings, 1))
+    raw = own * rng.lognormal(0.0, 0.1, (ARMS, trainings, FRUIT))
+    arm, training, fruit = np.indices(raw.shape)
+    columns = {"arm": arm, "training": training, "fruit": fruit}
+    parts = [
+        {"method": np.full(raw.size, name)}
+        | {key: values.ravel() for key, values in columns.items()}
+        | {"error_mm": (factor * raw).ravel(), "taken": (factor * raw < 2.0).ravel()}
+        for name, factor in (("raw", 1.0), ("ls", 0.5))
+    ]
+    return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}, raw
+
+
+@given(seed=st.integers(0, 99))
+@settings(max_examples=15, deadline=None)
+def test_an_arm_counts_once_however_many_fruit_it_reached_for(seed):
+    columns, raw = errors(seed)
+    (first, _) = estimate(columns, "error_mm", by=("method",))
+    assert first["method"] == "raw"
+    assert first["estimate"].ci95 == pytest.approx(mean_interval(raw.mean(axis=(1, 2))))
+
+
+@given(order=st.integers(0, 99))
+@settings(max_examples=15, deadline=None)
+def test_the_order_of_rows_changes_nothing(order):
+    columns, _ = errors()
+    mixed = np.random.default_rng(order).permutation(len(columns["arm"]))
+    shuffled = {key: values[mixed] for key, values in columns.items()}
+    one, other = (
+        {row["method"]: row["estimate"] for row in estimate(some, "error_mm", by=("method",))}
+        for some in (columns, shuffled)
+    )
+    for name in one:
+        assert one[name].value == pytest.approx(other[name].value, rel=1e-12)
+
+
+def test_trainings_and_arms_are_two_crossed_factors():
+    columns, raw = errors(trainings=6)
+    (first, _) = estimate(columns, "error_mm", by=("method",), over=("arm", "training"))
+    assert first["estimate"].ci95 == pytest.approx(crossed_interval(raw.mean(axis=2)))
+
+
+def test_differences_are_paired_by_arm():
+    columns, raw = errors()
+    (change,) = estimate(columns, "error_mm", by=("method",), against={"method": "raw"})
+    assert change["method"] == "ls"
+    assert change["estimate"].value == pytest.approx(-0.5 * raw.mean())
+    assert change["estimate"].ci95 == pytest.approx(mean_interval(-0.5 * raw.mean(axis=(1, 2))))
+    assert change["estimate"].significant
+
+
+def test_a_function_of_several_columns_takes_one_row_per_arm():
+    columns, _ = errors()
+    columns["before"] = columns["error_mm"] * 2.0
+    (first, _) = estimate(
+        columns, ("error_mm", "before"), by=("method",), of=lambda table: 1.0 - table[:, 0].sum() / table[:, 1].sum()
+    )
+    assert first["estimate"].value == pytest.approx(0.5)
+
+
+def test_shares_and_ratios_of_two_columns_weigh_units_by_what_they_tried():
+    rng = np.random.default_rng(0)
+    tried = rng.integers(5, 40, 14)
+    columns = {"arm": np.arange(14), "taken": rng.binomial(tried, 0.7), "tried": tried}
+    (share,) = estimate(columns, ("taken", "tried"), of="share")
+    (ratio,) = estimate(columns, ("taken", "tried"), of="ratio")
+    assert share["estimate"].value == ratio["estimate"].value == columns["taken"].sum() / tried.sum()
+    assert share["estimate"].ci95 == clustered_share_interval(columns["taken"], tried)
+    low, high = ratio["estimate"].ci95
+    assert low < ratio["estimate"].value < high
+
+
+def test_shares_and_quantiles_stay_within_what_can_be():
+    columns, _ = errors()
+    for row in estimate(columns, "taken", by=("method",), of="share"):
+        low, high = row["estimate"].ci95
+        assert 0.0 <= low <= row["estimate"].value <= high <= 1.0
+    for row in estimate(columns, "error_mm", by=("method",), of=0.5):
+        low, high = row["estimate"].ci95
+        assert low <= row["estimate"].value <= high
+
+
+def test_the_middle_half_forgets_the_best_and_the_worst_quarter_of_arms():
+    values = np.concatenate([[1e6, -1e6], np.random.default_rng(0).normal(3.0, 0.5, 38)])
+    columns = {"arm": np.arange(40).repeat(2), "error_mm": values.repeat(2) + np.tile([-1.0, 1.0], 40)}
+    (found,) = estimate(columns, "error_mm", of="interquartile")
+    assert found["estimate"].value == pytest.approx(np.sort(values)[10:30].mean())
+    again = trim_mean(np.random.default_rng(1).choice(values, (2000, 40)), 0.25, axis=1)
+    assert found["estimate"].ci95 == pytest.approx(np.quantile(again, (0.025, 0.975)), abs=0.03)
+    assert interquartile_estimate(values[:9]).ci95 is None
+
+
+def test_arms_that_were_not_measured_alike_are_refused():
+    columns, _ = errors()
+    lacking = {key: values[1:] for key, values in columns.items()}
+    with pytest.raises(ValueError, match="not every combination of arm"):
+        estimate(lacking, "error_mm", by=("method",))
+    with pytest.raises(ValueError, match="over one or two columns"):
+        estimate(columns, "error_mm", over=())
+
+
+def test_rows_of_an_experiment_are_columns():
+    columns, _ = errors()
+    (one,), (other,) = (estimate(some, "error_mm") for some in (Rows(columns).columns, columns))
+    assert one["estimate"] == other["estimate"]
+    assert one["units"].mean() == pytest.approx(one["estimate"].value)

@@ -1,0 +1,178 @@
+"""Every cell of the benchmark's tables and every key of its JSON, recomputed from figures that are made up here."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pickenv.calibration import error_statistics
+from pickenv.experiments import Rows, robots
+from pickenv.experiments.robot_tables import NOTE, agreement_words, bench_json, bench_page, blocked_json
+from pickenv.experiments.robots import BEFORE, Bench, BenchSettings, RealSet, SpreadRow, bench_row, model_errors
+
+
+def made_gains(rng, robot, split, refused, rows=(90, 200)):
+    gains = []
+    for model, step in BEFORE.items():
+        before, measured, predicted = rng.uniform(0.2, 3.0), *rng.uniform(-0.1, 0.9, 2)
+        gains.append(
+            bench_row("gains", robot, split, model, 2.0 * before, before, before * (1.0 - measured))
+            | {"before": step, "ci95": (measured - 0.0512, measured + 0.0398), "predicted_reduction": predicted}
+            | {"predicted_ci95": None if model == "LS" else (predicted - 0.25, predicted + 0.125)}
+            | {"refused_draws": refused, "rows": rows[0], "rows_in_file": rows[1]}
+        )
+    return gains
+
+
+@pytest.fixture
+def found():
+    rng = np.random.default_rng(1)
+    gains = made_gains(rng, "UR5", "random", 1) + made_gains(rng, "UR5", "blocks", 2)
+    gains += made_gains(rng, "UR10, series A", "blocks", 4, (80, 80))
+    models = {"nominal": (4.0, 3.5, 4.5), "LS": (0.8, 0.7, 0.9), "best": (0.6, 0.5, 0.7)}
+    measured = [
+        {"row": row, "model": model, "value_mm": value, "low_mm": low, "high_mm": high, "used": used, "rows": rows}
+        for row, used, rows in (("ur5_random", "nothing added", 321), ("wam_poses", "gravity; gravity, bpnn", 20))
+        for model, (value, low, high) in models.items()
+    ]
+    peers = [
+        {"row": f"peer_{name}", "split": split, "nominal_mm": nominal, "held_out_mm": size * k, "note": f"way {k}"}
+        for k, name in enumerate(("pickenv", "figaroh"), start=1)
+        for split, nominal, size in (("random", 2.0, 0.25), ("poses", 1.5, 0.125))
+    ]
+    return Bench(
+        settings=BenchSettings(rows=90, folds=3, draws=4),
+        gains=gains,
+        models=Rows.of(measured),
+        peers=Rows.of(peers),
+        skipped={"peer_robotics": "it is not installed"},
+    )
+
+
+def test_a_gains_row_holds_what_blocks_remove_for_the_demonstration(found):
+    rows = [row for row in bench_json(found)["rows"] if row["table"] == "gains"]
+    assert rows == found.gains and len(rows) == 12
+    assert bench_json(found)["settings"]["folds"] == 3
+    assert bench_json(found)["skipped"] == {"peer_robotics": "it is not installed"}
+    arms = blocked_json(found, "2026-01-01")["arms"]
+    assert [(arm["arm"], arm["rows"], arm["rows_in_file"]) for arm in arms] == [
+        ("UR5", 90, 200),
+        ("UR10, series A", 80, 80),
+    ]
+    for arm in arms:
+        ls, *others = (row for row in rows if (row["robot"], row["split"]) == (arm["arm"], "blocks"))
+        assert arm["ls_mm"] == pytest.approx(ls["held_out_mm"], abs=5e-4)
+        assert list(arm["removed"]) == [row["model"] for row in others]
+        for row in others:
+            assert arm["removed"][row["model"]] == pytest.approx([row["measured_reduction"], *row["ci95"]], abs=5e-4)
+
+
+def test_a_row_of_the_readme_is_its_geometry_against_the_nominal_and_its_best_against_the_geometry(found):
+    plain, geometry, best = (row for row in bench_json(found)["rows"] if row["table"] == "best")
+    for row, before, left in ((plain, 4.0, 0.8), (geometry, 4.0, 0.8), (best, 0.8, 0.6)):
+        assert (row["nominal_mm"], row["before_mm"], row["held_out_mm"]) == (4.0, before, left)
+        assert row["measured_reduction"] == pytest.approx(1.0 - left / before)
+        assert row["held_out_spread_mm"] == pytest.approx([left - 0.1, left + 0.1])
+        assert row["before"] == ("nominal" if row["model"] == "LS" else "LS")
+    assert [row["model"] for row in (plain, geometry, best)] == ["LS", "LS", "best: gravity; gravity, bpnn"]
+    assert (plain["robot"], plain["split"], plain["statistic"], plain["rows"]) == ("UR5", "random", "rms", 321)
+    assert (best["robot"], best["split"], best["statistic"], best["rows"]) == ("WAM", "poses", "mean", 20)
+    assert (plain["published_mm"], best["published_mm"]) == (None, 2.92)
+
+
+def test_a_peer_is_judged_on_rows_and_on_poses_of_the_ur5(found):
+    rows = [row for row in bench_json(found)["rows"] if row["table"] == "peers"]
+    assert [row["model"] for row in rows] == ["pickenv: LS"] * 2 + ["figaroh"] * 2
+    for k, (held, poses) in enumerate((rows[:2], rows[2:]), start=1):
+        for row, split, statistic, before, left, others in (
+            (held, "random", "rms", 2.0, 0.25 * k, None),
+            (poses, "poses", "mean", 1.5, 0.125 * k, 0.1549),
+        ):
+            assert (row["robot"], row["split"], row["statistic"], row["before"]) == ("UR5", split, statistic, "nominal")
+            assert row["nominal_mm"] == row["before_mm"] == before and row["held_out_mm"] == left
+            assert row["measured_reduction"] == 1.0 - left / before
+            assert (row["published_mm"], row["note"]) == (others, f"way {k}")
+
+
+def test_every_cell_of_the_page_is_its_figure(found):
+    page = bench_page(found)
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:2] == "| "]
+    split = {"random": "random fifths", "blocks": "blocks"}
+    told = [row for row in cells if row[1] in split.values()]
+    for row, gain in zip(told, found.gains, strict=True):
+        assert row[:3] == [gain["robot"], split[gain["split"]], gain["model"]]
+        assert row[3:5] == [f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}"]
+        predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
+        for cell, value, ends in ((row[5], predicted, gain["predicted_ci95"]), (row[6], measured, gain["ci95"])):
+            shown = [float(number) for number in re.findall(r"-?[\d.]+", cell)]
+            assert shown == pytest.approx([100 * value, *(100 * end for end in ends or ())], abs=0.0501)
+            assert re.fullmatch(r"\S+ %( \(\S+ to \S+\))?", cell)
+        assert float(row[7]) == pytest.approx(100 * (predicted - measured), abs=0.0501) and row[7][0] in "+-"
+    assert ["pickenv", "0.2500", "0.1250", "way 1"] in cells and ["figaroh", "0.5000", "0.2500", "way 2"] in cells
+    assert "- peer_robotics: it is not installed" in page and NOTE in page
+    assert len(re.findall("^## ", page, re.M)) == 4
+
+
+def test_the_sentence_under_the_gains_counts_them(found):
+    said, apart, right = agreement_words(found), [], []
+    for gain in found.gains:
+        predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
+        apart.append(100 * abs(predicted - measured))
+        if gain["split"] == "blocks" and gain["model"] in ("LS + BPNN", "LS + GP"):
+            right.append((predicted > 0) == (measured > 0))
+    median, worst = (f"{np.quantile(apart, q):.1f}" for q in (0.5, 0.9))
+    assert said.startswith(f"12 gains on 2 sets of rows: predicted and measured are {median} percentage points apart")
+    assert f"{worst} in the worst tenth" in said and f"on blocks is right in {100 * np.mean(right):.0f} %." in said
+    assert "3 folds, 4 arms drawn for each (7 could not be calibrated" in said
+    assert said.endswith("equally spaced in the file: UR5 90 of 200, UR10, series A 80.")
+    alone = made_gains(np.random.default_rng(0), "UR5", "random", 0, (90, 90))
+    one = Bench(found.settings, alone, Rows({}), Rows({}), {})
+    assert "4 gains on 1 set of rows" in agreement_words(one) and "The sign" not in agreement_words(one)
+    assert "(" not in agreement_words(one)
+    assert agreement_words(Bench(found.settings, [], Rows({}), Rows({}), {})) == ""
+
+
+@pytest.mark.parametrize("how", ["random", "blocks", "poses"])
+@pytest.mark.parametrize("statistic", ["rms", "mean"])
+def test_a_row_states_each_model_with_its_interval_or_over_splits_with_its_range(how, statistic, monkeypatch):
+    """Calibrations whose errors are made up: of n splits n errors, or one judgement with its interval."""
+    asked, blocks = [], np.arange(60) // 6
+
+    def calibrate(arm, rows, *, test=None, split=None, choices):
+        errors = np.random.default_rng(len(asked)).gamma(3.0, 0.1, 60)
+        asked.append((test, split, choices))
+        position = {
+            name: error_statistics(k * errors, blocks) for name, k in (("nominal", 4), ("geometric", 2), ("last", 1))
+        }
+        return SimpleNamespace(
+            position=position, best_model=f"geometry+{len(asked)}", held_out=SimpleNamespace(used=["geometry"] * 10)
+        )
+
+    def load(self, data):
+        return "arm", SimpleNamespace(joints=np.zeros((77, 6))), "poses"
+
+    monkeypatch.setattr(robots, "calibrate", calibrate)
+    monkeypatch.setattr(RealSet, "load", load)
+    monkeypatch.setitem(robots.SPREAD, "made", SpreadRow("ur5", how, "auto", "gp", statistic))
+    models = {row["model"]: row for row in model_errors(None, "made", BenchSettings(splits=4, seed=9), None)}
+    every = [np.random.default_rng(i).gamma(3.0, 0.1, 60) for i in range(4)]
+    size = {"rms": lambda errors: np.sqrt(np.mean(errors**2)), "mean": np.mean}[statistic]
+    for name, k in (("nominal", 4), ("LS", 2), ("best", 1)):
+        if how == "random":
+            sizes = [size(k * errors) for errors in every]
+            expected = [np.mean(sizes), min(sizes), max(sizes)]
+        else:
+            ends = getattr(error_statistics(k * every[0], blocks), f"{statistic}_ci95")
+            expected = [size(k * every[0]), *ends]
+        model = models[name]
+        assert [model["value_mm"], model["low_mm"], model["high_mm"]] == pytest.approx(expected)
+        assert model["rows"] == 77
+    choices = [each[2] for each in asked]
+    assert {(c.terms, c.residual) for c in choices} == {("auto", "gp")}
+    if how == "random":
+        assert [c.seed for c in choices] == np.random.SeedSequence(9).generate_state(4).tolist()
+        assert model["used"] == "1; 2; 3; 4"
+    else:
+        assert [each[:2] for each in asked] == [("poses" if how == "poses" else None, "blocked")]
+        assert model["used"] == "nothing added"

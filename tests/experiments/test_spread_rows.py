@@ -1,0 +1,69 @@
+"""The measured robots of docs/results.md are what `pickenv bench calibration` prints, with what it was given."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pickenv.calibration import Choices, calibrate
+from pickenv.errors import InputError
+from pickenv.experiments import Rows
+from pickenv.experiments.robot_tables import NOTE, SPREAD_HEADS, spread_table
+from pickenv.experiments.robots import SETS, SPREAD, BenchSettings, model_errors, run_bench
+
+RESULTS = (Path(__file__).parents[2] / "docs/results.md").read_text(encoding="utf-8")
+
+
+def made_rows(row: str, models: list[tuple[float, float, float]], used: str) -> list[dict[str, object]]:
+    """Nominal arm, geometry and best model, each with its spread."""
+    names = ("value_mm", "low_mm", "high_mm")
+    return [{"row": row, "model": "", "used": used, **dict(zip(names, model, strict=True))} for model in models]
+
+
+def test_every_row_is_in_the_results_in_its_order() -> None:
+    lines = RESULTS.splitlines()
+    begin = lines.index(f"| {' | '.join(SPREAD_HEADS)} |") + 2
+    shown = [line.split("|")[1].strip() for line in lines[begin : begin + len(SPREAD)]]
+    rows = [row for name in SPREAD for row in made_rows(name, 3 * [(1.0, 0.5, 2.0)], "nothing added")]
+    table = spread_table(Rows.of(rows)).splitlines()[2:]
+    assert shown == [line.split("|")[1].strip() for line in table]
+    assert [line.split("|")[5].strip() for line in table] == [
+        line.split("|")[5].strip() for line in lines[begin : begin + len(SPREAD)]
+    ]
+    assert not lines[begin + len(table)].startswith("|")
+    assert NOTE in RESULTS
+
+
+def test_the_table_shows_value_spread_model_and_remark() -> None:
+    models = [(12.344, 11.0, 13.0), (0.45678, 0.4, 0.5), (0.4, np.nan, np.nan)]
+    line = spread_table(Rows.of(made_rows("wam_poses", models, "gravity"))).splitlines()[2]
+    assert "| 12.34 (11.00 to 13.00) | 0.457 (0.400 to 0.500) | 0.400: gravity; the rule" in line
+    assert line.endswith("| 2.92 |")
+
+
+def test_without_the_data_one_sentence_says_so(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="name the folder of the data sets in PICKENV_DATA"):
+        SETS["ur5"].paths(tmp_path)
+
+
+def test_random_splits_are_stated_by_their_mean_and_range(data_folder: Path) -> None:
+    """The positioner's ten splits, drawn here with the same seeds."""
+    row = SPREAD["positioner_random"]
+    if not list(data_folder.glob(row.real.files)):
+        pytest.skip(f"no {row.real.files} in {data_folder}")
+    _, ls, _ = model_errors(np.random.default_rng(), "positioner_random", BenchSettings(), data_folder)
+    arm, rows, _ = row.real.load(data_folder)
+    splits = [Choices("none", "none", seed=int(seed)) for seed in np.random.SeedSequence(0).generate_state(10)]
+    means = [calibrate(arm, rows, choices=split).position["geometric"].mean for split in splits]
+    assert len(set(means)) == 10
+    assert [ls["value_mm"], ls["low_mm"], ls["high_mm"]] == pytest.approx([np.mean(means), min(means), max(means)])
+
+
+@pytest.mark.slow
+def test_the_results_rows_are_what_the_command_prints(data_folder: Path, tmp_path: Path) -> None:
+    """The rows without learnt models, anew; all of them take more than half an hour, by the command itself."""
+    names = ["ur5_random", "ur10_b_random", "ur10_d_random", "positioner_random", "positioner_blocks"]
+    found = run_bench(names, BenchSettings(), data_folder, tmp_path, tmp_path)
+    rows = spread_table(found.models).splitlines()[2:]
+    assert len(rows) == len(names)
+    assert [row for row in rows if row not in RESULTS] == []
