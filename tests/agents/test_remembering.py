@@ -25,7 +25,7 @@ FEW = {"n_envs": 4, "n_steps": 20, "batch_size": 40, "n_epochs": 1}
 
 
 def vector(rows: int, **wrapped) -> SameArmVector:
-    return SameArmVector(gym.make_vec("pickenv/Reach-v0", num_envs=rows, **ARMS), **wrapped)
+    return SameArmVector(gym.make_vec("pickenv/Reach-v0", num_envs=rows, executor="numpy", **ARMS), **wrapped)
 
 
 def small(algorithm: str, **changes) -> Training:
