@@ -221,7 +221,7 @@ def identify(
     kept, scale = found.kept, tolerance[found.kept]
     iterates, unknown_iterates = [arm], [begun]
     history = [_rms(weighted)]
-    converged, damping, offset, judged = False, 0.0, np.inf, every or not own
+    converged, near, damping, offset, judged = False, False, 0.0, np.inf, every or not own
     for _ in range(max_iterations if judged else 2 * max_iterations):
         whole = _solve(matrix[:, kept], right, 0.0)
         step = _solve(matrix[:, kept], right, damping) if damping else whole
@@ -238,6 +238,10 @@ def identify(
             if progress.negligible or (damping and progress.offset < (30 * OFFSET) ** 2):
                 converged = True
                 break
+            if near:  # the derivatives are those of an earlier step
+                near, columns = False, _system(model, sets, arm, unknowns, tolerance, whiten)
+                matrix, right = triangle(columns, weighted)
+                continue
             # Levenberg: a step that makes it worse is shortened until it helps.
             damping = max(damping * 10.0, 1e-3)
             if damping > 1e9:
@@ -251,8 +255,9 @@ def identify(
         if settled and judged:
             converged = True
             break
-        near, offset = every and progress.offset < min(NEAR**2, offset / 100.0), progress.offset
-        if near and not settled:
+        near = every and damping == 0.0 and not settled and bool(progress.offset < min(NEAR**2, offset / 100.0))
+        offset = progress.offset
+        if near:
             q, r = np.linalg.qr(matrix[:, kept])
             right = q @ solve_triangular(r, (columns.T @ weighted)[kept], trans=1)
         else:

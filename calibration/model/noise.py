@@ -20,7 +20,7 @@ from scipy.spatial.distance import cdist
 
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.measurements import frame_columns
+from pickenv.calibration.model.measurements import Stacked, frame_columns
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
 
 POSE = 6
@@ -239,5 +239,7 @@ def _of_pictures(
 
 def tool_columns(data: Observations, model: ArmModel, unknowns: Array) -> Array:
     """Derivatives of the stated equations by the tool's pose, in its own axes ``(E, 6)``."""
-    place, parts = frame_columns(model.geometry, "tool"), data.seen_by_station(model, unknowns)
+    whole = [(data, model, unknowns, 1.0)]
+    parts = data.seen_by_station(model, unknowns) if isinstance(data, Stacked) else whole
+    place = frame_columns(model.geometry, "tool")
     return np.concatenate([part.jacobian(seen, own)[0][:, place] / scale for part, seen, own, scale in parts])

@@ -7,7 +7,7 @@ identified together with the arm. Rows are whitened by their covariance, so any 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, Self, TypeVar, runtime_checkable
@@ -184,11 +184,6 @@ class Observations(Equations, Protocol):
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
         """`poses`, of several stations as the first one would have measured them; None of other kinds."""
 
-    def seen_by_station(
-        self, model: ArmModel, unknowns: Array
-    ) -> Iterable[tuple[Observations, ArmModel, Array, float]]:
-        """Each station's data, the arm as it sees it, the data's own unknowns, and what its uncertainties count."""
-
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
         """Poses or positions (`Measurements`) that the rows are worth by themselves, to start from; None where none."""
 
@@ -309,10 +304,6 @@ class OneGroup:
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
         """Themselves, where they are poses."""
         return self.poses
-
-    def seen_by_station(self, model: ArmModel, unknowns: Array) -> Iterator[tuple[Any, ArmModel, Array, float]]:
-        """As they are."""
-        yield self, model, unknowns, 1.0
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
         """Themselves, where they are poses; other readings say nothing of poses by themselves."""

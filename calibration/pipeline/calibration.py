@@ -33,7 +33,7 @@ from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
 # out, block by block (split conformal; Barber, Candes, Ramdas and Tibshirani 2021, CV+). A calibration keeps all of it
 # in its record, so that a command can be given with its uncertainty later. SI units.
 
-ALIKE, SPACING = 0.3, 1.5
+NEARBY, SPACING = 0.3, 1.5
 """Poses whose joints lie so far apart, rad or m, are alike in what a model leaves out; or so many times farther than
 those measured lie from their neighbours."""
 
@@ -249,7 +249,7 @@ def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dic
     apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
     return {
         "joints": np.round(joints, 4).tolist(),
-        "near": max(ALIKE, SPACING * float(np.percentile(apart, 95))),
+        "near": max(NEARBY, SPACING * float(np.percentile(apart, 95))),
         "position_p95_m": float(np.percentile(told, 95)),
     }
 

@@ -63,7 +63,7 @@ def estimates_figure(
                 if one.get_scale() == "log":
                     plain_decades(one)
         if x is None:
-            figure.supxlabel(label, fontsize="medium")
+            axes[len(axes) // 2].set_xlabel(label)
         else:
             axes[0].set_ylabel(label)
         for key, shade in colours.items():
