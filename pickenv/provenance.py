@@ -49,13 +49,18 @@ SHOWS = ("cli.py", "commands/", "pictures/", *(f"inspect/{shelf}/" for shelf in 
 
 @cache
 def code_fingerprint() -> str:
-    """SHA-256 over the code and tables (.py, .toml) that make numbers, links of a checkout included; read once."""
+    """SHA-256 over the code and tables (.py, .toml) that make numbers, links of a checkout included; read once.
+
+    Packages of others that extend pickenv count by name and version.
+    """
     root, total = Path(__file__).parent, hashlib.sha256()
     files = (Path(folder) / name for folder, _, names in os.walk(root, followlinks=True) for name in names)
     for path in sorted(path for path in files if path.suffix in (".py", ".toml")):
         place = path.relative_to(root).as_posix()
         if not place.startswith(SHOWS):
             total.update(f"{place} {file_sha256(path)}\n".encode())
+    for package, number in registry.packages().items():
+        total.update(f"{package} {number}\n".encode())
     return total.hexdigest()
 
 

@@ -147,10 +147,11 @@ def origin(kind: str, name: str) -> Origin:
         InputError: If there is no such thing.
     """
     _import_shipped(kind)
-    offers = _entry_points(kind).get(name, ())
-    if name not in _entries[kind] and len(offers) == 1:
-        return _origin_of_entry_point(offers[0])
-    get(kind, name)
+    if name not in _entries[kind]:
+        offers = _entry_points(kind).get(name, ())
+        if len(offers) == 1:
+            return _origin_of_entry_point(offers[0])
+        get(kind, name)
     return _entries[kind][name].origin
 
 
@@ -177,9 +178,10 @@ def load_all(kind: str) -> dict[str, Any]:
 
 
 def packages() -> dict[str, str]:
-    """Name the packages of others of which something was taken, and their versions: results may depend on them."""
-    sources = [entry.origin for entries in _entries.values() for entry in entries.values()]
-    return {source.package: source.version for source in sources if source.package not in ("", "pickenv")}
+    """Name the packages of others that are installed or in use here, and their versions: results may depend on them."""
+    sources = {_origin_of_entry_point(point) for point in _installed(tuple(sys.path))}
+    sources |= {entry.origin for entries in _entries.values() for entry in entries.values()}
+    return {one.package: one.version for one in sorted(sources, key=str) if one.package not in ("", "pickenv")}
 
 
 def _check_kind(kind: str) -> None:

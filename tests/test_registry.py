@@ -147,3 +147,23 @@ def test_what_a_file_needs_is_not_taken_from_another_package(install: Install) -
     install("wood", "2.0", "stranger_wood", FOREST, POINTS.replace("stranger_forest", "stranger_wood"))
     with pytest.raises(InputError, match=r"comes from the package forest-for-pickenv 1\.2, but here from .* wood 2\.0"):
         get("residual", "forest", package="forest-for-pickenv", version="1.2")
+
+
+def test_packages_that_extend_are_named_with_their_versions(install: Install) -> None:
+    before = registry.packages()
+    install("forest-for-pickenv", "1.2", "stranger_forest", FOREST, POINTS)
+    assert registry.packages() == before | {"forest-for-pickenv": "1.2"}
+    kind = get("residual", "forest")
+    assert registry.registered_as(kind) == ("residual", "forest") and registry.registered_as(Path) is None
+
+
+def test_what_cannot_be_loaded_is_left_aside_with_a_warning(install: Install) -> None:
+    install("forest-for-pickenv", "1.2", "stranger_forest", "import nothing_of_this_name", POINTS)
+    with pytest.warns(UserWarning, match=r"'forest' of the package forest-for-pickenv 1\.2 cannot be loaded"):
+        assert "forest" not in registry.load_all("residual")
+    install(
+        "greedy", "1.0", "stranger_greedy", FOREST, POINTS.replace("forest = stranger_forest", "gp = stranger_greedy")
+    )
+    with pytest.warns(UserWarning, match="'gp' of the package greedy 1.0 is left aside: pickenv ships that name"):
+        names("residual")
+    assert origin("residual", "gp").package == "pickenv"

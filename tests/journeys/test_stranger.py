@@ -116,7 +116,6 @@ def test_its_residual_model_is_learnt_saved_and_asked_for(folder: Path) -> None:
     assert code != 0 and f"residual 'forest' {ABSENT}" in " ".join(said.split())
     code, said = run(folder, "verify", "soft.npz", rows, installed=False)
     assert code == 2 and f"residual 'forest' {ABSENT}" in " ".join(said.split())
-    # Its row in a study's table belongs here: the method `ls+forest` beside ours.
 
 
 @pytest.mark.slow
@@ -139,3 +138,30 @@ def test_its_policy_effect_and_gripper_stand_beside_ours(folder: Path, words: tu
     assert "soft ground" in made(folder, "effects", "--plant", "soft.toml")
     code, refused = run(folder, "effects", "--plant", "soft.toml", installed=False)
     assert code == 2 and "unknown key 'soft_ground'" in refused
+
+
+STUDY = """
+plant = "soft.toml"
+arms = 2
+chunk = 2
+[picking]
+fruit = 2
+[specification]
+radius_mm = 2.0
+share = 0.9
+[tolerances]
+classes = ["medium"]
+[calibration]
+methods = ["raw", "ls+rbf", "ls+forest"]
+residual_poses = 40
+"""
+
+
+@pytest.mark.slow
+def test_its_residual_model_has_its_row_in_a_study(folder: Path) -> None:
+    (folder / "study.toml").write_text(STUDY)
+    made(folder, "study", "study.toml", "--out", "runs/study", "--executor", "serial")
+    rows = json.loads((folder / "runs/study/summary.json").read_text(encoding="utf-8"))["yield"]
+    assert [row["method"] for row in rows] == ["raw", "ls+rbf", "ls+forest"]
+    code, said = run(folder, "study", "study.toml", "--out", "runs/other", installed=False)
+    assert code == 2 and "'ls+forest'; give one of raw, ls, ls+bpnn, ls+rbf, ls+gp" in said
