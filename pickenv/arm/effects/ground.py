@@ -125,7 +125,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
         """Profiles, vibrations and velocities then."""
         m, lag, n = at.m, self.rise_time, len(at.command)
         faded = exponential(m, -dt / lag)
-        profiles, vibrations, rates = list[Scalar](), list[Scalar](), list[Scalar]()
+        profiles, vibrations, rates = [], [], []
         for profile, vibration, rate, command, frequency, zeta, share in zip(
             *(memory[:n], memory[n : 2 * n], memory[2 * n :]),
             *(at.command, self.frequency, self.damping, self.participation),

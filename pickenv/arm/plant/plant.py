@@ -167,7 +167,8 @@ class Plant:
         self, m: ModuleType, q: Sequence[Scalar], how: int, state: PlantState = (), dt: Scalar = 0.0
     ) -> tuple[PlantState, Passage]:
         """What the effects remember (`Effect.carry`, ...), and the passage up to where the last that does will act."""
-        at, memories = Passage(m, self.chain, self.load, q), list[Components]()
+        at = Passage(m, self.chain, self.load, q)
+        memories: list[Components] = []
         before, last, _ = self._steps
         for ways, act in before:
             memory: Components = ()

@@ -67,7 +67,9 @@ class TorchBatch(Batch):
         middle = list(self.numbers(np.repeat([task.middle], count, axis=0).T))
         with naming_effects(self.plant, "torch"):  # fills the plant's caches, which torch.compile cannot
             self.plant.tool_frame(torch, middle)
-            self.plant.advance(torch, self.plant.initial_state(torch, middle), middle, 0.0)
+            state = self.plant.initial_state(torch, middle)
+            self.plant.advance(torch, state, middle, 0.0)
+            self.plant.readings(torch, state, middle)
         self.remember()
         self.columns = [column.clone() for column in self.columns]
         self._compiled = compiled

@@ -21,6 +21,7 @@ from pickenv.arm import (
     write_twin,
 )
 from pickenv.arm.effects.effect import Load
+from pickenv.arm.effects.hysteresis import StickBand
 from pickenv.arm.kinematics.geometry import Coupling
 from pickenv.arm.plant.tolerances import it_tolerance
 from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker, twin
@@ -306,6 +307,8 @@ def test_files_that_are_no_twin_are_refused_in_a_sentence(tmp_path):
         load_plant(tmp_path / "nothing.npz")
     with pytest.raises(InputError, match="was not made of a calibration"):
         write_twin(load_plant("qiao2026"), tmp_path / "preset.npz")
+    with pytest.raises(InputError, match=r"has the effects .*, its calibration found .*; write it as it was made"):
+        write_twin(plant_by_hand().without("measurement_noise").with_effect(StickBand((), ())), tmp_path / "arm.npz")
     write_container(tmp_path / "empty.npz", "twin", {}, {})
     with pytest.raises(InputError, match=r"not a twin file or is damaged \('joint_names' is missing\)"):
         read_twin(tmp_path / "empty.npz")
