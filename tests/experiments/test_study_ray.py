@@ -83,7 +83,7 @@ def refuses(number):
 
 for work in (dies, refuses):
     try:
-        list(spread(work, [7], "ray", 1))
+        list(spread(work, [7], "ray", 2))
     except InputError as error:
         print(error)
 """
