@@ -587,6 +587,7 @@ def _joined_ray(workers: int | None) -> Any:
     if address is None:
         os.environ.update(ALONE | {"RAY_AUTH_TOKEN": secrets.token_hex(32)})  # read as Ray is imported
         options = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+        options |= {"address": "local"}  # never one that another program started
     import ray
     from ray.util.joblib import register_ray
 

@@ -8,13 +8,12 @@ difference (same arms, so paired) that leaves zero out? Studies go on where they
 
 The settings of a seed share its arms, so that one unusual draw of arms misses in most settings at once: of six seeds
 two such leave 76 % of the intervals of tolerance_grades.toml. Whether intervals are too narrow is told by how much
-yields vary between seeds, against independent arms, by more groups of six seeds (--group 6 --seeds 0 1 2 3 ...), and by
+yields vary between seeds, against independent arms, by more groups of six seeds (--group 6 --seeds 60), and by
 more seeds of fewer arms (--arms 250).
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import typer
 from scipy import stats
 
 from pickenv.experiments import StudyConfig, load_study, read_rows, run_study
@@ -108,11 +108,9 @@ def in_groups(config: StudyConfig, seeds: Sequence[int], size: int, out: Path) -
 
 def sentence(name: str, seeds: Sequence[int], counts: Agreement) -> str:
     """What was counted, in words."""
-    varied = ""
-    if counts.dispersion is not None:
-        low, high = dispersion_by_chance(len(seeds))
-        varied = f"; yields vary {counts.dispersion:.2f} times as much as of independent arms ({low:.2f} to {high:.2f} "
-        varied += "by chance)"
+    low, high = dispersion_by_chance(len(seeds))
+    times = f"{counts.dispersion or 0.0:.2f} times as much as of independent arms ({low:.2f} to {high:.2f} by chance)"
+    varied = "" if counts.dispersion is None else f"; yields vary {times}"
     return (
         f"{name}, {len(seeds)} seeds: {counts.held} of {counts.intervals} yield intervals "
         f"({100 * counts.held / counts.intervals:.0f} %) hold the mean of the other seeds; of {counts.pairs} pairs of "
@@ -134,23 +132,19 @@ def sentence_of_groups(name: str, size: int, groups: Sequence[Agreement]) -> str
     )
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("configs", type=Path, nargs="+", help="studies (.toml)")
-    parser.add_argument("--seeds", type=int, nargs="+", default=list(range(6)))
-    parser.add_argument("--arms", type=int, help="the study's own number when left out")
-    parser.add_argument("--group", type=int, help="compare the seeds in groups of so many; all at once when left out")
-    parser.add_argument("--out", type=Path, default=Path("runs/seeds"))
-    arguments = parser.parse_args()
-    for path in arguments.configs:
-        config, size, out = load_study(path), arguments.group, arguments.out / path.stem
-        config = replace(config, arms=arguments.arms or config.arms)
-        if size:
-            print(sentence_of_groups(path.stem, size, in_groups(config, arguments.seeds, size, out)), flush=True)
-        else:
-            print(sentence(path.stem, arguments.seeds, agreement(config, arguments.seeds, out)), flush=True)
+OUT = Path("runs/seeds")
+
+
+def main(
+    configs: list[Path], seeds: int = 6, arms: int | None = None, group: int | None = None, out: Path = OUT
+) -> None:
+    """Run studies at so many seeds, from 0, and count; of fewer arms, or in groups of so many seeds."""
+    for path in configs:
+        config = load_study(path)
+        config = replace(config, arms=arms or config.arms)
+        groups = in_groups(config, range(seeds), group or seeds, out / path.stem)
+        print(sentence_of_groups(path.stem, group, groups) if group else sentence(path.stem, range(seeds), groups[0]))
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -8,11 +8,11 @@ between the two marks in the page is replaced, and docs/images/study-grades.png 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import typer
 from study_seeds import agreement, in_groups, sentence, sentence_of_groups
 
 from pickenv.errors import InputError
@@ -124,11 +124,9 @@ def printed(out: Path) -> str:
     return "\n".join(f"{title}:\n\n{part}" for title, part in parts.items())
 
 
-def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("runs/seeds"))
-    text, page = printed(parser.parse_args().out), PAGE.read_text(encoding="utf-8")
+def main(out: Path = Path("runs/seeds")) -> None:
+    """Print the tables, and put them into the page."""
+    text, page = printed(out), PAGE.read_text(encoding="utf-8")
     before, mark, rest = page.partition(MARKS[0])
     _, end, after = rest.partition(MARKS[1])
     if not mark or not end:
@@ -138,4 +136,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -83,7 +83,7 @@ def refuses(number):
 
 for work in (dies, refuses):
     try:
-        list(spread(work, [7], "ray", 1))
+        list(spread(work, [7], "ray", 2))
     except InputError as error:
         print(error)
 """
@@ -214,7 +214,7 @@ def test_a_cluster_of_ones_own_listens_to_this_machine_alone_and_asks_for_a_toke
     assert len(ray.environment["RAY_AUTH_TOKEN"]) >= 32
     assert ray.environment["RAY_USAGE_STATS_ENABLED"] == "0"
     assert ray.options["_node_ip_address"] == "127.0.0.1" and ray.options["num_cpus"] == 2
-    assert ray.options["include_dashboard"] is False
+    assert ray.options["include_dashboard"] is False and ray.options["address"] == "local"
 
 
 def test_a_cluster_that_is_already_there_is_taken_as_it_is(joined, address):
