@@ -177,7 +177,8 @@ def calibrate(
         train = with_lens(train.views, choices.lens)
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
-    few = test is test_rows is None and train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
+    few = train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
+    few = few and test is None and test_rows is None
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
