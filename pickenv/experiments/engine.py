@@ -585,9 +585,10 @@ def _joined_ray(workers: int | None) -> Any:
     if address is not None and ":" in address:
         _check_answers(address)
     if address is None:
-        os.environ.update(ALONE | {"RAY_AUTH_TOKEN": secrets.token_hex(32)})  # read as Ray is imported
-        options = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
-        options |= {"address": "local"}  # never one that another program started
+        os.environ.update(ALONE)
+        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # read as Ray is imported, and never again
+        options = {"address": "local", "num_cpus": workers}  # not one that somebody else has started here
+        options |= {"include_dashboard": False, "_node_ip_address": "127.0.0.1"}
     import ray
     from ray.util.joblib import register_ray
 

@@ -119,10 +119,10 @@ def population_seed(seed: int) -> int:
 
 def run_policies(
     settings: PolicySettings,
-    folder: Path | None = None,
+    folder: str | Path | None = None,
     *,
     task: Literal["reaching", "picking"] = "reaching",
-    cache: Path | None = None,
+    cache: str | Path | None = None,
     backend: str = "serial",
     workers: int | None = None,
     progress: Progress | None = None,
@@ -154,7 +154,7 @@ def run_policies(
     Raises:
         InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.
     """
-    kept = cache if folder is None or cache is not None else folder / "calibrations"
+    kept = cache if folder is None or cache is not None else Path(folder) / "calibrations"
     make = _reaching if task == "reaching" else _picking
     how: dict[str, Any] = {"backend": backend, "workers": workers, "progress": progress}
     with TemporaryDirectory() if kept is None else nullcontext(kept) as place:
@@ -164,7 +164,7 @@ def run_policies(
         if calibrations.pieces():
             with listed_files(kept):
                 run(calibrations, **how)
-        return run(experiment, None if folder is None else folder / task, **how)
+        return run(experiment, None if folder is None else Path(folder) / task, **how)
 
 
 def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) -> Experiment:

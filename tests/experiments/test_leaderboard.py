@@ -140,9 +140,8 @@ def test_a_seed_has_its_own_arms_fruit_and_calibrations(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("backend", ["loky", "ray"])
-def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(backend, tmp_path):
-    pytest.importorskip(backend.replace("loky", "joblib"))
+def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(tmp_path):
+    pytest.importorskip("joblib")
     rows = run_leaderboard(SMALL, tmp_path)
     assert {(row["policy"], row["compensation"]) for row in rows} == {("scripted", "raw"), ("scripted", "ls")}
     better, worse = rows
@@ -161,7 +160,7 @@ def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(backend, tmp_p
     for path in victims:
         path.unlink()
         assert any(finding.reason is not None for finding in findings_of(path.parent))
-    assert run_leaderboard(SMALL, tmp_path, backend=backend, workers=2) == rows
+    assert run_leaderboard(SMALL, tmp_path, backend="loky", workers=2) == rows
     assert {path for path in kept if path.stat().st_mtime_ns != times[path]} == victims
     assert all(finding.reason is None for finding in findings_of(tmp_path))
 
