@@ -129,7 +129,8 @@ from pickenv.experiments import PolicySettings, run_policies
 settings = PolicySettings(("scripted",), ("raw", "ls"), plants=("qiao2026",), arms=2, episodes=2)
 alone = run_policies(settings)
 rows = run_policies(settings, sys.argv[1], backend="ray", workers=2)
-assert all(np.array_equal(rows[name], values) for name, values in alone.columns.items())
+for name, values in alone.columns.items():
+    np.testing.assert_array_equal(rows[name], values, name)
 """
 
 
