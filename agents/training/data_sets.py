@@ -134,7 +134,7 @@ def _kept_or_made(
 
 def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     """Reaches of the vector environment, all at once."""
-    envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled")
+    envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled", executor="numpy")
     policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
     seen, _ = envs.reset(seed=list(seeds))
     rows: dict[str, list[Any]] = {"observations": [seen]} | {name: [] for name in COLUMNS[1:]}

@@ -586,7 +586,8 @@ def _joined_ray(workers: int | None) -> Any:
         _check_answers(address)
     if address is None:
         os.environ.update(ALONE)
-        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))  # read as Ray is imported, and never again
+        if not os.environ.get("RAY_AUTH_TOKEN"):  # read as Ray is imported, and never again
+            os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
         options = {"address": "local", "num_cpus": workers}  # not one that somebody else has started here
         options |= {"include_dashboard": False, "_node_ip_address": "127.0.0.1"}
     import ray

@@ -331,7 +331,7 @@ def test_other_rows_blocks_and_arms_are_named_as_what_they_are(results: dict[str
     r = results["poses"]
     few = r.test.conditions.select(np.arange(7))
     other = SimpleNamespace(
-        joints=r.test.joints[:7], conditions=few, source="x.csv", tracked=False, fingerprint=lambda: "f"
+        joints=r.test.joints[:7], conditions=few, source="x.csv", poses=None, fingerprint=lambda: "f"
     )
     page = built(lambda: calibration_report.calibration_page(replace(r, test=other)))
     assert "On 7 rows that the fit never saw, what was read lay" in page.verdict.text

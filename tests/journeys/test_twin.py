@@ -84,5 +84,5 @@ def test_mujoco_has_the_calibrated_arm_and_those_that_the_data_allow(home: tuple
 def test_every_file_that_the_page_names_exists() -> None:
     links = re.findall(r"\]\(([^)\s#]+)\)", PAGE)
     assert [link for link in links if not (ROOT / "docs" / link).exists()] == []
-    scripts = set(re.findall(r"scripts/[\w/]+\.py", PAGE))
+    scripts = set(re.findall(r"scripts/[\w/]+\.(?:py|toml)", PAGE))
     assert len(scripts) == 2 and [name for name in scripts if not (ROOT / name).is_file()] == []

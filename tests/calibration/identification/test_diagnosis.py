@@ -274,7 +274,7 @@ def test_draw_wires_are_calibrated(qiao):
 def test_an_unknown_term_or_residual_is_named(qiao, data):
     with pytest.raises(InputError, match="unknown terms 'gravitation'; give auto, none, or some of compliance"):
         judged(qiao, data, replace(PLAIN, terms="gravitation"))
-    with pytest.raises(InputError, match="unknown residual model 'net'; give one of bpnn, rbf, gp"):
+    with pytest.raises(InputError, match="there is no residual 'net'; give one of bpnn, rbf, gp"):
         judged(qiao, data, replace(PLAIN, residual="net"))
 
 
