@@ -154,6 +154,7 @@ NEEDED = {
     "conditions": "orchard",
     "compare": "scripted oracle",
     "study": "study.toml",
+    "experiment": "nothing.toml",
     "film": "run",
     "report": "run",
 }

@@ -334,7 +334,7 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
 
 def _region(found: Identification, data: Observations) -> Iterator[str]:
     """Whether one step at a joint's angle explains most of what remains."""
-    if data.poses is None or len(data.joints) < len(STEPS):
+    if len(data.joints) < len(STEPS) or data.poses is None:
         return
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     steps = [(*_step(data.joints[:, joint], misses), joint) for joint in range(data.joints.shape[1])]

@@ -137,9 +137,9 @@ class ArmModel:
 
     def jacobian(self, joints: Array, conditions: Conditions | None = None) -> Array:
         """Derivative of the pose by every parameter ``(N, 6, 5n + 12 + k)``."""
-        conditions = conditions or Conditions()
+        conditions, geometric = conditions or Conditions(), parameter_jacobian(self.geometry, joints)
         columns = [term.columns(self.geometry, joints, conditions) for term in self.terms]
-        return np.concatenate([parameter_jacobian(self.geometry, joints), *columns], axis=-1)
+        return np.concatenate([geometric, *columns], axis=-1) if columns else geometric
 
     def pose_covariance(
         self, columns: ArrayLike, covariance: Array, joints: ArrayLike, conditions: Conditions | None = None

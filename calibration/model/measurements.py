@@ -132,10 +132,6 @@ class Measurements(OneGroup):
         """Themselves."""
         return self
 
-    def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """Themselves."""
-        return self
-
     def joinable(self, other: Measurements) -> bool:
         """Whether two data sets can be one: poses or positions alike, of about the same uncertainty."""
         stds, others = (self.position_std, self.attitude_std), (other.position_std, other.attitude_std)

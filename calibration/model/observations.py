@@ -315,7 +315,8 @@ class OneGroup:
         yield self, model, unknowns, 1.0
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """None: such readings say nothing of poses by themselves."""
+        """Themselves, where they are poses; other readings say nothing of poses by themselves."""
+        return self.poses
 
     def fingerprint(self) -> str:
         """Of joints and readings."""

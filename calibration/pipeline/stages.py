@@ -63,7 +63,7 @@ from pickenv.calibration.residuals.gate import AUTO, GateReport, gate_residuals,
 from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
 from pickenv.errors import InputError
 
-GATE_ROWS = 1500
+GATE_ROWS = 3000
 """Residual models are judged on so many training rows at most, taken evenly."""
 
 ENOUGH_FOR_BLOCKS = 40
@@ -173,11 +173,12 @@ def calibrate(
     known = choices.frames == "known"
     train, floor = given_rows(arm, data, columns, stations, known=known)
     rng = rng or np.random.default_rng(choices.seed)
-    if train.views is not None and choices.lens is not None:
+    if choices.lens is not None and train.views is not None:
         train = with_lens(train.views, choices.lens)
     if choices.refit and test is None:
         raise InputError("--refit is for rows of another station; give them with --test")
-    few = train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS and test_rows is None
+    few = train.poses is not None and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
+    few = few and test is None and test_rows is None
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
@@ -301,8 +302,8 @@ def _check(draft: Draft) -> Draft:
             f"{train.source} holds {train.kind}, but {test.source}, to judge by, {test.kind}; give rows of one kind"
         )
     left_out: tuple[LeftOut, ...] = ()
-    if train.poses is not None:
-        stated, others = train.poses.frames, test.poses.frames
+    if isinstance(train, Measurements) and isinstance(test, Measurements):
+        stated, others = train.frames, test.frames
         if choices.frames is None and stated != others:
             raise InputError(
                 f"{train.source} says that base and tool are {stated}, {test.source} that they are {others}; give "

@@ -40,10 +40,10 @@ def experiment(
     from pickenv.experiments.engine import RECORD, run, write_rows
     from pickenv.experiments.experiment_file import held_by_seeds, load_experiment, number_table, plain_estimates
 
-    changes = dict(map(_change, change or []))
-    found = load_experiment(file, quick=quick, seed=seed, changes=changes)
     folder = out or Path("runs") / file.stem
     separate({"FILE": file}, {"--out": folder / RECORD, "--json": json_file, "--table": table})
+    changes = dict(map(_change, change or []))
+    found = load_experiment(file, quick=quick, seed=seed, changes=changes)
     first = found.experiment.seed
     others: list[list[dict[str, Any]]] = []
     with progress_bars() as report:
@@ -68,7 +68,7 @@ def experiment(
     def show() -> None:
         print(found.title)
         for number, made in zip(found.numbers, tables, strict=True):
-            if not made["rows"]:
+            if not made["rows"] or number.x is not None:  # lines are for the figure
                 continue
             heads, cells = number_table(number, made["rows"])
             print_table(made["title"], heads, cells, words=number.by)

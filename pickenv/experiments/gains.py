@@ -17,15 +17,8 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, load_plant, load_tolerances, plant_at
-from pickenv.calibration import (
-    BpnnSettings,
-    Choices,
-    Measurements,
-    Result,
-    calibrate,
-    random_joints,
-    simulated_tracker,
-)
+from pickenv.arm.plant.campaign import TRACKER
+from pickenv.calibration import BpnnSettings, Choices, Measurements, Result, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.model.observations import BLOCKS
 from pickenv.calibration.pipeline.fitting import fit_remainder
 from pickenv.errors import InputError
@@ -83,9 +76,12 @@ def left_by_models(
     return {name: np.sum(rows[:, :3] ** 2, axis=1) for name, rows in errors.items()}, result
 
 
-def random_sets(plant: Plant, counts: Sequence[int], rng: np.random.Generator) -> list[Measurements]:
-    """Sets of so many random poses each, as a tracker sees them."""
-    return [simulated_tracker(plant, random_joints(plant.arm.nominal, count, rng), rng) for count in counts]
+def random_sets(
+    plant: Plant, counts: Sequence[int], rng: np.random.Generator, instrument: str = TRACKER
+) -> list[Measurements]:
+    """Sets of so many random poses each, as an instrument sees them (`simulated_tracker`)."""
+    nominal = plant.arm.nominal
+    return [simulated_tracker(plant, random_joints(nominal, count, rng), rng, instrument) for count in counts]
 
 
 def as_measured(plant: Plant, rows: Measurements, rng: np.random.Generator) -> Measurements:

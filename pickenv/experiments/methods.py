@@ -22,9 +22,10 @@ from pickenv.arm.files.arm import content_sha256
 from pickenv.arm.plant.campaign import TRACKER, load_instrument
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_batch import plant_at, plant_count
-from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
+from pickenv.calibration import BpnnSettings, Calibration, fit
 from pickenv.envs.shared.task import check_count
 from pickenv.errors import InputError
+from pickenv.experiments.gains import random_sets
 from pickenv.inspect.runs.episode_summary import Reaches, reaches_of
 from pickenv.provenance import code_fingerprint
 from pickenv.registry import names, origin
@@ -91,10 +92,8 @@ def calibrate_arm(plant: Plant, method: str, plan: CalibrationPlan | None = None
         raise InputError("compensation raw calibrates nothing; give ls, ls_bpnn, best, or ls+ and a residual model")
     plan = plan or CalibrationPlan()
     poses, learning = (np.random.default_rng(part) for part in stream(plan.seed, "calibration", number).spawn(2))
-    first, second = (
-        simulated_tracker(plant, random_joints(plant.arm.nominal, count, poses), poses, plan.instrument)
-        for count in (plan.identification_poses, plan.residual_poses)
-    )
+    counts = (plan.identification_poses, plan.residual_poses)
+    first, second = random_sets(plant, counts, poses, plan.instrument)
     residual = residual_of(method)
     return fit(
         plant.arm,

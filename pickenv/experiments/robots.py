@@ -526,14 +526,17 @@ def run_bench(
     if len(skipped) == len(rows):
         raise InputError(next(iter(skipped.values()), "no rows were asked for"))
 
+    def refuse(levels: Mapping[str, Any], error: InputError) -> None:
+        skipped[levels["row"]] = str(error)
+
     def made(title: str, kinds: Mapping[str, object], measure: Any, **units: Sequence[int]) -> Rows:
         names = [name for name in rows if name in kinds and name not in skipped]
         if not names:
             return Rows({})
         inputs = partial(_inputs, settings=settings, data=data)
         experiment = Experiment(title, units, {"row": names}, measure, settings.seed, inputs)
-        backend, refused = "serial" if workers == 1 else "loky", partial(_refused, skipped)
-        return run(experiment, out / title, backend=backend, workers=workers, progress=progress, refused=refused)
+        backend = "serial" if workers == 1 else "loky"
+        return run(experiment, out / title, backend=backend, workers=workers, progress=progress, refused=refuse)
 
     folds = made("gains", GAINS, partial(fold_errors, settings=settings, data=data), fold=range(settings.folds))
     gains = [gain for (row,) in folds.levels("row") if row not in skipped for gain in gains_of(folds.where(row=row))]
@@ -550,10 +553,6 @@ def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[An
     """What a row's figures depend on beside the code."""
     files = [file_sha256(path) for paths in _set_of(row).paths(data) for path in paths]
     return (settings, _set_of(row), SPREAD.get(row), files)
-
-
-def _refused(skipped: dict[str, str], levels: Mapping[str, Any], error: InputError) -> None:
-    skipped[levels["row"]] = str(error)
 
 
 def gains_of(folds: Rows) -> list[dict[str, Any]]:

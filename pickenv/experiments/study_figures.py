@@ -306,8 +306,8 @@ def _curves(
         for axes in panels:
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                 handles.setdefault(label, handle)
-        held_at = _held_words(drawn, shown)
-        figure.legend(handles.values(), handles, loc="outside right upper", fontsize=8, title=held_at)
+        legend = _held_words(drawn, shown)
+        figure.legend(handles.values(), handles, loc="outside right upper", fontsize=8, title=legend)
     return figure
 
 

@@ -7,10 +7,8 @@ one time constant (a Kelvin-Voigt body). Gravity points along -z of the world. U
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from types import ModuleType
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -115,85 +113,45 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
             at.joints = [value + swing for value, swing in zip(at.joints, memory[n : 2 * n], strict=True)]
 
     def begin(self, at: Passage) -> Components:
-        """Profiles of all joints, then vibrations, then rates: nothing swings."""
-        return _components(at_rest(at.command))
+        """Where each joint's profile is, rad or m; its vibration e; and e' + p x', which no sudden command changes."""
+        still = [value * 0.0 for value in at.command]
+        return *at.command, *still, *still
 
     def rest(self, at: Passage) -> Components:
         """Nothing swings any more."""
         return ()
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """How all swing then."""
-        n = len(at.command)
-        before = zip(memory[:n], memory[n : 2 * n], memory[2 * n :], strict=True)
-        return _components(swung(at.m, self, [Swing(*parts) for parts in before], at.command, dt))
+        """Profiles, vibrations and velocities then."""
+        m, lag, n = at.m, self.rise_time, len(at.command)
+        faded = exponential(m, -dt / lag)
+        profiles, vibrations, rates = list[Scalar](), list[Scalar](), list[Scalar]()
+        for profile, vibration, rate, command, frequency, zeta, share in zip(
+            *(memory[:n], memory[n : 2 * n], memory[2 * n :]),
+            *(at.command, self.frequency, self.damping, self.participation),
+            strict=True,
+        ):
+            omega = math.tau * frequency
+            decay = zeta * omega
+            damped = omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
+            angle = damped * dt
+            space = namespace_of(m, angle)
+            envelope = exponential(m, -decay * dt)
+            cosine, sine = envelope * space.cos(angle), envelope * space.sin(angle) / damped
+            # The profile command + gap exp(-t / lag) forces the part `forced` exp(-t / lag); the rest swings freely.
+            gap = profile - command
+            forced = -share * gap / (1.0 - 2.0 * decay * lag + (omega * lag) * (omega * lag))
+            free = vibration - forced
+            free_rate = rate + (share * gap + forced) / lag
+            swung = free * cosine + (free_rate + decay * free) * sine
+            swung_rate = free_rate * cosine - (decay * free_rate + omega * omega * free) * sine
+            profiles.append(command + gap * faded)
+            vibrations.append(swung + forced * faded)
+            rates.append(swung_rate - (forced + share * gap) * faded / lag)
+        return *profiles, *vibrations, *rates
 
     def drawn(self, draws: Draws) -> Settling:
         """Modes of which none is damped more than any structure."""
         modes = super().drawn(draws)
         damping: Any = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in modes.damping)
         return replace(modes, damping=damping)
-
-
-class Swing(NamedTuple):
-    """State of one joint's mode.
-
-    Attributes:
-        profile: Where the motion profile is, rad or m.
-        vibration: Displacement e of the mode, to be added to the joint's.
-        rate: e' + p x', rad/s or m/s: the velocity of what swings, which no sudden command changes.
-    """
-
-    profile: Scalar
-    vibration: Scalar
-    rate: Scalar
-
-
-def _components(swings: Sequence[Swing]) -> Components:
-    profiles, vibrations, rates = zip(*swings, strict=True)
-    return *profiles, *vibrations, *rates
-
-
-def at_rest(q: Sequence[Scalar]) -> list[Swing]:
-    """Modes of an arm that has long been at ``q``."""
-    return [Swing(value, value * 0.0, value * 0.0) for value in q]
-
-
-def swung(m: ModuleType, settling: Settling, swings: Sequence[Swing], q: Sequence[Scalar], dt: Scalar) -> list[Swing]:
-    """The modes after the command ``q`` has been held for ``dt`` seconds.
-
-    Args:
-        m: ``math``, ``numpy`` or ``torch``.
-        settling: The modes' constants.
-        swings: The modes before.
-        q: The joint commands, rad or m.
-        dt: s, at least 0; one number, or one per arm.
-    """
-    lag = settling.rise_time
-    faded = exponential(m, -dt / lag)
-    result = []
-    for swing, command, frequency, zeta, share in zip(
-        swings, q, settling.frequency, settling.damping, settling.participation, strict=True
-    ):
-        omega = math.tau * frequency
-        decay = zeta * omega
-        damped = omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
-        angle = damped * dt
-        space = namespace_of(m, angle)
-        envelope = exponential(m, -decay * dt)
-        cosine, sine = envelope * space.cos(angle), envelope * space.sin(angle) / damped
-        # The profile x = command + gap exp(-t / lag) forces the part `forced` exp(-t / lag); the rest swings freely.
-        gap = swing.profile - command
-        forced = -share * gap / (1.0 - 2.0 * decay * lag + (omega * lag) * (omega * lag))
-        free = swing.vibration - forced
-        free_rate = swing.rate + (share * gap + forced) / lag
-        vibration = free * cosine + (free_rate + decay * free) * sine
-        vibration_rate = free_rate * cosine - (decay * free_rate + omega * omega * free) * sine
-        result.append(
-            Swing(
-                profile=command + gap * faded,
-                vibration=vibration + forced * faded,
-                rate=vibration_rate - (forced + share * gap) * faded / lag,
-            )
-        )
-    return result

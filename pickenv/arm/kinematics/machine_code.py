@@ -101,7 +101,7 @@ class Trace:
             return value.number
         if not isinstance(value, bool | int | float | np.generic):
             raise Untraceable(f"{type(value).__name__} is no number")
-        return self.note("constant", kind, detail=float(value).hex() if kind == DOUBLE else int(value)).number
+        return self.note("constant", kind, detail=float(value).hex() if kind == DOUBLE else int(value) % 2**64).number
 
     def single(self, value: Scalar) -> Traced:
         """A number rounded to float32."""
@@ -265,8 +265,6 @@ LANES = 8
 
 THOROUGH = 1024
 """From so many poses on, code that takes four times as long to generate and runs a third faster is worth it."""
-
-BYTES = {DOUBLE: 8, SINGLE: 4, WORD: 8, FLAG: 1}
 
 BY_KIND = {
     DOUBLE: {
@@ -457,14 +455,14 @@ class _Body:
 
     def _load(self, array: str, row: int, kind: str) -> str:
         place, memory = self._place(array, row, kind), self._type("i8" if kind == FLAG else kind)
-        value = self._new(f"load {memory}, ptr {place}, align {BYTES[kind]}")
+        value = self._new(f"load {memory}, ptr {place}, align 1")
         return value if kind != FLAG else self._new(f"trunc {memory} {value} to {self._type(FLAG)}")
 
     def _store(self, value: str, kind: str, array: str, row: int) -> None:
         place, memory = self._place(array, row, kind), self._type("i8" if kind == FLAG else kind)
         if kind == FLAG:
             value = self._new(f"zext {self._type(FLAG)} {value} to {memory}")
-        self.lines.append(f"  store {memory} {value}, ptr {place}, align {BYTES[kind]}")
+        self.lines.append(f"  store {memory} {value}, ptr {place}, align 1")
 
 
 @lru_cache(maxsize=64)

@@ -7,6 +7,7 @@ begin on NumPy.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import add, mul
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, SYMBOLS, W
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared.arm_batch import Words, naming_effects
-from pickenv.envs.shared.backends import MASK, Executor, Scalar
+from pickenv.envs.shared.backends import MASK, Executor
 from pickenv.envs.shared.simulation import (
     ReachState,
     act,
@@ -29,21 +30,12 @@ from pickenv.envs.shared.simulation import (
 )
 from pickenv.envs.shared.task import Compensate, Task
 
-
-def _product(word: Scalar, constant: int) -> Scalar:
-    return word * constant if isinstance(word, Traced) else (word * constant) & MASK
-
-
-def _total(word: Scalar, other: Scalar) -> Scalar:
-    return word + other if isinstance(word, Traced) or isinstance(other, Traced) else (word + other) & MASK
-
-
 TRACER = Executor(
     name="compiled",
     m=SYMBOLS,
-    times=_product,
-    plus=_total,
-    shifted=lambda word, bits: word >> bits,
+    times=mul,
+    plus=add,
+    shifted=lambda word, bits: (word & MASK if isinstance(word, int) else word) >> bits,
     unit=lambda word: (word >> 11).as_double() * 2.0**-53,
     word=lambda number: number & MASK,
     spares_constants=True,

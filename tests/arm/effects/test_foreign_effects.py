@@ -8,8 +8,6 @@ from typing import Annotated
 import gymnasium as gym
 import numpy as np
 import pytest
-from pickenv.study.analysis.sobol import tolerance_groups
-from pickenv.study.design.config import deviations
 
 import pickenv
 from pickenv import registry
@@ -21,6 +19,8 @@ from pickenv.arm.plant.campaign import draw_reaches, effect_shares
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.commands.plants import effects as effects_command
 from pickenv.errors import InputError
+from pickenv.experiments.study import deviations
+from pickenv.experiments.study_variance import tolerance_groups
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
 from pickenv.toml_tables import ARCMIN, MM, SECONDS, toml_table
 

@@ -3,13 +3,15 @@
 import math
 from dataclasses import replace
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from pickenv.arm import load_plant
-from pickenv.arm.effects.ground import Settling, Swing, at_rest, swung
+from pickenv.arm.effects.ground import Settling
 from pickenv.arm.plant.campaign import Pace, commands, move_time, moved
 
 FREQUENCY, ZETA, SHARE, RISE = 6.0, 0.03, 0.4, 0.05
@@ -17,12 +19,24 @@ MODE = Settling((FREQUENCY,), (ZETA,), (SHARE,), RISE)
 OMEGA = 2 * math.pi * FREQUENCY
 
 
+class Swing(NamedTuple):
+    """Profile, vibration and velocity of one joint's mode."""
+
+    profile: float
+    vibration: float
+    rate: float
+
+
+def at_rest(q):
+    return Swing(*MODE.begin(SimpleNamespace(command=[q])))
+
+
 def step(swing, q, dt, mode=MODE):
-    return swung(math, mode, [swing], [q], dt)[0]
+    return Swing(*mode.carry(SimpleNamespace(m=math, command=[q]), tuple(swing), dt))
 
 
 def test_at_rest_it_stays_at_rest():
-    assert step(*at_rest([0.7]), 0.7, 3.0) == Swing(0.7, 0.0, 0.0)
+    assert step(at_rest(0.7), 0.7, 3.0) == Swing(0.7, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("time", [0.01, 0.05, 0.3, 1.0, 4.0])
@@ -52,21 +66,21 @@ def test_a_commanded_step_agrees_with_numerical_integration(time):
         return [speed, rate, -2 * ZETA * OMEGA * (rate - SHARE * speed) - OMEGA**2 * (z - SHARE * x)]
 
     x, z, rate = solve_ivp(slope, (0, time), [0.0, 0.0, 0.0], rtol=1e-11, atol=1e-13).y[:, -1]
-    swing = step(*at_rest([0.0]), 1.0, time)
+    swing = step(at_rest(0.0), 1.0, time)
     assert swing == pytest.approx((x, z - SHARE * x, rate), abs=1e-8)
 
 
 def test_a_held_command_may_be_cut_into_any_steps():
-    whole = step(*at_rest([0.0]), 1.0, 0.7)
+    whole = step(at_rest(0.0), 1.0, 0.7)
     for parts in (2, 7, 100):
-        (swing,) = at_rest([0.0])
+        swing = at_rest(0.0)
         for _ in range(parts):
             swing = step(swing, 1.0, 0.7 / parts)
         assert swing == pytest.approx(whole, abs=1e-12)
 
 
 def test_it_dies_out_however_it_was_driven():
-    (swing,) = at_rest([0.0])
+    swing = at_rest(0.0)
     for q in np.random.default_rng(0).uniform(-1, 1, 50).tolist():
         swing = step(swing, q, 0.1)
     assert abs(swing.vibration) > 1e-3

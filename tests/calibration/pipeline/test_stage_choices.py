@@ -133,7 +133,7 @@ def test_residual_models_are_judged_on_3000_rows_at_most(dynamic, sets, monkeypa
 
 def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynamic, sets):
     class Wires:
-        source, kind, tracked = "wires.csv", "distance", False
+        source, kind, poses = "wires.csv", "distance", None
 
         @property
         def parts(self):

@@ -109,7 +109,7 @@ def test_terms_are_the_calibrated_arm_s_alone(dynamic: Plant, refit: tuple[str, 
     assert judged.rows == len(new) - judged.refitted and judged.nominal.rms > 5 * judged.calibrated.rms
     if not refit:
         missed = np.linalg.norm(found.errors(new)[:, :3], axis=1)
-        assert judged.calibrated.rms == 1e3 * np.sqrt(np.mean(missed**2))
+        assert judged.calibrated.rms == pytest.approx(1e3 * np.sqrt(np.mean(missed**2)), rel=1e-12)
 
 
 @pytest.mark.parametrize("poses", [False, True], ids=["positions", "poses"])
