@@ -585,9 +585,8 @@ def _joined_ray(workers: int | None) -> Any:
     if address is not None and ":" in address:
         _check_answers(address)
     if address is None:
-        os.environ.update(ALONE)
-        if not os.environ.get("RAY_AUTH_TOKEN"):  # read as Ray is imported, and never again
-            os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
+        token = os.environ.get("RAY_AUTH_TOKEN") or secrets.token_hex(32)  # read as Ray is imported, and never again
+        os.environ.update(ALONE | {"RAY_AUTH_TOKEN": token})
         options = {"address": "local", "num_cpus": workers}  # not one that somebody else has started here
         options |= {"include_dashboard": False, "_node_ip_address": "127.0.0.1"}
     import ray
