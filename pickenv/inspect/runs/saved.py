@@ -26,7 +26,6 @@ from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.container import read_container, refusing_damage, write_container
 from pickenv.errors import InputError
 from pickenv.inspect.runs.comparison_summary import Comparison
-from pickenv.orchard.gripper import CompliantHand, Cup
 
 # The links of an arm as capsules (rods with round ends), as the viewer wants them. Metres.
 
@@ -129,11 +128,11 @@ def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
 
     Raises:
         InputError: If the file is missing, damaged in any byte, of another kind, or of another version, or needs the
-            effect or gripper of a package that is not here; the message names the package.
+            effect of a package that is not here; the message names the package.
     """
     remake = f"`{made_by}` makes it anew"
     found = read_container(path, kind.__name__, remake=remake, version=FORMAT)
-    own = [registry.get("effect", name) for name in shipped_effects()] + [Cup, CompliantHand]
+    own = [registry.get("effect", name) for name in shipped_effects()]
     try:
         others = {key: registry.get(*key.split(" "), **by) for key, by in found.header.get("others", {}).items()}
     except InputError as error:
