@@ -164,7 +164,7 @@ def day(rng: np.random.Generator, arms: int, picks: int, epochs: int, seed: int)
                 filters = taught(filters, target, tool + looks[k], LOOK, WALK, dt)
             error = np.linalg.norm(tool - wanted, axis=-1) * 1e3
             parts.append((np.full(arms, method), np.arange(arms), np.full(arms, (k + 1.0) * dt / 3600.0), error))
-    names = ("method", "arm", "hours", "error_mm")
+    names = ("method", "arm", "time_h", "error_mm")
     found = {name: np.concatenate(each) for name, each in zip(names, zip(*parts, strict=True), strict=True)}
-    part = np.where(found["hours"] <= DAY_HOURS / 8, "first hour", "between")
-    return found | {"part": np.where(found["hours"] > DAY_HOURS * 3 / 4, "last two hours", part)}
+    part = np.where(found["time_h"] <= DAY_HOURS / 8, "first hour", "between")
+    return found | {"part": np.where(found["time_h"] > DAY_HOURS * 3 / 4, "last two hours", part)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -9,10 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pickenv.inspect.colours import policy_colours, policy_label
-from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb
+from pickenv.inspect.figures.style import WIDTH, change, new_figure, plain_decades, rgb, whisker
 from pickenv.intervals import Estimate
 
 Row = Mapping[str, Any]
+UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
+"""What the name of a column of numbers may end in."""
+
 LINE_INCHES = 0.17
 """Height of a whisker with the room around it."""
 
@@ -28,7 +32,7 @@ def estimates_figure(
     log: bool = False,
     scale: float = 1.0,
 ) -> Figure:
-    """Numbers with their intervals, an open end as far as the number itself.
+    """Numbers with their intervals; an open end of a whisker is an arrow.
 
     Args:
         rows: Each with the columns of ``by`` and "estimate", as from `pickenv.intervals.estimate`.
@@ -55,7 +59,7 @@ def estimates_figure(
             axis.set_title(str(title))
             if x is not None:
                 _lines(axis, some, x, free, colours, colour, scale)
-                axis.set(xlabel=x, yscale="log" if log else "linear")
+                axis.set(xlabel=_in_words(x), yscale="log" if log else "linear")
             else:
                 _whiskers(axis, some, places, [name for name in free if name != colour], colours, colour, scale)
                 axis.set_xscale("log" if log else "linear")
@@ -63,14 +67,36 @@ def estimates_figure(
                 if one.get_scale() == "log":
                     plain_decades(one)
         if x is None:
-            axes[len(axes) // 2].set_xlabel(label)
+            unit = "".join(re.findall(r"\(.*?\)", label))  # there is room for all words once
+            for number, axis in enumerate(axes):
+                axis.set_xlabel(label if number == len(axes) // 2 else unit)
         else:
             axes[0].set_ylabel(label)
         for key, shade in colours.items():
             axes[0].plot([], [], color=shade, linewidth=3.0, label=policy_label(str(key)))
+        figure.suptitle(_result(rows, x, colour, panels, scale), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
         if len(colours) > 1:
             figure.legend(loc="outside lower center", ncols=min(len(colours), 4))
     return figure
+
+
+def _result(rows: Sequence[Row], x: str | None, colour: str | None, panels: str | None, scale: float) -> str:
+    """What the first line of numbers says, or what the lines of the first panel end at."""
+    first = [row for row in rows if panels is None or row[panels] == rows[0][panels]]
+    if x is not None:
+        last = max(float(row[x]) for row in first)
+        first = [row for row in first if float(row[x]) == last]
+    values: dict[str, float] = {}
+    for row in first:
+        values.setdefault(policy_label(str(row[colour])) if colour else "", scale * row["estimate"].value)
+    where = [] if panels is None else [str(rows[0][panels])]
+    return ": ".join([*where, change(values, "").strip()])
+
+
+def _in_words(column: str) -> str:
+    """A column's name with the unit that it ends in: time (h) of time_h; of a column without one, pick (number)."""
+    name, _, unit = column.rpartition("_")
+    return f"{name.replace('_', ' ')} ({unit})" if unit in UNITS and name else f"{column} (number)"
 
 
 def _ends(found: Estimate, scale: float) -> tuple[float, float]:
@@ -114,7 +140,8 @@ def _whiskers(
         beside = 0.0 if key is None else (keys.index(key) + 0.5) / len(keys) - 0.5
         y = places.index(tuple(row[name] for name in names)) + 0.8 * beside
         shade = colours.get(key)
-        axis.plot(_ends(row["estimate"], scale), [y, y], color=shade, linewidth=3.0, alpha=0.55)
-        axis.plot([scale * row["estimate"].value], [y], "|", color=shade, markersize=8, mew=1.6)
+        number: Estimate = row["estimate"]
+        ends = None if number.ci95 is None else [None if end is None else scale * end for end in number.ci95]
+        whisker(axis, y, scale * number.value, ends, shade)
     axis.set_yticks(range(len(places)), [", ".join(map(str, place)) for place in places])
     axis.set_ylim(len(places) - 0.5, -0.5)

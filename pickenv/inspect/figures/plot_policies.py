@@ -158,7 +158,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
                 for y, policy in enumerate(names):
                     for i, (key, found) in enumerate(policies.get(policy, {}).items()):
                         place = y + 0.18 * (i - (len(policies[policy]) - 1) / 2.0)
-                        _whisker(axis, place, found, colours[key])
+                        style.whisker(axis, place, *found, colours[key], least=SMALLEST_MM)
                 axis.set_xscale("log")
                 axis.set_title(f"{scene}: {title}" if column == 0 else title)
                 axis.set_yticks(range(len(names)), names)
@@ -181,18 +181,6 @@ def _worth(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated
         values = style.change({key: found[0] for key, found in line.items()}, "mm")
         said.append(f"{' '.join(policy.split())} on {scene}: {name} {values}")
     return "\n".join(said)
-
-
-def _whisker(axis: Any, y: float, found: Estimated, colour: Any) -> None:
-    """One number at height ``y`` with its interval; open ends as arrows from the number."""
-    value, ends = max(found[0], SMALLEST_MM), found[1]
-    if ends is not None:
-        low, high = (value if end is None else max(end, SMALLEST_MM) for end in ends)
-        axis.plot([low, high], [y, y], color=colour, linewidth=3.0, alpha=0.55)
-        for end, arrow in zip(ends, ("<", ">"), strict=True):
-            if end is None:
-                axis.plot([value], [y], arrow, color=colour, markersize=4)
-    axis.plot([value], [y], "|", color=colour, markersize=6, mew=1.6)
 
 
 def success_against_misalignment(

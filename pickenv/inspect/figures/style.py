@@ -197,6 +197,29 @@ def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float,
     return [(label, values, colour) for (label, values), colour in zip(series.items(), colours, strict=True)]
 
 
+def whisker(
+    axis: Any, y: float, value: float, ends: Sequence[float | None] | None, colour: Any, *, least: float = -np.inf
+) -> None:
+    """Draw one number at height ``y`` with its interval; open ends are arrows from the number.
+
+    Args:
+        axis: The panel.
+        y: The height.
+        value: The number.
+        ends: Both ends of its interval, an open one as None; or None where it has none.
+        colour: Of the mark.
+        least: Smallest value that is drawn, as a logarithmic axis has no zero.
+    """
+    value = max(value, least)
+    if ends is not None:
+        low, high = (value if end is None else max(end, least) for end in ends)
+        axis.plot([low, high], [y, y], color=colour, linewidth=3.0, alpha=0.55)
+        for end, arrow in zip(ends, ("<", ">"), strict=True):
+            if end is None:
+                axis.plot([value], [y], arrow, color=colour, markersize=4)
+    axis.plot([value], [y], "|", color=colour, markersize=6, mew=1.6)
+
+
 def rgb(colours: Sequence[Rgb]) -> list[tuple[float, float, float]]:
     """Colours for matplotlib."""
     return [(red / 255.0, green / 255.0, blue / 255.0) for red, green, blue in colours]
