@@ -82,7 +82,7 @@ def experiment(
 
         drawn = {name: function(rows) for name, function in found.figures.items()}
         for number, made in zip(found.numbers, tables, strict=True):
-            if number.figure is not None:
+            if number.figure is not None and made["rows"]:
                 axes: Any = {"x": number.x, "colour": None if number.x else number.across, "panels": number.panels}
                 drawn[number.figure] = estimates_figure(
                     made["rows"], number.title, number.by, **axes, log=number.log, scale=number.scale
