@@ -43,7 +43,7 @@ from pickenv.intervals import mean_interval
 
 EXPANSION = 23e-6
 """Coefficient of linear expansion of aluminium, 1/K (ISO 1-1 tables; 22 to 24 for usual alloys)."""
-DOCS = Path(__file__).parents[3] / "docs/conditions.md"
+DOCS = Path(__file__).parents[2] / "docs/conditions.md"
 SMALL = ["--arms", "1", "--sessions", "3", "--poses", "20"]
 
 
