@@ -13,10 +13,12 @@ from __future__ import annotations
 import hashlib
 import json
 import logging
+import math
 import os
 import re
 import secrets
 import socket
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -624,6 +626,11 @@ def _check_answers(address: str) -> None:
 
 def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any]:
     _end_with(driver)
+    loky = sys.modules.get("joblib.externals.loky.process_executor")
+    if (
+        loky is not None
+    ):  # a process that loads torch after its first piece has no leak; ended for one, it is waited for
+        loky._MAX_MEMORY_LEAK_SIZE = math.inf  # type: ignore[attr-defined]
     return number, work(number)
 
 

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import textwrap
+import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -235,6 +236,24 @@ def test_pieces_of_a_process_that_dies_are_tried_again(tmp_path):
 
     done = dict(spread(partial(dying, str(tmp_path)), range(2), "loky", 2))
     assert done == {0: 0, 1: 1}
+
+
+GROWN = []
+
+
+def growing(rng, arm):
+    """From its second piece on a process holds more, as one that has loaded torch, and takes its time."""
+    if arm > 1 and not GROWN:
+        GROWN.append(np.ones(45_000_000))
+    time.sleep(1.2)
+    return {"error_mm": rng.normal(size=2)}
+
+
+@pytest.mark.slow
+def test_a_process_that_grows_after_its_first_piece_is_not_ended_for_it():
+    """joblib took that for a leak, ended the process and waited for it for ever."""
+    grown = experiment(units={"arm": range(8)}, factors={}, measure=growing)
+    assert len(run(grown, backend="loky", workers=2)) == 16
 
 
 def test_an_unknown_backend_is_refused_in_a_sentence():
