@@ -340,18 +340,21 @@ def estimate(
         values ``(units,)``, which say how units differ, or None for a function of several columns.
 
     Raises:
-        ValueError: If not every unit was measured equally often at a combination, or ``over`` names none or more than
-            two columns.
+        ValueError: If not every unit was measured equally often at a combination, those of a difference are not the
+            same units, a value is no number, or the arguments do not go together.
     """
-    if not 1 <= len(over) <= 2:
-        raise ValueError(f"an interval is over one or two columns, not over {list(over)}")
     names = [value] if isinstance(value, str) else list(value)
+    _check_asked(names, by, over, of, against)
     arrays = {name: np.asarray(columns[name]) for name in (*by, *over, *names)}
+    for name in names:
+        if absent := int(np.sum(~np.isfinite(np.asarray(arrays[name], dtype=float)))):
+            raise ValueError(f"{absent} of {len(arrays[name])} values of {name} are no numbers; leave these rows out")
     keys = list(zip(*(arrays[name].tolist() for name in by), strict=True)) or [()] * len(arrays[over[0]])
     places: dict[tuple[Any, ...], list[int]] = {}
     for number, key in enumerate(keys):
         places.setdefault(key, []).append(number)
     cubes = {key: _cubes({n: v[rows] for n, v in arrays.items()}, names, over) for key, rows in places.items()}
+    drawn = {key: [np.unique(arrays[name][rows]) for name in over] for key, rows in places.items()}
     found = []
     for key, cube in cubes.items():
         base = key if against is None else tuple(against.get(n, own) for n, own in zip(by, key, strict=True))
@@ -359,13 +362,33 @@ def estimate(
             continue
         if against is not None:  # unit by unit, whatever the number of rows of each
             cube, other = (each.mean(axis=3, keepdims=True) for each in (cube, cubes[base]))
-            if cube.shape != other.shape and (*cube.shape[:2], 1, 1) != other.shape:
-                raise ValueError(f"{key} and {base} were not measured on the same {' and '.join(over)}")
+            once = other.shape[2] == 1  # what was not trained is the same for every training
+            pairs = list(zip(over, drawn[key], drawn[base], strict=True))[: 1 if once else None]
+            if apart := [name for name, one, two in pairs if not np.array_equal(one, two)]:
+                raise ValueError(f"{key} and {base} were not measured on the same {apart[0]}")
             both = [np.broadcast_to(other, cube.shape), cube]
             cube = np.concatenate(both) if of == "removed" else cube - other
         units = cube[0].mean(axis=(1, 2)) if len(cube) == 1 else None
         found.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(cube, of, least), "units": units})
     return found
+
+
+def _check_asked(
+    names: Sequence[str], by: Sequence[str], over: Sequence[str], of: Any, against: Mapping[str, Any] | None
+) -> None:
+    """Refuse arguments of `estimate` that do not go together."""
+    if not 1 <= len(over) <= 2:
+        raise ValueError(f"an interval is over one or two columns, not over {list(over)}")
+    if unknown := [name for name in against or () if name not in by]:
+        raise ValueError(f"against names {unknown[0]}, which is none of the columns of by, {list(by)}")
+    if callable(of):
+        return
+    if len(names) != 1 and not (len(names) == 2 and of in ("share", "ratio")):
+        raise ValueError(f"'{of}' is of one column, not of {names}; give share or ratio of two, or a function of them")
+    if of == "ratio" and len(names) != 2:
+        raise ValueError(f"'ratio' is of two columns, not of {names}")
+    if of == "removed" and against is None:
+        raise ValueError("'removed' wants against: the levels of which a share is gone")
 
 
 def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> NDArray[np.float64]:
@@ -388,7 +411,7 @@ def _estimated(
     if callable(of) or len(cube) > 1:
         table = cube.mean(axis=(2, 3)).T
         if of == "share":  # what was taken, of what was tried, with other numbers tried of each unit
-            taken, tried = table.T
+            taken, tried = cube.sum(axis=(2, 3))
             return _with_reason(_ratio(table), clustered_share_interval(taken, tried), table)
         function = of if callable(of) else _removed if of == "removed" else _ratio
         return _with_reason(float(function(table)), statistic_interval(table, function), table)

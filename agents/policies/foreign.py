@@ -114,12 +114,12 @@ def _written(path: Path, env: Any, seed: int) -> Policy:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    with _faults_of(path):
+    with faults_in(path, "policy"):
         spec.loader.exec_module(module)
     make = getattr(module, MAKER, None)
     if make is None:
         raise InputError(f"{path} defines no {MAKER}(env, seed); let it return an object with act and reset")
-    with _faults_of(path):
+    with faults_in(path, "policy"):
         policy = make(env, seed)
     return _checked(policy, f"{MAKER} of {path}")
 
@@ -137,7 +137,7 @@ def registered_policy(name: str, env: Any, seed: int, known: Mapping[str, Any]) 
         InputError: If the lines of another package fail, or what they return is no policy.
     """
     maker = get("policy", name)
-    with _faults_of(Path(getattr(sys.modules[maker.__module__], "__file__", name))):
+    with faults_in(Path(getattr(sys.modules[maker.__module__], "__file__", name)), "policy"):
         policy = maker(env, seed, **known)
     return _checked(policy, f"policy '{name}'")
 
@@ -150,8 +150,16 @@ def _checked(policy: Any, maker: str) -> Policy:
 
 
 @contextmanager
-def _faults_of(path: Path) -> Iterator[None]:
-    """What somebody else's lines raise is said with the file and its line."""
+def faults_in(path: Path, what: str) -> Iterator[None]:
+    """Say what somebody else's lines raise with their file and line.
+
+    Args:
+        path: The file that holds them.
+        what: What there is to mend.
+
+    Raises:
+        InputError: In place of whatever they raise.
+    """
     try:
         yield
     except InputError:
@@ -161,7 +169,7 @@ def _faults_of(path: Path) -> Iterator[None]:
         line = error.lineno if isinstance(error, SyntaxError) else own[-1] if own else None
         where = f"{path}, line {line}" if line is not None else f"{path}"
         said = error.msg if isinstance(error, SyntaxError) else error
-        raise InputError(f"{where}: {type(error).__name__}: {said}; mend the policy") from error
+        raise InputError(f"{where}: {type(error).__name__}: {said}; mend the {what}") from error
 
 
 def _trained(path: Path, env: Any) -> Sb3Policy | RecurrentSb3Policy:

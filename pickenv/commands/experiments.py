@@ -68,7 +68,10 @@ def experiment(
     def show() -> None:
         print(found.title)
         for number, made in zip(found.numbers, tables, strict=True):
-            if not made["rows"] or number.x is not None:  # lines are for the figure
+            if number.x is not None:  # lines are for the figure
+                continue
+            if not made["rows"]:
+                print(f"{made['title']}: no rows to make it of")
                 continue
             heads, cells = number_table(number, made["rows"])
             print_table(made["title"], heads, cells, words=number.by)

@@ -21,7 +21,8 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
@@ -128,7 +129,7 @@ class Rows:
             if any(list(row) != names for row in rows):
                 raise ValueError("rows of one experiment have the same names in the same order")
             rows = {name: np.array([row[name] for row in rows]) for name in names}
-        columns = {name: np.asarray(values) for name, values in rows.items()}
+        columns = {name: np.atleast_1d(values) for name, values in rows.items()}  # one number is one row
         if len({len(values) for values in columns.values()}) > 1:
             raise ValueError(f"columns {', '.join(columns)} differ in length")
         return Rows(columns)
@@ -534,11 +535,11 @@ def spread(
             together = len(left) if streams else 4 * (workers or parallel._effective_n_jobs())
             try:
                 while left:
-                    for number, result in parallel(
-                        delayed(_numbered)(work, number, os.getpid()) for number in left[:together]
-                    ):
-                        left.remove(number)
-                        yield number, result
+                    some = parallel(delayed(_numbered)(work, number, os.getpid()) for number in left[:together])
+                    with _quietly_closed(some):
+                        for number, result in some:
+                            left.remove(number)
+                            yield number, result
                 return
             except deaths:
                 continue
@@ -546,6 +547,18 @@ def spread(
         f"the processes that worked on piece {left[0]} died {ATTEMPTS} times ({len(left)} are left); give fewer "
         "workers or smaller pieces if memory ran out, and run it again to go on"
     )
+
+
+@contextmanager
+def _quietly_closed(results: Any) -> Iterator[None]:
+    """Let go of what nobody takes any more, as after a refused piece; joblib advises its users of it otherwise."""
+    try:
+        yield
+    finally:
+        if isinstance(results, Generator):
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", ".*tasks", UserWarning, "joblib")
+                results.close()
 
 
 @contextmanager
@@ -627,9 +640,8 @@ def _check_answers(address: str) -> None:
 def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any]:
     _end_with(driver)
     loky = sys.modules.get("joblib.externals.loky.process_executor")
-    if (
-        loky is not None
-    ):  # a process that loads torch after its first piece has no leak; ended for one, it is waited for
+    if loky is not None:
+        # A process that loads torch after its first piece has no leak; one that is ended for it is waited for.
         loky._MAX_MEMORY_LEAK_SIZE = math.inf  # type: ignore[attr-defined]
     return number, work(number)
 

@@ -33,6 +33,7 @@ from itertools import permutations
 from pathlib import Path
 from typing import Annotated, Any
 
+from pickenv.agents.policies.foreign import faults_in
 from pickenv.errors import InputError
 from pickenv.experiments.engine import Experiment, Rows
 from pickenv.intervals import LEAST, Estimate, estimate
@@ -45,19 +46,22 @@ NAMES = Check(
     lambda value: isinstance(value, list) and all(isinstance(name, str) for name in value), "a list of names of columns"
 )
 TABLE = Check(lambda value: isinstance(value, dict), "a table of names and values")
+ONE_LEVEL = "a list of texts, numbers or truth values, at least one, or a whole number above zero for 0, 1, … below it"
 LEVELS = Check(
-    lambda value: isinstance(value, dict) and all(isinstance(each, int | list) for each in value.values()),
-    "a table of names, each with a list of levels, or with a number for 0, 1, … below it",
+    lambda value: isinstance(value, dict) and all(map(_are_levels, value.values())),
+    f"a table of names, each with {ONE_LEVEL}",
 )
-STATISTICS = ("mean", "share", "ratio", "removed")
+STATISTICS = ("mean", "share", "ratio", "removed", "interquartile")
 STATISTIC = Check(
-    lambda value: (
-        value in ("mean", "share", "ratio", "removed")
-        or _is_named(value)
-        or (isinstance(value, float) and 0.0 < value < 1.0)
-    ),
+    lambda value: value in STATISTICS or _is_named(value) or (isinstance(value, float) and 0.0 < value < 1.0),
     f'one of {", ".join(STATISTICS)}, a probability for that quantile over units, or "file.py:function" of their means',
 )
+
+
+def _are_levels(value: Any) -> bool:
+    if isinstance(value, list):
+        return bool(value) and all(isinstance(level, str | int | float) for level in value)
+    return isinstance(value, int) and not isinstance(value, bool) and value > 0
 
 
 def _is_named(value: Any) -> bool:
@@ -158,9 +162,10 @@ class ExperimentFile:
         """
         found = []
         for number in self.numbers:
-            some = rows.where(**{n: tuple(v) if isinstance(v, list) else v for n, v in (number.where or {}).items()})
             of = self.functions.get(number.of, number.of) if isinstance(number.of, str) else number.of
+            levels = {n: tuple(v) if isinstance(v, list) else v for n, v in (number.where or {}).items()}
             try:
+                some = rows.where(**levels)
                 made_of = estimate(some.columns, number.value, number.by, number.over, of, number.against, number.least)
             except KeyError as error:
                 columns = listed(rows.columns)
@@ -198,7 +203,16 @@ def load_experiment(
         if part is None:
             known = listed(name for part in parts.values() for name in part)
             raise InputError(f"{path} has no unit, factor or setting '{name}'; known are {known}")
+        if part is not parts["settings"] and not _are_levels(value):
+            raise InputError(f"{path}: {name} is {value!r}; give {ONE_LEVEL}")
         part[name] = value
+    if twice := [name for name in parts["units"] if name in parts["factors"] or name in parts["settings"]]:
+        raise InputError(f"{path}: '{twice[0]}' is a unit and something else as well; give one of them another name")
+    for number in asked.estimate:
+        for key in ("across", "x", "panels"):
+            if getattr(number, key) not in (None, *number.by):
+                column, known = getattr(number, key), listed(number.by)
+                raise InputError(f"{path}: {key} of '{number.title}' is '{column}'; give one of its by: {known}")
     named = [asked.measure, asked.fits, *(asked.figures or {}).values()]
     named += [number.of for number in asked.estimate if _is_named(number.of)]
     functions = {word: _function(path, word) for word in named if word is not None}
@@ -214,13 +228,20 @@ def load_experiment(
         path.stem,
         {name: _levels(value) for name, value in parts["units"].items()},
         {name: _levels(value) for name, value in parts["factors"].items()},
-        partial(measure, **parts["settings"]) if parts["settings"] else measure,
+        partial(_measured, asked.measure, measure, parts["settings"]),
         seed,
         (asked.measure, parts["settings"], [_origin(functions[word]) for word in sorted(functions)]),
         None if asked.fits is None else functions[asked.fits],
     )
     figures = {name: functions[word] for name, word in (asked.figures or {}).items()}
     return ExperimentFile(path, asked.title, experiment, asked.estimate, functions, figures)
+
+
+def _measured(word: str, measure: Callable[..., Any], settings: Mapping[str, Any], **levels: Any) -> Rows:
+    """The rows that a function of somebody's own gives; what its lines raise is said with the line and the levels."""
+    shown = ", ".join(f"{name}={level!r}" for name, level in levels.items() if name != "rng")
+    with faults_in(Path(inspect.getsourcefile(measure) or word), f"function, or leave out {shown}"):
+        return Rows.of(measure(**levels, **settings))
 
 
 def _levels(value: int | Sequence[Any]) -> Sequence[Any]:
@@ -231,7 +252,11 @@ def _function(path: Path, word: str) -> Callable[..., Any]:
     """The function that a file names."""
     place, name = word.split(":")
     try:
-        module = _beside(path.parent / place) if place.endswith(".py") else import_module(place)
+        if place.endswith(".py"):
+            with faults_in((path.parent / place).resolve(), "file"):
+                module = _beside(path.parent / place)
+        else:
+            module = import_module(place)
         function = getattr(module, name)
     except (ImportError, OSError, AttributeError) as error:
         raise InputError(f"{path} names '{word}', which cannot be loaded: {error}; give {FUNCTION.wanted}") from error

@@ -116,8 +116,43 @@ def test_arms_that_were_not_measured_alike_are_refused():
         estimate(columns, "error_mm", over=())
 
 
+def test_what_would_be_mispaired_or_is_no_number_is_refused():
+    columns, _ = errors()
+    others = columns | {"arm": columns["arm"] + np.where(columns["method"] == "ls", ARMS, 0)}
+    with pytest.raises(ValueError, match="not measured on the same arm"):
+        estimate(others, "error_mm", by=("method",), against={"method": "raw"})
+    some = columns | {"error_mm": np.where(columns["arm"] == 3, np.nan, columns["error_mm"])}
+    with pytest.raises(ValueError, match=f"{2 * FRUIT} of {2 * ARMS * FRUIT} values of error_mm are no numbers"):
+        estimate(some, "error_mm", by=("method",))
+
+
+@pytest.mark.parametrize(
+    ("value", "of", "against", "said"),
+    [
+        (("error_mm", "taken"), "mean", None, "'mean' is of one column"),
+        (("error_mm", "taken"), 0.5, None, "'0.5' is of one column"),
+        ("error_mm", "ratio", None, "'ratio' is of two columns"),
+        ("error_mm", "removed", None, "'removed' wants against"),
+        ("error_mm", "mean", {"metod": "raw"}, "against names metod"),
+    ],
+)
+def test_arguments_that_do_not_go_together_are_refused(value, of, against, said):
+    with pytest.raises(ValueError, match=said):
+        estimate(errors()[0], value, by=("method",), of=of, against=against)
+
+
+def test_a_share_is_of_all_that_was_tried_of_a_unit_in_however_many_rows():
+    rng = np.random.default_rng(0)
+    tried = rng.integers(1, 9, (14, 3))
+    taken = rng.binomial(tried, 0.7)
+    columns = {"arm": np.arange(14).repeat(3), "taken": taken.ravel(), "tried": tried.ravel()}
+    (share,) = estimate(columns, ("taken", "tried"), of="share")
+    assert share["estimate"].ci95 == clustered_share_interval(taken.sum(axis=1), tried.sum(axis=1))
+
+
 def test_rows_of_an_experiment_are_columns():
     columns, _ = errors()
     (one,), (other,) = (estimate(some, "error_mm") for some in (Rows(columns).columns, columns))
     assert one["estimate"] == other["estimate"]
     assert one["units"].mean() == pytest.approx(one["estimate"].value)
+    assert len(Rows.of({"error_mm": 1.5, "method": "raw"})) == 1

@@ -168,6 +168,14 @@ SLIPS = {
     ("seed = 3", "sed = 3"): "perhaps seed is meant",
     ('over = ["arm"]', 'over = "arm"'): "a list of names of columns",
     ("quick = { arm = 10", "quick = { arms = 10"): "no unit, factor or setting 'arms'",
+    ("quick = { arm = 10", 'quick = { arm = "ten"'): "arm is 'ten'; give a list of texts, numbers",
+    ("arm = 12", "arm = 0"): "at least one",
+    ('["raw", "ls", "none"]', "[]"): "at least one",
+    ("noise = 0.1", "noise = 0.1\narm = 3"): "'arm' is a unit and something else as well",
+    ('across = "method"', 'across = "arm"'): "across of 'Taken (%)' is 'arm'; give one of its by: method",
+    ('against = { method = "raw" }', "against = { arm = 3 }"): "against names arm",
+    ('against = { method = "raw" }', 'where = { metod = "raw" }'): "no column 'metod' for 'Change",
+    ('of = "share"', 'of = "mean"'): "'mean' is of one column",
 }
 
 
@@ -178,6 +186,24 @@ def test_a_slip_is_told_in_a_sentence_that_names_the_file(slip, file):
         found = load_experiment(file, quick=True)
         found.estimates(run(found.experiment))
     assert str(file) in str(caught.value) and "\n" not in str(caught.value)
+
+
+FAULTS = {
+    ("errors = rng", "errors = rgn"): ("line 6: NameError", "leave out method='raw', arm=0"),
+    ('"tried": np.ones(2)', '"tried": np.ones(3)'): ("toy_gains.py", "columns error_mm, taken, tried differ in length"),
+    ("/ (1.0 if", "/ (0.0 if"): ("error_mm", "no numbers"),
+    ("def fits(arm, method):", "def fits(arm, method)"): ("line 9: SyntaxError", "mend the file"),
+}
+
+
+@pytest.mark.filterwarnings("ignore:divide by zero:RuntimeWarning")
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault[1])
+def test_a_fault_of_the_measure_is_told_with_its_line_or_its_column(fault, file, tmp_path):
+    (tmp_path / "toy_gains.py").write_text(MEASURE.replace(*fault, 1), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        found = load_experiment(file)
+        found.estimates(run(found.experiment))
+    assert all(part in str(caught.value) for part in FAULTS[fault]) and "\n" not in str(caught.value)
 
 
 def test_a_changed_measure_is_measured_anew(file, tmp_path):
