@@ -133,7 +133,7 @@ def test_what_would_be_mispaired_or_is_no_number_is_refused():
         (("error_mm", "taken"), 0.5, None, "'0.5' is of one column"),
         ("error_mm", "ratio", None, "'ratio' is of two columns"),
         ("error_mm", "removed", None, "'removed' wants against"),
-        ("error_mm", "mean", {"metod": "raw"}, "against names metod"),
+        ("error_mm", "mean", {"methods": "raw"}, "against names methods"),
     ],
 )
 def test_arguments_that_do_not_go_together_are_refused(value, of, against, said):

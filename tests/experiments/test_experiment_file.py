@@ -174,7 +174,7 @@ SLIPS = {
     ("noise = 0.1", "noise = 0.1\narm = 3"): "'arm' is a unit and something else as well",
     ('across = "method"', 'across = "arm"'): "across of 'Taken (%)' is 'arm'; give one of its by: method",
     ('against = { method = "raw" }', "against = { arm = 3 }"): "against names arm",
-    ('against = { method = "raw" }', 'where = { metod = "raw" }'): "no column 'metod' for 'Change",
+    ('against = { method = "raw" }', 'where = { methods = "raw" }'): "no column 'methods' for 'Change",
     ('of = "share"', 'of = "mean"'): "'mean' is of one column",
 }
 
