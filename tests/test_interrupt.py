@@ -9,7 +9,9 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 DEMO = """
+import signal
 import pickenv.demo
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts what runs behind it deaf to Ctrl-C
 calibrate = pickenv.demo.calibrate
 
 def told(*arguments, **options):
