@@ -10,11 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pickenv.base import versions, write_text
 from pickenv.commands.showing import print_table
-from pickenv.files import write_text
 from pickenv.inspect.reports.report_page import Page, PageTable, PageVerdict, Part, Section, html_of
 from pickenv.inspect.reports.report_words import named_values
-from pickenv.provenance import versions
 
 REPRODUCED, NOT, FITTED = "reproduced", "not reproduced", "fitted"
 KINDS = ("tables", "equations", "claims", "figures", "experiments")

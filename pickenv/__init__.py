@@ -10,42 +10,13 @@ it is first asked for.
 """
 
 from importlib import metadata as _metadata
-from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 import gymnasium as _gymnasium
 
-from pickenv.errors import InputError as InputError
-from pickenv.faces import offered as _offered
+from pickenv.base import InputError as InputError
+from pickenv.base.faces import offered as _offered
 
-if _TYPE_CHECKING:
-    from pickenv import agents, arm, calibration, envs, experiments, harvester, inspect, orchard, wrappers
-    from pickenv.agents import compare, load_policy, run_reaches
-    from pickenv.arm import Arm, Plant, load_arm, load_plant
-    from pickenv.calibration import Calibration, Choices, Result, calibrate
-    from pickenv.inspect import film
-    from pickenv.registry import register
-
-__all__ = ["Arm", "Calibration", "Choices", "InputError", "Plant", "Result", "__version__", "agents", "arm"]
-__all__ += [
-    "calibrate",
-    "calibration",
-    "compare",
-    "envs",
-    "experiments",
-    "film",
-    "harvester",
-    "inspect",
-    "load_arm",
-    "load_plant",
-    "load_policy",
-]
-__all__ += ["orchard", "register", "run_reaches", "wrappers"]
-
-__getattr__ = _offered(__name__)[0]
-
-
-def __dir__() -> list[str]:
-    return __all__
+__getattr__, __dir__, __all__ = _offered("pickenv", __file__)
 
 
 def _register() -> None:

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 import pickenv
+from pickenv.base import absent_extras, command_for, folded, locked, screen_width
 from pickenv.commands import corrections, inspection, learning, plants, reports
 from pickenv.commands.bench import bench
 from pickenv.commands.board import board
@@ -26,9 +27,6 @@ from pickenv.commands.showing import WIDTH, CommandOfNames, print_table, progres
 from pickenv.commands.studies import study
 from pickenv.commands.twins import twin
 from pickenv.commands.verify import verify
-from pickenv.extras import absent_extras, command_for
-from pickenv.locks import locked
-from pickenv.texts import folded, screen_width
 
 app = typer.Typer(
     name="pickenv",

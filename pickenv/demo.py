@@ -18,6 +18,7 @@ import pickenv
 from pickenv.agents import Reaches, ScriptedReach, episode_seeds
 from pickenv.agents.evaluation.reaches import moments_of
 from pickenv.arm import Array, Plant, forward, load_plant, noncompensable_error, pose_error
+from pickenv.base import absent_extras, share_interval, write_json, write_text
 from pickenv.calibration import (
     BpnnSettings,
     Choices,
@@ -29,19 +30,18 @@ from pickenv.calibration import (
     fit,
     held_out_r2,
 )
-from pickenv.experiments.engine import Experiment, Progress, run
+from pickenv.experiments import Experiment, run
+from pickenv.experiments.engine import Progress
 from pickenv.experiments.gains import FIELD, ROWS, BlockedGain, blocked_gains, grid_joints, measured_gains, random_sets
-from pickenv.extras import absent_extras
-from pickenv.files import write_json, write_text
+from pickenv.inspect import Comparison, Run
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.comparison_summary import Comparison, compared, policy_errors
+from pickenv.inspect.runs.comparison_summary import compared, policy_errors
 from pickenv.inspect.runs.episode_summary import reaches_of
 from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
-from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, recorded_run, save_part
-from pickenv.intervals import share_interval
-from pickenv.orchard.gripper import misalignment
+from pickenv.inspect.runs.run_folder import MATTERS_FILE, recorded_run, save_part
+from pickenv.orchard import misalignment
 from pickenv.wrappers import CompensationWrapper
 
 OTHER = "orchard"
@@ -300,8 +300,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
 
 def _shown(comparison: Comparison, trace: CalibrationTrace, run: Run, report: Progress) -> list[Path]:
     """Figures, recording and page."""
-    from pickenv.inspect.figures.run_drawings import comparison_drawings, trace_drawings, write_drawings
-    from pickenv.inspect.recordings.comparison_recording import record_comparison
+    from pickenv.inspect import comparison_drawings, record_comparison, trace_drawings, write_drawings
     from pickenv.inspect.reports.demo_report import page
 
     drawings = [*comparison_drawings(comparison), *trace_drawings(trace)]

@@ -26,10 +26,9 @@ from typing import Annotated, Any
 import typer
 from measuring import JsonFile, NoPeers, figure, machine, machine_words, markdown_table
 
+from pickenv.base import write_json, write_text
+from pickenv.experiments import load_study, run_study
 from pickenv.experiments.robots import last_words
-from pickenv.experiments.study import load_study
-from pickenv.experiments.study_rows import run_study
-from pickenv.files import write_json, write_text
 
 SCRIPTS = Path(__file__).parent
 POSES, FRUIT = 30, 100

@@ -21,15 +21,11 @@ import typer
 from measuring import DATA, ROOT, DataFolder, JsonFile, figure, machine, machine_words, refuse, timed
 from scipy.optimize import least_squares
 
-from pickenv.arm import Geometry
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration import align, complete_model, frames_model, identify
-from pickenv.calibration.identification.least_squares import Identification
+from pickenv.arm import Array, Geometry
+from pickenv.base import InputError, single_threaded, write_json
+from pickenv.calibration import Identification, align, complete_model, frames_model, identify
 from pickenv.commands.showing import print_table
-from pickenv.errors import InputError
 from pickenv.experiments.robots import HELD_OUT, LIMIT, PEERS, PeerTask, accuracy_on, read_peer_task, run_peer
-from pickenv.files import write_json
-from pickenv.threads import single_threaded
 
 FEW = 100
 """Poses for systems that need minutes; pickenv is run on the same ones for their ratio."""

@@ -27,10 +27,9 @@ from peers.run_envs import stepper
 
 import pickenv  # noqa: F401
 from pickenv.arm import load_plant
+from pickenv.base import InputError, write_json
 from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
 from pickenv.commands.showing import print_table
-from pickenv.errors import InputError
-from pickenv.files import write_json
 
 ROLLOUT = 8192
 """Environment steps between two updates in the comparison of trainings, whatever the number of environments."""
@@ -195,7 +194,7 @@ def training(count: int, seconds: float) -> tuple[float, float]:
     from stable_baselines3 import PPO
     from stable_baselines3.common.env_util import make_vec_env
 
-    from pickenv.wrappers.sb3 import make_sb3_vec
+    from pickenv.wrappers import make_sb3_vec
 
     torch.set_num_threads(1)
     models = {}

@@ -21,8 +21,7 @@ import typer
 from measuring import DATA, ROOT, DataFolder, JsonFile, markdown_table, refuse
 from never_worse.cases import CASES, Row, Settings
 
-from pickenv.errors import InputError
-from pickenv.files import write_json
+from pickenv.base import InputError, write_json
 
 FIGURES = ("nominal", "least squares", "calibrated", "at most")
 WORDS = ("unit", "in its 95 %", "verdict", "meets")

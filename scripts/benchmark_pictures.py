@@ -23,8 +23,8 @@ from measuring import EnvironmentPeers, JsonFile, NoPeers, figure
 from peers.run_envs import drawn_per_second
 
 import pickenv  # noqa: F401  (registers the environments)
+from pickenv.base import write_json
 from pickenv.commands.showing import print_table
-from pickenv.files import write_json
 from pickenv.pictures.drawers import PLAIN, drawer_name
 
 Rates = Sequence[float]

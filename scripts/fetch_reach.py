@@ -24,10 +24,10 @@ from measuring import ROOT, markdown_table
 
 from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_tolerances, plant_at
 from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.base import InputError, write_json
 from pickenv.calibration import fit, simulated_tracker
-from pickenv.errors import InputError
-from pickenv.files import write_json
-from pickenv.inspect.figures.style import COLUMN, LINES, STYLE, save_figure
+from pickenv.inspect import save_figure
+from pickenv.inspect.figures.style import COLUMN, LINES, STYLE
 from pickenv.wrappers import Compensate, Miscalibrate, geometry_in_mujoco
 from pickenv.wrappers.mujoco_arm import joints_in_mujoco
 

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 import typer
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "../shared/data"

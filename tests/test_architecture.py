@@ -19,28 +19,9 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 ROOT = Path(__file__).parents[1]
 
-GROUND = (
-    "pickenv.intervals",
-    "pickenv.faces",
-    "pickenv.files",
-    "pickenv.limits",
-    "pickenv.locks",
-    "pickenv.sealed",
-    "pickenv.seeds",
-    "pickenv.container",
-    "pickenv.provenance",
-    "pickenv.registry",
-    "pickenv.reservations",
-    "pickenv.texts",
-    "pickenv.threads",
-    "pickenv.toml_faults",
-    "pickenv.toml_tables",
-)
 # Floors from the ground up; each floor is a list of rooms, each room the module prefixes it consists of.
 FLOORS: tuple[tuple[tuple[str, ...], ...], ...] = (
-    (("pickenv.errors",),),
-    (("pickenv.extras", "pickenv.faces"),),
-    (GROUND,),
+    (("pickenv.base",),),
     (("pickenv.arm",), ("pickenv.orchard",)),
     (("pickenv.calibration",), ("pickenv.harvester",), ("pickenv.pictures",)),
     (("pickenv.envs", "pickenv.wrappers"), ("pickenv.inspect",), ("pickenv.zoo",)),
@@ -69,15 +50,14 @@ SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
     "pickenv.inspect": (("runs",), ("figures",), ("recordings", "reports", "films")),
     "pickenv.agents": (("policies",), ("evaluation",), ("training",)),
 }
-BELOW = ("pickenv.errors", "pickenv.extras", *GROUND)
 # Narrower than the floors: what these rooms may import, and nothing else of ours.
 ONLY = {
-    "pickenv.calibration": ("pickenv.arm", *BELOW),
-    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.pictures", *BELOW),
+    "pickenv.calibration": ("pickenv.arm", "pickenv.base"),
+    "pickenv.envs": ("pickenv.arm", "pickenv.orchard", "pickenv.harvester", "pickenv.pictures", "pickenv.base"),
 }
 # The ways up: a result writes its own page and files when it is asked to, and loads what writes them then.
 UPWARDS = {
-    ("pickenv.calibration.pipeline.result", "pickenv.inspect.reports.calibration_report"),
+    ("pickenv.calibration.pipeline.result", "pickenv.inspect"),
     ("pickenv.calibration.pipeline.result", "pickenv.calibration.delivery.export"),
 }
 HEAVY = (
@@ -139,9 +119,10 @@ def tree_of(path: Path) -> ast.Module:
 
 
 def imports(module: str, path: Path) -> Iterator[tuple[str, str | None]]:
-    """Every import of ours, wherever in the file: the module, and the name that is taken from it."""
+    """Every import of ours, wherever in the file: the module, and the name taken from it; a face's, in its stub."""
     package = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
-    for node in ast.walk(tree_of(path)):
+    stub = path.with_suffix(".pyi")
+    for node in ast.walk(tree_of(stub if stub.exists() else path)):
         if isinstance(node, ast.Import):
             found: list[tuple[str, str | None]] = [(alias.name, None) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -225,7 +206,7 @@ def test_imports_run_downwards_only() -> None:
         ("arm/plant/spy.py", "from pickenv.orchard import fruit", "imports pickenv.orchard.fruit"),
         ("arm/kinematics/spy.py", "from pickenv.arm.plant import plant", "from a shelf that is not below"),
         ("arm/spy.py", "import math", "stands on no shelf"),
-        ("errors.py", "def late():\n    import pickenv.files", "imports pickenv.files"),
+        ("base/files.py", "def late():\n    import pickenv.arm", "imports pickenv.arm"),
         ("calibration/model/spy.py", "from pickenv import orchard", "imports pickenv.orchard"),
         ("calibration/model/spy.py", "import pickenv.envs.reach", "imports pickenv.envs.reach"),
         ("wrappers/spy.py", "import calibration", "stands in no room"),
@@ -345,6 +326,8 @@ def test_what_only_tests_call_does_not_stand_in_the_house() -> None:
     used: Counter[str] = Counter()
     for path in modules(ROOT).values():
         used += words_of(path)
+        if (stub := path.with_suffix(".pyi")).exists():
+            used += words_of(stub)
     for path in (path for folder in ("scripts", "papers") for path in (ROOT / folder).rglob("*.py")):
         used += words_of(path)
     prose = "\n".join(path.read_text(encoding="utf-8") for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
@@ -455,9 +438,10 @@ def test_entering_loads_little_and_nothing_heavy(door: str, most: int) -> None:
 def test_the_doorstep_loads_no_room() -> None:
     assert {module for module in loaded_by("pickenv") if within(module, "pickenv")} == {
         "pickenv",
-        "pickenv.errors",
-        "pickenv.extras",
-        "pickenv.faces",
+        "pickenv.base",
+        "pickenv.base.errors",
+        "pickenv.base.extras",
+        "pickenv.base.faces",
     }
     assert "scipy" not in {module.partition(".")[0] for module in loaded_by("pickenv")}
 

@@ -16,14 +16,11 @@ from typer.testing import CliRunner
 
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.arm import load_plant
+from pickenv.base import write_container, write_text
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.cli import app
-from pickenv.container import write_container
-from pickenv.experiments import PolicySettings, run_policies
-from pickenv.experiments.methods import CalibrationPlan, compensators
-from pickenv.experiments.study import load_study
-from pickenv.experiments.study_rows import run_study
-from pickenv.files import write_text
+from pickenv.experiments import CalibrationPlan, PolicySettings, load_study, run_policies, run_study
+from pickenv.experiments.methods import compensators
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.run_folder import listed_files, recorded_run, save_part
 

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_plant
-from pickenv.calibration import BpnnSettings, error_statistics, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.fitting import fit
+from pickenv.base import InputError, share_interval
+from pickenv.calibration import BpnnSettings, error_statistics, fit, random_joints, simulated_tracker
 from pickenv.cli import _print_demo
 from pickenv.commands.showing import print_table
-from pickenv.errors import InputError
 from pickenv.experiments.gains import (
     NETWORK,
     ROWS,
@@ -19,7 +18,6 @@ from pickenv.experiments.gains import (
     random_sets,
 )
 from pickenv.inspect.runs.field_grid import field_grid
-from pickenv.intervals import share_interval
 
 SMOOTH = load_plant("qiao2026")
 

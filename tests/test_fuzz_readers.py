@@ -8,18 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from pickenv.arm import forward, load_arm, load_plant
 from pickenv.arm.files.arm_file import ARMS
 from pickenv.arm.files.load import UR_KEYS, UR_LINKS
 from pickenv.arm.files.urdf import urdf_text
 from pickenv.arm.plant.plant_file import PLANTS
-from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.reading.description import DESCRIPTIONS, load_description
-from pickenv.calibration.reading.read import read_observations, read_targets
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.calibration import Measurements, load_description, random_joints, read_observations, read_targets
+from pickenv.calibration.reading.description import DESCRIPTIONS
 
 SECONDS = 5
 """Nothing may hang for longer; only the slow tests look at a clock."""

@@ -54,7 +54,7 @@ def test_without_any_folder_the_traceback_is_shown() -> None:
 @pytest.mark.parametrize(
     ("code", "exit_code", "said"),
     [
-        ("from pickenv.errors import InputError; raise InputError('row 3 is bad')", 2, "error: row 3 is bad"),
+        ("from pickenv.base.errors import InputError; raise InputError('row 3 is bad')", 2, "error: row 3 is bad"),
         ("open('n' * 300)", 2, "error: cannot use n{300}: File name too long"),
         ("open('/no/such')", 2, "error: cannot use /no/such: No such file or directory"),
         ("raise KeyboardInterrupt", 130, "interrupted; .* nothing is left half-written"),

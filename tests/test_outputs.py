@@ -12,13 +12,12 @@ import pytest
 from typer.testing import CliRunner
 
 from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.base import InputError, write_container, write_text
 from pickenv.cli import app
 from pickenv.commands import plants, reports
 from pickenv.commands.handing_over import deliver
-from pickenv.container import write_container
-from pickenv.errors import InputError
-from pickenv.files import write_text
-from pickenv.inspect.runs.run_folder import read_run, recorded_run
+from pickenv.inspect import read_run
+from pickenv.inspect.runs.run_folder import recorded_run
 
 ROOT = Path(__file__).parents[1]
 

@@ -26,7 +26,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from pickenv.files import write_json, write_text
+from pickenv.base import write_json, write_text
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]

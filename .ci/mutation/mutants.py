@@ -280,7 +280,7 @@ def main(
     ] = ROOT / "docs/mutants.md",
 ) -> None:
     """Change the lines that make numbers, one at a time, and count what the tests notice."""
-    from pickenv.files import write_text  # late: see WARM
+    from pickenv.base import write_text  # late: see WARM
 
     names = room or list(ROOMS)
     if unknown := set(names) - set(ROOMS):

@@ -44,7 +44,7 @@ class Score:
     @property
     def share(self) -> str:
         """Killed in percent of those tried, with Wilson's 95 % interval."""
-        from pickenv.intervals import share_interval  # late: see WARM in mutants
+        from pickenv.base import share_interval  # late: see WARM in mutants
 
         low, high = share_interval(self.killed, self.tried)
         return f"{self.killed / self.tried:.1%} ({100.0 * low:.0f} to {100.0 * high:.0f})".replace("%", " %")

@@ -17,14 +17,12 @@ from numpy.typing import NDArray
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.evaluation.contenders import Contender, Given, check_labels, contenders_of
 from pickenv.agents.evaluation.reaches import Moment, episode_seeds, moments_of
-from pickenv.arm import Pose, displace_pose
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm import Array, Plant, Pose, displace_pose
+from pickenv.base import InputError, check_limit, command_line, seed_words, stream, write_json, write_text
 from pickenv.calibration import Calibration
-from pickenv.errors import InputError
-from pickenv.files import write_json, write_text
+from pickenv.inspect import Comparison, PolicyErrors, read_run
 from pickenv.inspect.colours import policy_key, policy_rank
-from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors, compared
+from pickenv.inspect.runs.comparison_summary import compared
 from pickenv.inspect.runs.episode_summary import content_of_comparison
 from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
 from pickenv.inspect.runs.recorded_episodes import (
@@ -34,11 +32,9 @@ from pickenv.inspect.runs.recorded_episodes import (
     last_of,
     missing_positions,
 )
-from pickenv.inspect.runs.run_folder import RECORD, REPORT, load_comparison, read_run, recorded_run, save_part
-from pickenv.limits import check_limit
-from pickenv.orchard.gripper import Gripper, capture_probability, lateral_tolerance, load_gripper, misalignment
-from pickenv.provenance import command_line
-from pickenv.seeds import seed_words, stream
+from pickenv.inspect.runs.run_folder import RECORD, REPORT, load_comparison, recorded_run, save_part
+from pickenv.orchard import Gripper, capture_probability, load_gripper, misalignment
+from pickenv.orchard.gripper import lateral_tolerance
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 # A comparison of policies as a run folder: every episode, the table, one recording, one page, its figures.
@@ -53,7 +49,7 @@ def write_comparison(found: PolicyComparison, folder: Path) -> list[Path]:
     Raises:
         InputError: If it cannot be written.
     """
-    from pickenv.inspect.figures.run_drawings import write_drawings
+    from pickenv.inspect import write_drawings
     from pickenv.inspect.recordings.policy_recording import record_policies
     from pickenv.inspect.reports.comparison_report import page, policy_drawings
 

@@ -17,9 +17,9 @@ from pickenv.agents.policies.remembering import (
     remembers,
 )
 from pickenv.arm import Arm
+from pickenv.base import InputError
+from pickenv.base.registry import get, names
 from pickenv.envs.shared.task import FEEDBACK
-from pickenv.errors import InputError
-from pickenv.registry import get, names
 from pickenv.wrappers.tool_steps import ToolSteps
 
 SEQUENTIAL_STEPS = 30

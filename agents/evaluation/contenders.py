@@ -11,12 +11,10 @@ from pickenv.agents.evaluation.compared_policies import kind_of, maker_of, polic
 from pickenv.agents.evaluation.rollout import PolicyMaker
 from pickenv.agents.policies.policy import Policy
 from pickenv.arm import Arm
+from pickenv.base import InputError, obey, read_container
 from pickenv.calibration import Calibration
-from pickenv.container import read_container
-from pickenv.errors import InputError
 from pickenv.inspect.colours import policy_key, policy_rank
 from pickenv.inspect.runs.comparison_summary import stage_label
-from pickenv.reservations import obey
 from pickenv.wrappers import Compensate
 
 NONE = "none"
@@ -101,7 +99,7 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
 
     Raises:
         InputError: If the file is missing, damaged or of another arm, or if something stands against its calibration
-            that ``allow`` does not name (`pickenv.reservations`).
+            that ``allow`` does not name (`pickenv.base.reservations`).
     """
     calibration = Calibration.load(path, arm)
     obey(calibration.reservations(), allow)

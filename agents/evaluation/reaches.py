@@ -11,10 +11,9 @@ import numpy as np
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.policies.policy import Policy
 from pickenv.arm import Array
-from pickenv.envs.picking.pick_vector import PickVectorEnv
-from pickenv.errors import InputError
-from pickenv.inspect.runs.episode_summary import Reaches, reaches_of
-from pickenv.seeds import seed_words, stream
+from pickenv.base import InputError, seed_words, stream
+from pickenv.envs import PickVectorEnv
+from pickenv.inspect.runs.episode_summary import Reaches as Reaches, reaches_of
 
 # What becomes of a canopy's fruit under a policy, in many environments `pickenv/Pick-v0` side by side.
 

@@ -11,13 +11,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.agents.evaluation.reaches import episode_seeds
 from pickenv.agents.policies.policy import Policy, read_observation
-from pickenv.arm import Pose, displace_pose, forward
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.envs.reaching.vector import ReachVectorEnv
-from pickenv.errors import InputError
+from pickenv.arm import Array, Pose, displace_pose, forward
+from pickenv.base import InputError, seed_words, stream
+from pickenv.envs import ReachVectorEnv
 from pickenv.inspect.runs.episode_summary import Reaches, reaches_of
-from pickenv.orchard.gripper import Gripper, capture_probability, misalignment
-from pickenv.seeds import seed_words, stream
+from pickenv.orchard import Gripper, capture_probability, misalignment
 from pickenv.wrappers import Compensate
 
 MOST_ROWS = 2048

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import ObservationParts, Policy, camera_of, read_observation, with_traits
 from pickenv.agents.policies.scripted import ScriptedReach
+from pickenv.arm import Array
 from pickenv.arm.effects.drives import MeasurementNoise
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.base import register
 from pickenv.calibration import link_model, random_joints
 from pickenv.calibration.compensation.compensator import aimed
 from pickenv.calibration.identification import extended_kalman_filter
-from pickenv.registry import register
 
 CALIBRATED_PRIOR = 0.2
 """Share of the parameters' tolerances that an adaptive policy expects to be left behind a calibration."""

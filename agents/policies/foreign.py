@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import Policy
-from pickenv.errors import InputError
-from pickenv.extras import require
-from pickenv.registry import get
+from pickenv.base import InputError, require
+from pickenv.base.registry import get
 from pickenv.wrappers.gap import Scaling
 
 SUFFIXES = (".zip", ".py")

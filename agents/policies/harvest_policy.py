@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.harvester.optimiser import assign
-from pickenv.harvester.work import Work, zone_work
+from pickenv.arm import Array
+from pickenv.harvester import assign, zone_work
+from pickenv.harvester.work import Work
 
 ARRIVED = 1e-3
 """A joint within this of its goal is there, m or rad."""

@@ -10,10 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, load_arm
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.container import npz_path, read_container, refusing_damage, write_container
-from pickenv.errors import InputError
+from pickenv.arm import Arm, Array, load_arm
+from pickenv.base import InputError, npz_path, read_container, refusing_damage, write_container
 from pickenv.wrappers.gap import Scaling, joined_observation
 from pickenv.wrappers.tool_steps import ToolSteps
 
@@ -76,7 +74,7 @@ class LearnedPolicy:
         return np.asarray(scaling.commands(values, action), dtype=np.float32)
 
     def save(self, path: str | Path) -> Path:
-        """Write one verified file (see `pickenv.container`), whole or not at all; ``.npz`` is appended if missing."""
+        """Write one verified file (`pickenv.base.container`), whole or not at all; ``.npz`` is appended if missing."""
         header = {
             "algorithm": self.algorithm,
             "arm": self.arm,

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.agents.policies.policy import ReachController
-from pickenv.arm import Pose, displace_pose, forward, inverse, joint_jacobian
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Pose, displace_pose, forward, inverse, joint_jacobian
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 
 ARRIVED = 2e-4

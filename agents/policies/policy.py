@@ -13,10 +13,9 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Geometry
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry
+from pickenv.base import InputError
 from pickenv.envs.shared.task import FEEDBACK
-from pickenv.errors import InputError
 
 
 class Policy(Protocol):

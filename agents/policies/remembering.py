@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from pickenv.agents.policies.adaptive import LookingReach
 from pickenv.agents.policies.learned import REMAKE, check_trained_for, layer_arrays, policy_path
-from pickenv.arm import Arm, forward
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.container import npz_path, read_container, refusing_damage, write_container
-from pickenv.errors import InputError
-from pickenv.wrappers.same_arm import PickMemory, scaled_joints
+from pickenv.arm import Arm, Array, forward
+from pickenv.base import InputError, npz_path, read_container, refusing_damage, write_container
+from pickenv.wrappers import PickMemory
+from pickenv.wrappers.same_arm import scaled_joints
 
 REMEMBERING, REMEMBERING_FORMAT = "policy with a memory", 1
 
@@ -139,7 +138,7 @@ class RememberingPolicy:
         return layer.clip(-1.0, 1.0).astype(np.float32), state
 
     def save(self, path: str | Path) -> Path:
-        """Write one verified file (see `pickenv.container`), whole or not at all; ``.npz`` is appended if missing."""
+        """Write one verified file (`pickenv.base.container`), whole or not at all; ``.npz`` is appended if missing."""
         header = {
             "algorithm": self.algorithm,
             "arm": self.arm,

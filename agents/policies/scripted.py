@@ -18,11 +18,9 @@ from pickenv.agents.policies.policy import (
     read_observation,
     with_traits,
 )
-from pickenv.arm import Pose, displace_pose, forward, inverse, joint_jacobian, pose_error
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Pose, displace_pose, forward, inverse, joint_jacobian, pose_error
 from pickenv.arm.kinematics.task_space import truncated_inverse
-from pickenv.errors import InputError
-from pickenv.registry import register
+from pickenv.base import InputError, register
 
 
 class ScriptedReach(ReachController):

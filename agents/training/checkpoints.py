@@ -1,6 +1,6 @@
 """Checkpoints from which training goes on as if it had never stopped: weights, optimisers, randomness, environments.
 
-A checkpoint is a container (`pickenv.container`): every byte is sealed, and the state inside it, tensors and plain
+A checkpoint is a container (`pickenv.base.container`): every byte is sealed, and the state inside it, tensors and plain
 values only, is read without executing code. Its header says which training it is of, and of which files.
 """
 
@@ -17,9 +17,8 @@ import numpy as np
 import torch
 
 from pickenv.agents.training.training_setup import Inputs, Training
-from pickenv.container import read_container, refusing_damage, write_container
-from pickenv.errors import InputError
-from pickenv.wrappers.sb3 import Sb3Vec
+from pickenv.base import InputError, read_container, refusing_damage, write_container
+from pickenv.wrappers import Sb3Vec
 
 KIND, FORMAT = "checkpoint", 3
 STATE = "state.pt"

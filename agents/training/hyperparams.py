@@ -6,7 +6,7 @@ import ast
 import importlib
 from typing import Any
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 ALGORITHMS = ("ppo", "sac", "tqc", "ppo_lstm", "ppo_history")
 

@@ -17,9 +17,8 @@ import numpy as np
 from pickenv.agents.evaluation.reaches import pick_canopies
 from pickenv.agents.policies.pick_policy import ScriptedPick
 from pickenv.arm import Array
-from pickenv.envs.picking.pick_vector import PickVectorEnv
-from pickenv.errors import InputError
-from pickenv.seeds import seed_words, stream
+from pickenv.base import InputError, seed_words, stream
+from pickenv.envs import PickVectorEnv
 
 
 @dataclass(frozen=True)

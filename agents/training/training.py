@@ -28,10 +28,8 @@ from pickenv.agents.training.training_setup import (
     make_model,
     write_evaluations,
 )
-from pickenv.errors import InputError
-from pickenv.locks import locked
-from pickenv.threads import torch_on_one_thread
-from pickenv.wrappers.sb3 import Sb3Vec
+from pickenv.base import InputError, locked, torch_on_one_thread
+from pickenv.wrappers import Sb3Vec
 
 # What happens during a training: checkpoints between rollouts, and evaluations in millimetres.
 

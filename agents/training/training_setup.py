@@ -15,16 +15,11 @@ from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.agents.training.hyperparams import check_algorithm, class_named, tuned
 from pickenv.arm.files.arm import content_sha256
-from pickenv.container import npz_path
-from pickenv.envs.picking.pick_vector import PickVectorEnv
-from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
-from pickenv.errors import InputError
-from pickenv.files import write_json
-from pickenv.limits import check_limit
-from pickenv.provenance import file_sha256, versions
-from pickenv.wrappers.gap import GapScalingVector, Scaling
-from pickenv.wrappers.same_arm import SameArmVector
-from pickenv.wrappers.tool_steps import ToolSteppingVector, ToolSteps, tool_steps_of
+from pickenv.base import InputError, check_limit, file_sha256, npz_path, versions, write_json
+from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
+from pickenv.wrappers import GapScalingVector, SameArmVector, ToolSteppingVector
+from pickenv.wrappers.gap import Scaling
+from pickenv.wrappers.tool_steps import ToolSteps, tool_steps_of
 
 Native = ReachVectorEnv | PickVectorEnv
 ENVIRONMENTS: dict[str, type[Native]] = {
@@ -49,7 +44,7 @@ class Training:
         seed: Seed of everything random.
         arguments: Arguments of the environment.
         compensate: Calibration file to train behind, or None.
-        allow: Reservations of that calibration to accept, by name (`pickenv.reservations`).
+        allow: Reservations of that calibration to accept, by name (`pickenv.base.reservations`).
         checkpoint_every: Environment steps between checkpoints.
         evaluate_every: Environment steps between evaluations.
         scaled_actions: Whether actions shrink with the gap (`pickenv.wrappers.GapScaling`).
@@ -173,7 +168,7 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     from sb3_contrib import TQC, RecurrentPPO
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
 
-    from pickenv.wrappers.sb3 import Sb3Vec
+    from pickenv.wrappers import Sb3Vec
 
     chosen, remembering, settings = training.chosen, training.remembering, training.wrapper[1]
     for key in ("n_timesteps", "env_kwargs", "env_wrapper"):

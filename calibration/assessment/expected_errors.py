@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Geometry
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, frames_model

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from pickenv.arm import Geometry, forward, parameter_jacobian
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry, forward, parameter_jacobian
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification, identify, is_angle, unknowns_of
 from pickenv.calibration.identification.robust import apart

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.intervals import Ends, mean_interval, statistic_interval
+from pickenv.arm import Array
+from pickenv.base import Ends, mean_interval, statistic_interval
 
 LEAST_ROWS = 20
 """Fewest single errors for an interval of their mean: with ten, errors as arms leave them are covered in 92 %."""

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.calibration.assessment.expected_errors import SURE, Workspace
 from pickenv.calibration.identification.least_squares import (
     Identifiability,

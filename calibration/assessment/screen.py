@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from pickenv.base import folded, screen_width, side_by_side
 from pickenv.calibration.assessment.metrics import ErrorStatistics
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.identification.term_choice import harmonics_of
 from pickenv.calibration.model.arm_model import ComplianceTerm, Conditions
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import LENS_NAMES
-from pickenv.texts import folded, screen_width, side_by_side
 
 UNBOUNDED = 100_000
 """Characters of a line that goes elsewhere than to a terminal."""

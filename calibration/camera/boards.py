@@ -15,13 +15,22 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.base import (
+    MM,
+    WHOLE,
+    Check,
+    InputError,
+    is_file,
+    read_text,
+    read_toml,
+    require,
+    shortened,
+    toml_table,
+    write_text,
+    write_whole,
+)
 from pickenv.calibration.model.pixels import Lens
-from pickenv.errors import InputError
-from pickenv.extras import require
-from pickenv.files import write_text, write_whole
-from pickenv.texts import is_file, read_text, shortened
-from pickenv.toml_tables import MM, WHOLE, Check, read, toml_table
 
 # A camera's lens in the files that others write: ROS camera_info YAML and OpenCV's own YAML, in and out. Written
 # against ROS 2's camera_calibration_parsers (plumb_bob) and OpenCV's FileStorage, YAML 1.0.
@@ -237,7 +246,7 @@ def load_board(name: str | Path) -> Board:
     if not is_file(path):
         known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.toml")))
         raise InputError(f"unknown board '{shortened(name)}'; give one of {known}, or a path (.toml)")
-    return read(Board, path, section="board")
+    return read_toml(Board, path, section="board")
 
 
 def opencv() -> Any:

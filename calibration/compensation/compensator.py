@@ -22,16 +22,14 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Geometry, displace_pose, forward
+from pickenv.arm import Array, Geometry, Pose, displace_pose, forward
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.kinematics.backend import clipped, outside, possible, set_aside
 from pickenv.arm.kinematics.forward import Chain, Scalar, attach, chain_of, frames, split_joints, tool_frame
-from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.kinematics.pose_error import frame_error, small_rotation
 from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE, attitude_weight, jacobian_columns, truncated_inverse
+from pickenv.base import InputError, require
 from pickenv.calibration.identification.extended_kalman_filter import FilterState, predict, random_walk, update
-from pickenv.errors import InputError
-from pickenv.extras import require
 
 # Minimum-norm solutions of J x = e with small singular values cut off, for thousands of small J at once. Does what
 # `pickenv.arm.kinematics.task_space.truncated_inverse` does, without one LAPACK call per pose: J^T J is factorised in
@@ -234,7 +232,7 @@ class Compensator:
             the picking arm with the paper's network one leaves 1.4 um of the predicted error on average, two 0.9 um:
             the residual changes by its own correction. Without a residual one leaves 1 um, two nothing.
         single_precision: Whether many poses at once are corrected in single precision: faster, and another 0.1 um.
-        reservations: What stands against using it, by name (`pickenv.reservations`).
+        reservations: What stands against using it, by name (`pickenv.base.reservations`).
         within95: What holds 95 of 100 errors of position, m, and attitude, rad, at commands ``(..., n)``, as counted on
             held-out rows; None where nobody knows.
         caution: What its rows do not tell of the workspace, in a sentence; None where they tell it.

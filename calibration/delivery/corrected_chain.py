@@ -23,14 +23,13 @@ from xml.parsers import expat
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Geometry, forward, rotation_matrix, rotation_vector
+from pickenv.arm import Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
 from pickenv.arm.files.joint_chain import ChainJoint, JointRow
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
-from pickenv.arm.kinematics.geometry import Array, Pose, behind, identity_pose, inverse_pose
+from pickenv.arm.kinematics.geometry import behind, inverse_pose
+from pickenv.base import InputError, shortened
 from pickenv.calibration.identification.robust import apart
 from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.errors import InputError
-from pickenv.texts import shortened
 
 # What every file that holds a corrected arm says of where it comes from, and of what it does not hold.
 

@@ -11,18 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Geometry, load_arm, shipped_arms
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Geometry, load_arm, shipped_arms
+from pickenv.base import InputError, register, require, write_whole
+from pickenv.base.registry import get, names
 from pickenv.calibration.delivery import onto_files
 from pickenv.calibration.delivery.corrected_chain import Document, left_out, provenance
 from pickenv.calibration.delivery.joint_offsets import dh_table, joint_offsets, offset_table, onto_lerobot, ros2_offsets
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import Bpnn
 from pickenv.calibration.residuals.residual_models import LearntResidual
-from pickenv.errors import InputError
-from pickenv.extras import require
-from pickenv.files import write_whole
-from pickenv.registry import get, names, register
 
 # The learnt residual as ONNX, for programs without pickenv; needs the extra ``export``.
 

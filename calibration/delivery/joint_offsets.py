@@ -21,8 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from pickenv.arm import forward, joint_jacobian, parameter_jacobian, pose_error, rotation_vector
-from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, LINK_PARAMETERS, Array
+from pickenv.arm import Array, forward, joint_jacobian, parameter_jacobian, pose_error, rotation_vector
+from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, LINK_PARAMETERS
+from pickenv.base import InputError, decimal_number, listed, one_line, read_text, shortened
+from pickenv.base.texts import parsed
 from pickenv.calibration.delivery.corrected_chain import (
     Document,
     Edit,
@@ -35,8 +37,6 @@ from pickenv.calibration.delivery.corrected_chain import (
 )
 from pickenv.calibration.model.arm_model import frames_model
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
-from pickenv.errors import InputError
-from pickenv.texts import decimal_number, listed, one_line, parsed, read_text, shortened
 
 STEPS = 6
 """Gauss-Newton steps; offsets of a few degrees need three."""

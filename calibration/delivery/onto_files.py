@@ -20,14 +20,15 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Arm, Geometry, draw_plants, load_tolerances, plant_at, rotation_vector
+from pickenv.arm import Arm, Geometry, Pose, draw_plants, identity_pose, load_tolerances, plant_at, rotation_vector
 from pickenv.arm.files.joint_chain import ChainJoint
 from pickenv.arm.files.link_origins import link_origins
 from pickenv.arm.files.load import UR_KEYS, UR_LINKS, ur_row
 from pickenv.arm.files.mjcf import ORIENTATIONS, MjcfValues, mjcf_row, truth, write_mjcf
 from pickenv.arm.files.urdf import leading_links, roll_pitch_yaw, urdf_row, urdf_text
 from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
-from pickenv.arm.kinematics.geometry import Pose, behind, identity_pose, inverse_pose
+from pickenv.arm.kinematics.geometry import behind, inverse_pose
+from pickenv.base import RAD, InputError, M, one_line, shortened, write_text
 from pickenv.calibration.delivery.corrected_chain import (
     Document,
     Edit,
@@ -49,10 +50,6 @@ from pickenv.calibration.delivery.corrected_chain import (
 )
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.twin import twin
-from pickenv.errors import InputError
-from pickenv.files import write_text
-from pickenv.texts import one_line, shortened
-from pickenv.toml_tables import RAD, M
 
 
 def onto_urdf(calibration: Calibration, path: Path, tip: str | None, out: Path) -> Document:

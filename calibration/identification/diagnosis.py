@@ -15,15 +15,14 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.stats import binom
 
-from pickenv.arm import Arm, rotation_matrix, rotation_vector
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, rotation_matrix, rotation_vector
+from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import Identification, unknowns_of
 from pickenv.calibration.identification.robust import OUTLIER_SIGMA, RobustIdentification, align, apart, robust_fit
 from pickenv.calibration.model.arm_model import frames_model
 from pickenv.calibration.model.measurements import Measurements, Stacked
 from pickenv.calibration.model.observations import MISS_UNITS, SAME_POSE, Kind, Observations, Rows, named, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.errors import InputError
 
 # Rows to judge by that are rows trained on.
 

@@ -13,13 +13,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import gammaincinv
 
-from pickenv.arm import Geometry, Pose, pose_error
+from pickenv.arm import Array, Geometry, Pose, pose_error
 from pickenv.arm.effects.drives import MeasurementNoise
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import Identifiability, Identification, identifiability
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, ErrorModel
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.errors import InputError
 
 PRIOR = 10.0
 """Prior standard deviation of a parameter, in its tolerances: 10 mm and 0.6 deg for geometry."""

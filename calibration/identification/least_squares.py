@@ -16,15 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from pickenv.arm import Geometry
-from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array
+from pickenv.arm import Array, Geometry
+from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS
+from pickenv.base import InputError, single_threaded
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, ErrorModel
 from pickenv.calibration.model.measurements import Measurements, random_joints
 from pickenv.calibration.model.noise import RowNoise
 from pickenv.calibration.model.observations import Equations, Imaginable, Observations
 from pickenv.calibration.model.prior import PriorModel
-from pickenv.errors import InputError
-from pickenv.threads import single_threaded
 
 PROBES = 60
 """Poses on which is tried what such measurements identify elsewhere."""

@@ -14,16 +14,14 @@ from types import MappingProxyType
 import numpy as np
 from scipy.special import gammaincinv
 
-from pickenv.arm import Arm, Geometry, Pose, forward, rotation_matrix, rotation_vector
-from pickenv.arm.kinematics.geometry import Array, identity_pose
+from pickenv.arm import Arm, Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
+from pickenv.base import InputError, single_threaded
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, ErrorModel, frames_model, geometric_model
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced, nearest_rotation, origins_of
-from pickenv.errors import InputError
-from pickenv.threads import single_threaded
 
 # Base and tool pose from anywhere: closed-form starts, then least squares, and the refusal of what is no such arm.
 # Positions p = t + R (o + Q u), with the chain's own o and Q, are linear in R^T, R^T t and the tool offset u once

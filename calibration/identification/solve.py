@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.base import single_threaded
 from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged, triangle
 from pickenv.calibration.model.noise import RowNoise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
-from pickenv.threads import single_threaded
 
 PASSES = 4
 """Solves at most; each weighs rows and priors by what the one before left."""

@@ -14,15 +14,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Geometry
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Geometry
+from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, GravityTerm, OrderTerm, PeriodicTerm, Term, ThermalTerm
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations, contiguous_folds, equally_spaced, same_poses
 from pickenv.calibration.model.prior import expected_sizes, prior_model
-from pickenv.errors import InputError
 
 # Least squares on contiguous blocks of rows at once: normal equations of all columns that may take part, by block.
 # Near a fitted geometry everything that may be added is linear, so the equations of the rows without a block are

@@ -14,12 +14,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Frame, Geometry, Pose, displace_pose, forward, joint_jacobian, parameter_jacobian
+from pickenv.arm import (
+    Arm,
+    Array,
+    Frame,
+    Geometry,
+    Pose,
+    displace_pose,
+    forward,
+    identity_pose,
+    joint_jacobian,
+    parameter_jacobian,
+)
 from pickenv.arm.effects.effect import Load, gravity_torques
-from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import Scalar, attach, chain_of, frames, split_joints
-from pickenv.arm.kinematics.geometry import Array, identity_pose
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 
 @dataclass(frozen=True, eq=False)

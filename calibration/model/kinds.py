@@ -15,11 +15,11 @@ from typing import Literal, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.base import register
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, Origins, Rows, Stated, point_jacobian
-from pickenv.registry import register
 
 # The point of the tool that an instrument sees or touches: where a wire is hooked, a ball's centre, a probe's tip. It
 # is stated in the tool's frame, exactly, within an uncertainty, or not at all; every instrument has its own. SI

@@ -17,14 +17,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from pickenv.arm import Geometry, Plant, Pose, pose_error, rotation_matrix, rotation_vector
-from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, Array, move_pose
-from pickenv.arm.plant.campaign import TRACKER, Instrument, NormalDraws, load_instrument, measured_poses, normal_draws
+from pickenv.arm import (
+    Array,
+    Geometry,
+    Instrument,
+    Plant,
+    Pose,
+    load_instrument,
+    pose_error,
+    rotation_matrix,
+    rotation_vector,
+)
+from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, move_pose
+from pickenv.arm.plant.campaign import TRACKER, NormalDraws, measured_poses, normal_draws
+from pickenv.base import InputError, register, write_whole
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
 from pickenv.calibration.model.observations import Observations, OneGroup, Origins, Rows, hash_of, origins_of
-from pickenv.errors import InputError
-from pickenv.files import write_whole
-from pickenv.registry import register
 
 POSITION_STD = 15e-6
 """Standard uncertainty of a position when a file states none, m: a laser tracker at a few metres."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.spatial.distance import cdist
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Stacked, frame_columns
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced

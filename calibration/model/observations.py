@@ -18,9 +18,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.base import InputError
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
-from pickenv.errors import InputError
 
 # Where each row of a data set stands, file and line, carried through every selection: a message names what is wrong.
 # Lines are counted from 1 with the header, as an editor shows them; rows that come from no file are counted from 1.

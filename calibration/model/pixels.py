@@ -14,12 +14,11 @@ from typing import Literal, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Pose
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Pose
+from pickenv.base import register
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import OneGroup, Origins, Rows, Stated, nearest_rotation, point_jacobian
-from pickenv.registry import register
 
 # What a camera makes of a point: a pinhole, and the radial and tangential distortion of its lens. Brown 1971, with
 # the coefficients as OpenCV and ROS ("plumb_bob") order them: k1, k2, p1, p2, k3. Points lie in the camera's frame (x

@@ -15,9 +15,8 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Geometry
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.tolerances import Tolerances, load_tolerances, standard_deviations
+from pickenv.arm import Array, Geometry, Tolerances, load_tolerances
+from pickenv.arm.plant.tolerances import standard_deviations
 from pickenv.calibration.model.arm_model import (
     CARRIER,
     ArmModel,

@@ -12,15 +12,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Geometry, Pose, forward, inverse, joint_jacobian, noncompensable_error, pose_error
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Geometry, Pose, forward, inverse, joint_jacobian, noncompensable_error, pose_error
 from pickenv.arm.kinematics.task_space import attitude_weight, truncated_inverse
+from pickenv.base import InputError
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import joint_columns, write_table
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.reading.read import Targets
-from pickenv.errors import InputError
 
 POSITION_TOLERANCE = 1e-5
 """Remaining compensable position error, m, above which a target counts as not reached."""

@@ -12,9 +12,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
-from pickenv.arm import Arm, Geometry, Pose
+from pickenv.arm import Arm, Array, Geometry, Pose
 from pickenv.arm.files.arm import finite, geometry_arrays, geometry_from_arrays
-from pickenv.arm.kinematics.geometry import Array, geometry_fingerprint
+from pickenv.arm.kinematics.geometry import geometry_fingerprint
+from pickenv.base import (
+    DO_NOT_USE,
+    FITTED_FRAMES,
+    InputError,
+    npz_path,
+    read_container,
+    refusing_damage,
+    write_container,
+)
+from pickenv.base.container import named_part, part_of
+from pickenv.base.registry import Origin, get, origin
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.least_squares import Identification
@@ -22,10 +33,6 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions, specificat
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, same_poses
 from pickenv.calibration.residuals.residual_models import LearntResidual
-from pickenv.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
-from pickenv.errors import InputError
-from pickenv.registry import Origin, get, origin
-from pickenv.reservations import DO_NOT_USE, FITTED_FRAMES
 
 # How well the calibrated arm's tool pose is known, anywhere: u^2 = J C J^T + u_repeat^2 (GUM, JCGM 100:2008, 5.1.2).
 # C is the posterior covariance of the parameters; u_repeat is what one reach scatters by that they do not say:
@@ -485,7 +492,7 @@ class Calibration:
         return replace(self, learnt=None)
 
     def save(self, path: str | Path) -> Path:
-        """Write one verified file (see `pickenv.container`), whole or not at all; ``.npz`` is appended if missing.
+        """Write one verified file (see `pickenv.base.container`), whole or not at all; ``.npz`` is appended if missing.
 
         Raises:
             InputError: If the file cannot be written, or `load` would refuse it.

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, forward
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, forward
+from pickenv.base import Ends, InputError, mean_interval, versions
+from pickenv.base.intervals import LEAST
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
@@ -33,9 +34,6 @@ from pickenv.calibration.pipeline.verification import errors_there, restationed
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.gate import position_rms
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, fit_residual
-from pickenv.errors import InputError
-from pickenv.intervals import LEAST, Ends, mean_interval
-from pickenv.provenance import versions
 
 
 @dataclass(frozen=True, eq=False)

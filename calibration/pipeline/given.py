@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Geometry, forward, load_arm
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Geometry, forward, load_arm
+from pickenv.base import InputError
+from pickenv.base.registry import names
 from pickenv.calibration.identification.robust import by_set_up, placed, stations_of
 from pickenv.calibration.model.arm_model import pose_carrier
 from pickenv.calibration.model.measurements import OWN, Frames, Measurements, Stacked, joint_columns, random_joints
@@ -20,8 +21,6 @@ from pickenv.calibration.pipeline.verification import REFIT_ROWS
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_observations, read_targets
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.errors import InputError
-from pickenv.registry import names
 
 # What a calibration may be asked for, and what does not go with what was measured.
 

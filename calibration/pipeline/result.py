@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Plant, draw_plants, load_tolerances
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Plant, draw_plants, load_tolerances
+from pickenv.base import Ends, folded, require, screen_width
 from pickenv.calibration.assessment.expected_errors import workspace_error
 from pickenv.calibration.assessment.instrument import (
     BaseFrameError,
@@ -78,9 +78,6 @@ from pickenv.calibration.pipeline.given import workspace_joints
 from pickenv.calibration.pipeline.twin import SCATTER, scatter_of, twin
 from pickenv.calibration.reading.read import NoiseFloor
 from pickenv.calibration.residuals.gate import GateReport, position_rms
-from pickenv.extras import require
-from pickenv.intervals import Ends
-from pickenv.texts import folded, screen_width
 
 SIGMAS = 2.0
 """A parameter has moved where its change is more than so many of its standard deviations."""
@@ -296,7 +293,7 @@ class Result:
     def write_page(self, path: str | Path, seeds: Mapping[str, Any] | None = None) -> Path:
         """Write the report as one HTML page; ``seeds``: what its draws came from, by name."""
         require("jinja2", "matplotlib", "plotly")
-        from pickenv.inspect.reports.calibration_report import write_calibration_report
+        from pickenv.inspect import write_calibration_report
 
         return write_calibration_report(path, self, seeds)
 

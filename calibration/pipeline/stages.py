@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from pickenv.arm import Arm
+from pickenv.base import InputError
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_trained, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
@@ -61,7 +62,6 @@ from pickenv.calibration.pipeline.verification import near_rows
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import AUTO, GateReport, gate_residuals, position_rms
 from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
-from pickenv.errors import InputError
 
 GATE_ROWS = 3000
 """Residual models are judged on so many training rows at most, taken evenly."""

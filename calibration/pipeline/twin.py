@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from pickenv.arm import Arm, Plant
+from pickenv.arm import Arm, Array, Geometry, Plant
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.effects.residual_field import Features, ResidualField
-from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.arm.plant.posterior import Layout, Posterior
 from pickenv.arm.plant.twin_arms import twin_plant
+from pickenv.base import GRAVITY, InputError
 from pickenv.calibration.model.arm_model import (
     ArmModel,
     BendingTerm,
@@ -34,8 +34,6 @@ from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, M
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.residuals.gaussian_process import FeatureProcess, GaussianProcess, feature_process
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
-from pickenv.errors import InputError
-from pickenv.toml_tables import GRAVITY
 
 SMOOTH, ROUGH = 256, 8
 """Waves of one output, cosine and sine each: of the process, and of the arm's own scatter."""

@@ -13,8 +13,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Geometry, forward, rotation_matrix
-from pickenv.arm.kinematics.geometry import Array, identity_pose
+from pickenv.arm import Array, Geometry, forward, identity_pose, rotation_matrix
+from pickenv.base import InputError
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import no_gain
 from pickenv.calibration.assessment.screen import Block, error_cells, figure
@@ -36,7 +36,6 @@ from pickenv.calibration.model.prior import Prior
 from pickenv.calibration.pipeline.calibration import Calibration, measured_there, uncertainty_from
 from pickenv.calibration.planning.plan import exchange
 from pickenv.calibration.residuals.gate import position_rms
-from pickenv.errors import InputError
 
 # A calibrated arm seen from another station: base and tool found anew from a few rows, the arm left as it is. An
 # instrument that is set up again stands elsewhere and sees another target. What was found of the arm itself holds on;

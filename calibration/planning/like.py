@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Arm, Geometry
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Geometry
+from pickenv.base import InputError, check_limit, single_threaded
 from pickenv.calibration.identification.diagnosis import without_blind_views
 from pickenv.calibration.identification.least_squares import identifiable_parameters, unknowns_of
 from pickenv.calibration.identification.robust import align, robust_identify, rough_start
@@ -36,9 +36,6 @@ from pickenv.calibration.planning.plan import (
     finished_plan,
     plan_sizes,
 )
-from pickenv.errors import InputError
-from pickenv.limits import check_limit
-from pickenv.threads import single_threaded
 
 ROUNDS = 60
 """Rounds in which candidates are looked for at most."""

@@ -19,15 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import qr
 
-from pickenv.arm import Arm, Geometry, parameter_jacobian
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Arm, Array, Geometry, parameter_jacobian
+from pickenv.base import InputError, check_limit, single_threaded
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, Observability, observability
 from pickenv.calibration.model.arm_model import ErrorModel, frames_model, link_model
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, random_joints, write_joints
 from pickenv.calibration.model.prior import FRAMES, PriorModel
-from pickenv.errors import InputError
-from pickenv.limits import check_limit
-from pickenv.threads import single_threaded
 
 # Choosing poses by exchange: Fedorov 1972 in the one-after-the-other form of Cook and Nachtsheim 1980. A pose brings
 # a block of r rows, so the determinant lemma and Woodbury's identity are used with r x r blocks, for all candidates

@@ -19,13 +19,12 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Geometry
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry
+from pickenv.base import InputError, decimal_number, listed, read_text, shortened, yaml_content
+from pickenv.base.texts import parsed
 from pickenv.calibration.identification.robust import align
 from pickenv.calibration.model.arm_model import frames_model
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.errors import InputError
-from pickenv.texts import decimal_number, listed, parsed, read_text, shortened, yaml_content
 
 # Attitude conventions by name, and, where a file names none, what each of them would leave after base and tool. Euler
 # angles are the commonest silent error in tracker files: six readings of the same three numbers all look plausible. A

@@ -14,14 +14,28 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_type_hints
 
 from pickenv.arm import Geometry
+from pickenv.base import (
+    DEG,
+    MM,
+    NUMBER,
+    TO_SI,
+    WHOLE,
+    Check,
+    InputError,
+    Key,
+    Then,
+    Unit,
+    fault,
+    is_file,
+    read_toml,
+    shortened,
+    toml_table,
+)
+from pickenv.base.registry import load_all, names
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
 from pickenv.calibration.model.pixels import Mount
 from pickenv.calibration.reading.csv_table import CONVENTIONS, expression_tree
-from pickenv.errors import InputError
-from pickenv.registry import load_all, names
-from pickenv.texts import is_file, shortened
-from pickenv.toml_tables import DEG, MM, NUMBER, TO_SI, WHOLE, Check, Key, Then, Unit, fault, read, toml_table
 
 # Tables of a column description that say what was measured, one class for each way of saying it.
 
@@ -508,7 +522,7 @@ def load_description(name: str | Path) -> ColumnDescription:
         raise InputError(
             f"unknown column description '{given}'; give one of {shipped_descriptions()} or a path (.toml)"
         )
-    file = read(description_file(), path)
+    file = read_toml(description_file(), path)
     section = file.measured
     own: dict[str, Any] = {key: value for key, value in vars(section).items() if key in MEASURED and value is not None}
     joints, joint_units = ((), ()) if file.joints is None else (file.joints.columns, file.joints.each)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pickenv.arm import Geometry, Pose
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry, Pose
+from pickenv.base import LIMITS, TO_SI, InputError, check_limit, read_text, register, yaml_content
 from pickenv.calibration.camera.boards import Board, FoundCorners, Grey, find_corners, no_corners, opencv, read_lens
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
 from pickenv.calibration.model.kinds import (
@@ -40,11 +40,6 @@ from pickenv.calibration.reading.description import (
     WireTable,
     joint_scales,
 )
-from pickenv.errors import InputError
-from pickenv.limits import LIMITS, check_limit
-from pickenv.registry import register
-from pickenv.texts import read_text, yaml_content
-from pickenv.toml_tables import TO_SI
 
 # Files of one layout as columns of numbers, with their descriptions: what the readers of all kinds begin with.
 
@@ -93,7 +88,7 @@ class Files:
 
 
 QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
-"""What each recorded condition is, of `pickenv.limits`; a temperature is counted from its reference."""
+"""What each recorded condition is, of `pickenv.base.limits`; a temperature is counted from its reference."""
 
 FARTHEST = 1e4
 """No instrument sees a tool from farther away than this, m."""

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Geometry, Pose, inverse, rotation_matrix
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry, Pose, inverse, rotation_matrix
+from pickenv.base import TO_SI, InputError, listed, register
+from pickenv.base.registry import get
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements, joint_columns
 from pickenv.calibration.model.observations import Observations, Origins
@@ -29,10 +30,6 @@ from pickenv.calibration.reading.csv_table import (
 )
 from pickenv.calibration.reading.description import LENGTHS, ColumnDescription, load_description, own_description
 from pickenv.calibration.reading.kind_readers import Files, read_views
-from pickenv.errors import InputError
-from pickenv.registry import get, register
-from pickenv.texts import listed
-from pickenv.toml_tables import TO_SI
 
 
 @dataclass(frozen=True)

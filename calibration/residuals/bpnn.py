@@ -15,13 +15,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.base import InputError, is_there, register, require, torch_on_one_thread
 from pickenv.calibration.model.observations import equally_spaced
 from pickenv.calibration.residuals.gaussian_process import column_std
-from pickenv.errors import InputError
-from pickenv.extras import is_there, require
-from pickenv.registry import register
-from pickenv.threads import torch_on_one_thread
 
 if TYPE_CHECKING:
     from pickenv.calibration.residuals.network_code import CompiledNetwork

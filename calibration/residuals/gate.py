@@ -15,16 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Geometry
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry
+from pickenv.base import InputError
+from pickenv.base.registry import names
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Rows, blocked_split, contiguous_folds, same_poses
 from pickenv.calibration.residuals.gaussian_process import Fitter
 from pickenv.calibration.residuals.residual_models import fit_residual
-from pickenv.errors import InputError
-from pickenv.registry import names
 
 MARGIN = 0.02
 """A residual model must cut the blocked RMS by more than this share; less is no gain."""

@@ -19,10 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
-from pickenv.registry import register
-from pickenv.threads import single_threaded
+from pickenv.arm import Array
+from pickenv.base import InputError, register, single_threaded
 
 # What all regressors of residuals share: what is asked of them, arrays by name for saving, and standardising.
 

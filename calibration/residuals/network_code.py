@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.arm.kinematics.machine_code import machine
 
 POSES, TILE = 32, 4

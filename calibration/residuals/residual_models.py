@@ -14,7 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.base import InputError, require
+from pickenv.base.container import named_part, part_of
+from pickenv.base.registry import get
 from pickenv.calibration.residuals.gaussian_process import (
     Fitter,
     GaussianProcess,
@@ -23,10 +26,6 @@ from pickenv.calibration.residuals.gaussian_process import (
     column_std,
     fit_gaussian_process,
 )
-from pickenv.container import named_part, part_of
-from pickenv.errors import InputError
-from pickenv.extras import require
-from pickenv.registry import get
 
 PERIODIC_SPAN = 1.5 * np.pi
 """A revolute joint whose training rows span more than this, rad, enters by sine and cosine, so that turns close."""

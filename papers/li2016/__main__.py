@@ -43,14 +43,11 @@ from papers.li2016.page import NOTES, drawings, reached_in_area, sections, targe
 from papers.li2016.prediction import prediction, sessions
 from papers.li2016.segmentation import figure_5, segmentation
 from papers.pages import headline, print_tables, write_page
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.files import write_text
-from pickenv.harvester.harvest import Strategy
-from pickenv.harvester.machine import Machine, load_machine
+from pickenv.arm import Array
+from pickenv.base import write_text
+from pickenv.harvester import Controller, Machine, Strategy, load_machine, load_true_machine
 from pickenv.harvester.trees import load_lab, sample_image
-from pickenv.harvester.true_machine import Controller, load_true_machine
-from pickenv.inspect.figures.run_drawings import write_drawings
-from pickenv.inspect.recordings.harvest_recording import inspect_harvest
+from pickenv.inspect import inspect_harvest, write_drawings
 from pickenv.inspect.reports import harvest_report
 from pickenv.inspect.reports.report_page import Section
 from pickenv.inspect.runs.harvest_trace import HarvestTrace

@@ -10,24 +10,36 @@ import numpy as np
 
 from papers.li2016.equations import ARMS, section_4_2
 from papers.pages import table
-from pickenv.arm import Plant
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Plant
+from pickenv.base import InputError
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.errors import InputError
+from pickenv.harvester import (
+    Controller,
+    Harvest,
+    Machine,
+    Measure,
+    Strategy,
+    TrueMachine,
+    assign,
+    funnel,
+    load_grid,
+    load_machine,
+    load_orchard,
+    load_picking,
+    load_true_machine,
+    pick_point,
+    summary,
+    timetable,
+    work_images,
+    work_trees,
+    zone_work,
+)
 from pickenv.harvester.arm_paths import ultrasonic_hold
-from pickenv.harvester.harvest import Harvest, Strategy
-from pickenv.harvester.harvest_summary import Measure, funnel, funnel_shares, summary
+from pickenv.harvester.harvest_summary import funnel_shares
 from pickenv.harvester.joint_motion import joint_curves, workspace
-from pickenv.harvester.machine import Machine, load_machine
-from pickenv.harvester.optimiser import assign
-from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.picking import load_picking
 from pickenv.harvester.rules import lower_bound
-from pickenv.harvester.strategies import work_images, work_trees
-from pickenv.harvester.trees import load_orchard, sample_image
-from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine, tip_errors
-from pickenv.harvester.work import timetable, zone_work
-from pickenv.harvester.zones import load_grid
+from pickenv.harvester.trees import sample_image
+from pickenv.harvester.true_machine import tip_errors
 from pickenv.inspect.reports.report_page import PageTable
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, picked_tree
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from papers.pages import judged
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
-from pickenv.harvester.machine import Machine
-from pickenv.harvester.pick_point import METHODS, border_indices, pick_heading, pick_point
+from pickenv.arm import Array
+from pickenv.base import InputError
+from pickenv.harvester import Machine, pick_point
+from pickenv.harvester.pick_points import METHODS, border_indices, pick_heading
 
 PAPER: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "paper.toml").read_text(encoding="utf-8"))
 HOLDS_M = 1e-9

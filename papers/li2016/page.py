@@ -13,8 +13,8 @@ from matplotlib.patches import Circle, Rectangle
 from papers.li2016.equations import EXACT, PAPER
 from papers.li2016.segmentation import Segmentation
 from papers.pages import Columns, said, table, titled
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.harvester.machine import Machine
+from pickenv.arm import Array
+from pickenv.harvester import Machine
 from pickenv.inspect import colours
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, new_figure, rgb

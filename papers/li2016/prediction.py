@@ -14,13 +14,9 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from papers.pages import judged
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.harvester.harvest import Strategy
-from pickenv.harvester.harvest_summary import funnel
-from pickenv.harvester.picking import Picking, load_picking
-from pickenv.harvester.strategies import work_images
+from pickenv.arm import Array
+from pickenv.harvester import Picking, Strategy, TrueMachine, funnel, load_picking, work_images
 from pickenv.harvester.trees import load_lab
-from pickenv.harvester.true_machine import TrueMachine
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from papers.pages import judged
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.harvester.trees import Tree
+from pickenv.arm import Array
+from pickenv.harvester import Tree
 from pickenv.orchard import (
     StereoCamera,
     fruit_mask,

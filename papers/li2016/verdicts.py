@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from papers.pages import FITTED, NOT, judged
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.harvester.harvest_summary import Measure
-from pickenv.intervals import share_interval
+from pickenv.arm import Array
+from pickenv.base import share_interval
+from pickenv.harvester import Measure
 
 DIGITS = 2e-3
 """Joint displacements agree within this share, which is the last digit that Table 2 prints of its smallest."""

@@ -49,11 +49,11 @@ from papers.qiao2026.methods import (
 )
 from papers.qiao2026.page import NOTES, drawings, sections
 from pickenv.arm import load_plant, noncompensable_error, shipped_plants
+from pickenv.base import mean_interval, write_text
+from pickenv.base.intervals import LEAST
 from pickenv.calibration import BpnnSettings, identify, link_model
-from pickenv.files import write_text
-from pickenv.inspect.figures.run_drawings import write_drawings
+from pickenv.inspect import write_drawings
 from pickenv.inspect.reports.report_page import Section
-from pickenv.intervals import LEAST, mean_interval
 
 PLANTS = tuple(name for name in ("qiao2026", "field") if name in shipped_plants())
 """Where Table 4 is run: a smooth plant, and one as hard as measured arms."""

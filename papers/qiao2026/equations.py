@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Geometry, forward, joint_jacobian, pose_error
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry, forward, joint_jacobian, pose_error
 from pickenv.calibration import (
     Compensator,
     ErrorStatistics,

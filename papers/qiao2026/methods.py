@@ -14,12 +14,25 @@ from typing import Any
 import numpy as np
 
 from papers.qiao2026.equations import PAPER, mean_mm, parameter_vector, statistics
-from pickenv.arm import Geometry, Plant, Pose, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_error
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import (
+    Array,
+    Geometry,
+    Plant,
+    Pose,
+    draw_plants,
+    forward,
+    load_plant,
+    load_tolerances,
+    plant_at,
+    pose_error,
+)
+from pickenv.base import mean_interval
+from pickenv.base.intervals import LEAST_RUNS
 from pickenv.calibration import (
     BpnnSettings,
     Compensator,
     Measurements,
+    filter_measurements,
     held_out_r2,
     identify,
     link_model,
@@ -29,9 +42,7 @@ from pickenv.calibration import (
     train_bpnn,
 )
 from pickenv.calibration.compensation.compensator import ResidualModel
-from pickenv.calibration.identification.extended_kalman_filter import filter_measurements
 from pickenv.calibration.residuals.residual_models import fit_residual
-from pickenv.intervals import LEAST_RUNS, mean_interval
 
 METHODS = ("raw", "EKF", "LS", "RBF", "BPNN", "EKF+RBF", "EKF+BPNN", "LS+BPNN")
 TOLERANCES = "medium"

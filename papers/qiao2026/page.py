@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from papers.pages import Columns, said, table, titled
 from papers.qiao2026.methods import Left, Protocol
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.inspect.figures import plot_calibration, plot_errors
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.reports.report_page import PageTable, Section

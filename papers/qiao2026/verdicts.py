@@ -13,7 +13,7 @@ from scipy.stats import spearmanr
 
 from papers.pages import FITTED, NOT, REPRODUCED, judged, word
 from papers.qiao2026.equations import RANK_AWARE_17, RANK_AWARE_24
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 
 SAME = 0.02
 """Parameters of Table 2 agree within this, deg or mm: a digit of misprint is more."""

@@ -9,10 +9,8 @@ from papers.li2016.comparison import displacements
 from papers.li2016.equations import EXACT, PAPER, chained, equations
 from papers.li2016.prediction import OPEN, Sessions, machine_with, picking_with, prediction
 from papers.li2016.segmentation import figure_5, segmentation
-from pickenv.harvester.harvest_summary import Measure
-from pickenv.harvester.machine import load_machine
+from pickenv.harvester import Measure, load_machine, load_true_machine
 from pickenv.harvester.trees import sample_image
-from pickenv.harvester.true_machine import load_true_machine
 
 
 def test_table_2_is_exact_for_one_spacing_which_is_not_the_papers() -> None:

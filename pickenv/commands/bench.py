@@ -7,10 +7,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from pickenv.base import locked, separate, write_json, write_text
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import print_table, progress_bars
-from pickenv.files import separate, write_json, write_text
-from pickenv.locks import locked
 
 bench = typer.Typer(
     name="bench", help="Benchmarks: calibrations on measured robots, policies on simulated ones.", no_args_is_help=True
@@ -41,6 +40,7 @@ def calibration(
     from dataclasses import replace
     from datetime import date
 
+    from pickenv.base import require
     from pickenv.experiments.robot_tables import (
         GAIN_HEADS,
         agreement_words,
@@ -52,7 +52,6 @@ def calibration(
         spread_table,
     )
     from pickenv.experiments.robots import QUICK, ROWS, BenchSettings, run_bench
-    from pickenv.extras import require
     from pickenv.inspect.runs.run_folder import listed_files
 
     page, blocked = out / "bench.md", out / "measured_gains.json"
@@ -113,6 +112,7 @@ def policies(
     from dataclasses import replace
     from itertools import groupby
 
+    from pickenv.base import require
     from pickenv.experiments.policy_tables import (
         LEADERBOARD,
         QUICK,
@@ -122,7 +122,6 @@ def policies(
         leaderboard_tables,
         run_leaderboard,
     )
-    from pickenv.extras import require
     from pickenv.inspect.runs.run_folder import listed_files
 
     page = out / "leaderboard.md"

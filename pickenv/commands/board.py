@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pickenv.base import separate
 from pickenv.commands.handing_over import deliver
-from pickenv.files import separate
 
 
 def board(

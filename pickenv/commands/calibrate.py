@@ -9,15 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from pickenv.base import command_line, npz_path, require, separate, write_json
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import progress_bars
-from pickenv.container import npz_path
-from pickenv.extras import require
-from pickenv.files import separate, write_json
-from pickenv.provenance import command_line
 
 if TYPE_CHECKING:
-    from pickenv.calibration.pipeline.result import Result
+    from pickenv.calibration import Result
 
 DO_NOT_USE = 3
 """Exit code of a calibration whose verdict is "do not use", and of targets that cannot be reached."""
@@ -141,10 +138,9 @@ def calibrate(
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
+    from pickenv.calibration import Choices, calibrate as calibrated
     from pickenv.calibration.camera.boards import write_lens
     from pickenv.calibration.pipeline.fitting import lens_of
-    from pickenv.calibration.pipeline.given import Choices
-    from pickenv.calibration.pipeline.stages import calibrate as calibrated
     from pickenv.calibration.pipeline.verification import frames_and_rows
     from pickenv.inspect.runs.run_folder import RECORD
 
@@ -229,7 +225,7 @@ def calibrate(
 
 def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
-    from pickenv.inspect.reports.calibration_report import write_calibration_report
+    from pickenv.inspect import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
     from pickenv.inspect.runs.view_errors import views_of

@@ -11,10 +11,7 @@ from typing import Annotated
 
 import typer
 
-from pickenv.container import read_container, refusing_damage
-from pickenv.errors import InputError
-from pickenv.files import separate, write_json
-from pickenv.sealed import check_sealed_parquet
+from pickenv.base import InputError, check_sealed_parquet, read_container, refusing_damage, separate, write_json
 
 REFUSED = 3
 """Exit code where something is damaged or foreign."""
@@ -93,8 +90,8 @@ def findings_of(path: Path) -> list[Finding]:
 
 def folder_findings(folder: Path) -> list[Finding]:
     """What is found about every file of a run, of a study, or of another folder that holds runs or sealed files."""
+    from pickenv.experiments import check_experiment
     from pickenv.experiments.engine import RECORD as EXPERIMENT
-    from pickenv.experiments.engine import check_experiment
     from pickenv.experiments.policy_tables import EPISODES
     from pickenv.inspect.runs.run_folder import LIST, PARTS, RECORD, STUDY
 
@@ -108,7 +105,7 @@ def folder_findings(folder: Path) -> list[Finding]:
     if pages:
         return [Finding(str(folder / LIST), "list of files", reason=f"is missing beside {pages[0]}; {REMAKE}")]
     if (folder / STUDY).exists():
-        from pickenv.experiments.study_rows import check_folder
+        from pickenv.experiments import check_folder
 
         return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
     runs = {record.parent for name in (RECORD, LIST, EXPERIMENT) for record in folder.rglob(name)}
@@ -148,7 +145,8 @@ def _of_files(faults: Sequence[tuple[Path, str | None]]) -> list[Finding]:
 
 def run_findings(folder: Path) -> list[Finding]:
     """What is found about a run folder's record and every file that it lists or that lies beside it."""
-    from pickenv.inspect.runs.run_folder import FORMAT, RECORD, faults_of, read_run
+    from pickenv.inspect import read_run
+    from pickenv.inspect.runs.run_folder import FORMAT, RECORD, faults_of
 
     record = str(folder / RECORD)
     try:
@@ -188,7 +186,8 @@ def _foreign(path: Path, what: str) -> tuple[int | None, str]:
 
 
 def _twin(path: Path) -> tuple[int | None, str]:
-    from pickenv.arm.plant.twin_file import TWIN_FORMAT, read_twin
+    from pickenv.arm import read_twin
+    from pickenv.arm.plant.twin_file import TWIN_FORMAT
 
     plant = read_twin(path)
     assert plant.posterior is not None
@@ -196,7 +195,8 @@ def _twin(path: Path) -> tuple[int | None, str]:
 
 
 def _calibration(path: Path) -> tuple[int | None, str]:
-    from pickenv.calibration.pipeline.calibration import FORMAT, Calibration
+    from pickenv.calibration import Calibration
+    from pickenv.calibration.pipeline.calibration import FORMAT
     from pickenv.experiments.methods import ORIGIN
 
     found = Calibration.load(path)
@@ -209,14 +209,16 @@ def _calibration(path: Path) -> tuple[int | None, str]:
 
 
 def _policy(path: Path) -> tuple[int | None, str]:
-    from pickenv.agents.policies.learned import FORMAT, load_policy
+    from pickenv.agents import load_policy
+    from pickenv.agents.policies.learned import FORMAT
 
     found = load_policy(path)
     return FORMAT, f"{found.algorithm} on arm '{found.arm}'"
 
 
 def _remembering(path: Path) -> tuple[int | None, str]:
-    from pickenv.agents.policies.remembering import REMEMBERING_FORMAT, load_remembering
+    from pickenv.agents import load_remembering
+    from pickenv.agents.policies.remembering import REMEMBERING_FORMAT
 
     found = load_remembering(path)
     return REMEMBERING_FORMAT, f"{found.algorithm} on arm '{found.arm}'"
@@ -241,9 +243,9 @@ def _chunk(path: Path) -> tuple[int | None, str]:
 
 
 def _saved(path: Path) -> tuple[int | None, str]:
+    from pickenv.inspect import Comparison
     from pickenv.inspect.runs import saved
     from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-    from pickenv.inspect.runs.comparison_summary import Comparison
     from pickenv.inspect.runs.harvest_trace import HarvestTrace
     from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 

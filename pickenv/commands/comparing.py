@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from pickenv.base import separate, write_json
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import CommandOfNames, print_table, progress_bars
-from pickenv.files import separate, write_json
 
 if TYPE_CHECKING:
     from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
@@ -81,7 +81,7 @@ def compare(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the numbers to this file.")] = None,
 ) -> None:
     """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter."""
-    from pickenv.agents.evaluation.compare import compare as run
+    from pickenv.agents import compare as run
     from pickenv.agents.evaluation.compare import write_comparison
     from pickenv.inspect.runs.episode_summary import content_of_comparison
     from pickenv.inspect.runs.run_folder import RECORD
@@ -137,7 +137,7 @@ def film(
     dark: Annotated[bool, typer.Option("--dark", help="Draw on a dark background.")] = False,
 ) -> None:
     """Make a film of a comparison: two policies side by side at the same fruit, with misses in mm and fruit picked."""
-    from pickenv.inspect.films.make_film import film as make_film
+    from pickenv.inspect import film as make_film
     from pickenv.pictures.drawers import why_plain
 
     separate({}, {"--out": out})

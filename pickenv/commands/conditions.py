@@ -7,11 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pickenv.base import check_limit, command_line, obey, separate, write_json
 from pickenv.commands.handing_over import deliver
-from pickenv.files import separate, write_json
-from pickenv.limits import check_limit
-from pickenv.provenance import command_line
-from pickenv.reservations import obey
 
 WIDE = 170
 """Characters of a table of five levels with their intervals."""
@@ -63,8 +60,8 @@ def conditions(
     command = command_line("pickenv", "conditions", subject, **options, seed=seed)
 
     def write_run(folder: Path) -> list[Path]:
-        from pickenv.files import write_text
-        from pickenv.inspect.figures.run_drawings import write_drawings
+        from pickenv.base import write_text
+        from pickenv.inspect import write_drawings
         from pickenv.inspect.reports.conditions_report import drawings, page
 
         with recorded_run(folder, "conditions", command, seed) as run:

@@ -9,11 +9,8 @@ from typing import Annotated, Literal
 import numpy as np
 import typer
 
+from pickenv.base import DO_NOT_USE, InputError, check_limit, obey, separate, write_json
 from pickenv.commands.handing_over import deliver
-from pickenv.errors import InputError
-from pickenv.files import separate, write_json
-from pickenv.limits import check_limit
-from pickenv.reservations import DO_NOT_USE, obey
 
 ARM = typer.Option(help="Arm name or file ({arm_format}).", show_default=False)
 UNIT = typer.Option(help="Serial number of the robot, which must be the calibration's.", show_default=False)
@@ -76,12 +73,12 @@ def plan_poses(
 ) -> None:
     """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel."""
     from pickenv.arm import load_arm
+    from pickenv.calibration import plan_poses as plan, read_targets
     from pickenv.calibration.model.measurements import POSITION_STD
     from pickenv.calibration.model.prior import prior_model
     from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of
     from pickenv.calibration.planning.like import plan_like
-    from pickenv.calibration.planning.plan import plan_poses as plan
-    from pickenv.calibration.reading.read import joints_of, read_targets
+    from pickenv.calibration.reading.read import joints_of
 
     separate({"--at": at, "--arm": arm, "--from": pool, "--like": like}, {"--out": out, "--json": json_file})
     chosen = load_arm(arm)
@@ -160,10 +157,8 @@ def apply(
     Where a target cannot be reached its command stays empty, and the exit code is 3.
     """
     from pickenv.arm import load_arm
+    from pickenv.calibration import Calibration, apply_calibration, read_targets
     from pickenv.calibration.model.arm_model import Conditions
-    from pickenv.calibration.pipeline.apply import apply_calibration
-    from pickenv.calibration.pipeline.calibration import Calibration
-    from pickenv.calibration.reading.read import read_targets
 
     separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
     given = {"--payload-kg": (payload_kg, "payload_kg"), "--temperature-k": (temperature_k, "temperature_K")}
@@ -224,9 +219,8 @@ def export(
 ) -> None:
     """Hand the calibration over to the robot's own files, its controller, or other programs."""
     from pickenv.arm import load_arm
-    from pickenv.calibration.delivery.export import export as exported
+    from pickenv.calibration import Calibration, export as exported
     from pickenv.calibration.delivery.onto_files import mjcf_files
-    from pickenv.calibration.pipeline.calibration import Calibration
 
     files = (
         mjcf_files(out, sample) if onto is None and (kind == "mjcf" or (out.suffix == ".xml" and kind is None)) else out

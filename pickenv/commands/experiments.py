@@ -7,10 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
+from pickenv.base import InputError, separate, write_json
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import print_table, progress_bars
-from pickenv.errors import InputError
-from pickenv.files import separate, write_json
 
 
 def experiment(
@@ -37,7 +36,8 @@ def experiment(
     figures: Annotated[Path | None, typer.Option(help="Folder for the file's figures.")] = None,
 ) -> None:
     """Measure units at every combination of factors, and print the numbers that the file asks for."""
-    from pickenv.experiments.engine import RECORD, run, write_rows
+    from pickenv.experiments import run
+    from pickenv.experiments.engine import RECORD, write_rows
     from pickenv.experiments.experiment_file import held_by_seeds, load_experiment, number_table, plain_estimates
 
     folder = out or Path("runs") / file.stem
@@ -80,8 +80,8 @@ def experiment(
                 print(f"{title}: {count} of {of} intervals hold another seed's number; about 83 % are due")
 
     def draw(place: Path) -> list[Path]:
+        from pickenv.inspect import save_figure
         from pickenv.inspect.figures.plot_estimates import estimates_figure
-        from pickenv.inspect.figures.style import save_figure
 
         drawn = {name: function(rows) for name, function in found.figures.items()}
         for number, made in zip(found.numbers, tables, strict=True):

@@ -17,9 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from pickenv import __version__
-from pickenv.errors import InputError
-from pickenv.extras import extra_of, missing
-from pickenv.texts import shortened
+from pickenv.base import InputError, extra_of, shortened
+from pickenv.base.extras import missing
 
 BAD_INPUT, FAULT, NOT_PRINTED, INTERRUPTED = 2, 70, 74, 130
 

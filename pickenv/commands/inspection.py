@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 if TYPE_CHECKING:
-    from pickenv.inspect.runs.run_folder import Run
+    from pickenv.inspect import Run
 
 
 def inspect(
@@ -51,7 +51,8 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
     Raises:
         InputError: If there is no such run, or nothing in it that can be recorded.
     """
-    from pickenv.inspect.runs.run_folder import added_to, read_run
+    from pickenv.inspect import read_run
+    from pickenv.inspect.runs.run_folder import added_to
 
     if run.is_file() or run.suffix == ".rrd":
         return [run]
@@ -64,8 +65,7 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
 
 
 def _record(run: Run, policy: str | None) -> Path:
-    from pickenv.inspect.recordings.comparison_recording import record_comparison
-    from pickenv.inspect.runs.comparison_summary import Comparison
+    from pickenv.inspect import Comparison, record_comparison
     from pickenv.inspect.runs.run_folder import load_part
 
     if run.kind == "evaluation":
@@ -80,7 +80,7 @@ def _record(run: Run, policy: str | None) -> Path:
     if run.kind == "demo":
         return record_comparison(load_part(run, Comparison), run.folder / "errors.rrd")
     if run.kind == "study":
-        from pickenv.experiments.study_report import record_study
+        from pickenv.experiments import record_study
 
         return record_study(run.folder, 0, run.folder / "arms.rrd")
     raise InputError(f"a run of kind '{run.kind}' has no recording; see its figures with `pickenv report {run.folder}`")
@@ -91,8 +91,8 @@ def _record_evaluation(run: Run, policy: str | None) -> Path:
     from pickenv.arm import load_plant
     from pickenv.experiments.policies import reaches_in
     from pickenv.experiments.policy_tables import read_episodes
+    from pickenv.inspect import inspect_evaluation
     from pickenv.inspect.colours import policy_key
-    from pickenv.inspect.recordings.inspections import inspect_evaluation
 
     rows = read_episodes(run)
     names = [name for (name,) in rows.levels("policy")]

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from pickenv.base import InputError, separate, write_json
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import print_table, progress_bars
-from pickenv.errors import InputError
-from pickenv.files import separate, write_json
 
 if TYPE_CHECKING:
-    from pickenv.agents.training.training_setup import Training
+    from pickenv.agents import Training
 
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
@@ -56,9 +55,9 @@ def train(
     ] = False,
 ) -> None:
     """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs."""
+    from pickenv.agents import Training, train as run
     from pickenv.agents.training.training import resumed
-    from pickenv.agents.training.training import train as run
-    from pickenv.agents.training.training_setup import Training, words_of
+    from pickenv.agents.training.training_setup import words_of
 
     written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
     separate({"--compensate": compensate, "--plant": plant}, {"--out": written})
@@ -179,12 +178,11 @@ def evaluate(
     defaults about ten minutes on two cores; fewer --arms or --compensation take less, --cache keeps them.
     """
     from pickenv.agents.evaluation.compared_policies import kind_of
-    from pickenv.experiments import policy_tables as tables
+    from pickenv.base import require
+    from pickenv.experiments import CalibrationPlan, PolicySettings, policy_tables as tables, run_policies
     from pickenv.experiments.engine import write_rows
-    from pickenv.experiments.methods import CalibrationPlan, residual_of
-    from pickenv.experiments.policies import PolicySettings, run_policies
-    from pickenv.extras import require
-    from pickenv.inspect.figures.run_drawings import write_drawings
+    from pickenv.experiments.methods import residual_of
+    from pickenv.inspect import write_drawings
     from pickenv.inspect.runs.run_folder import RECORD
 
     written = [] if out is None else [out / name for name in (RECORD, tables.EPISODES, tables.ROWS)]
@@ -255,8 +253,8 @@ def datasets(
     out: Annotated[Path, typer.Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
 ) -> None:
     """Record Minari data sets of good, middling and random policies; those that are there are kept."""
+    from pickenv.agents import datasets as record
     from pickenv.agents.training.data_sets import QUALITIES
-    from pickenv.agents.training.data_sets import datasets as record
 
     separate({}, {"--json": json_file})
     with progress_bars() as report:

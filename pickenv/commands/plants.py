@@ -7,11 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pickenv.base import check_limit, command_line, obey, separate, write_json
 from pickenv.commands.handing_over import deliver
-from pickenv.files import separate, write_json
-from pickenv.limits import check_limit
-from pickenv.provenance import command_line
-from pickenv.reservations import obey
 
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
 
@@ -84,8 +81,7 @@ def iso9283(
 
     from pickenv.arm import load_plant
     from pickenv.arm.plant.campaign import Pace
-    from pickenv.arm.plant.iso9283 import Iso9283Settings
-    from pickenv.arm.plant.iso9283 import iso9283 as test
+    from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283 as test
     from pickenv.calibration import Calibration
     from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
 

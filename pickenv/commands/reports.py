@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from pickenv.files import separate, write_text
+from pickenv.base import separate, write_text
 
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
 """Suffixes of pages and pictures, which may be made again."""
@@ -22,10 +22,10 @@ def figures(
     formats: Annotated[str, typer.Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
 ) -> None:
     """Draw every figure that a run's numbers allow, for papers and reports; say what is left out or looks wrong."""
+    from pickenv.inspect import drawings_of, read_run, write_drawings
     from pickenv.inspect.figures.figure_lint import linting
-    from pickenv.inspect.figures.run_drawings import NotDrawn, write_drawings
-    from pickenv.inspect.reports.run_pages import drawings_of
-    from pickenv.inspect.runs.run_folder import added_to, read_run
+    from pickenv.inspect.figures.run_drawings import NotDrawn
+    from pickenv.inspect.runs.run_folder import added_to
 
     found, folder = read_run(run), out or run / "figures"
     drawings, suffixes = drawings_of(found), formats.split(",")
@@ -51,9 +51,9 @@ def report(
     ] = True,
 ) -> None:
     """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
+    from pickenv.inspect import page_of, read_run
     from pickenv.inspect.recordings.open_recording import viewer_picture
-    from pickenv.inspect.reports.run_pages import page_of
-    from pickenv.inspect.runs.run_folder import added_to, read_run
+    from pickenv.inspect.runs.run_folder import added_to
 
     found = read_run(run)
     path = out or run / "report.html"

@@ -8,12 +8,12 @@ from typing import Annotated, Any
 
 import typer
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 
 def schema(kind: Annotated[str, typer.Argument(help="arm, plant, description, study, …")]) -> None:
     """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones."""
-    from pickenv.toml_tables import json_schema
+    from pickenv.base import json_schema
 
     known = kinds()
     if kind not in known:
@@ -24,24 +24,23 @@ def schema(kind: Annotated[str, typer.Argument(help="arm, plant, description, st
 def kinds() -> dict[str, Any]:
     """The classes of all kinds of files; of orchard presets a file of one's own is meant."""
     from pickenv import orchard
+    from pickenv.arm import Tolerances
     from pickenv.arm.files.arm_file import ArmFile
     from pickenv.arm.plant.plant_file import plant_file
-    from pickenv.arm.plant.tolerances import Tolerances
+    from pickenv.base import toml_table
+    from pickenv.base.registry import load_all
     from pickenv.calibration.camera.boards import Board
     from pickenv.calibration.reading.description import description_file
     from pickenv.envs.harvesting.harvest_task import Rules
-    from pickenv.experiments.study import StudyConfig
+    from pickenv.experiments import StudyConfig
+    from pickenv.harvester import Grid, Picking
     from pickenv.harvester.machine import MachineFile
     from pickenv.harvester.optimiser import Effort
-    from pickenv.harvester.pick_point import Search
-    from pickenv.harvester.picking import Picking
+    from pickenv.harvester.pick_points import Search
     from pickenv.harvester.trees import Lab, TreesTable
-    from pickenv.harvester.zones import Grid
+    from pickenv.orchard import Station
     from pickenv.orchard.camera import CameraFile
     from pickenv.orchard.gripper import gripper_file
-    from pickenv.orchard.occlusion import Station
-    from pickenv.registry import load_all
-    from pickenv.toml_tables import toml_table
 
     return {
         "arm": ArmFile,

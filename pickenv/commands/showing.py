@@ -9,8 +9,8 @@ from typing import Any
 
 from typer.core import TyperArgument, TyperCommand, TyperOption
 
-from pickenv.registry import names
-from pickenv.texts import screen_width, side_by_side
+from pickenv.base import screen_width, side_by_side
+from pickenv.base.registry import names
 
 WIDTH = 150
 """Characters of a table that goes elsewhere than to a terminal."""

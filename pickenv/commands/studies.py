@@ -10,15 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+from pickenv.base import check_limit, locked, require, separate, write_json
 from pickenv.commands.handing_over import deliver
 from pickenv.commands.showing import print_table, progress_bars
-from pickenv.extras import require
-from pickenv.files import separate, write_json
-from pickenv.limits import check_limit
-from pickenv.locks import locked
 
 if TYPE_CHECKING:
-    from pickenv.experiments.study import StudyConfig
+    from pickenv.experiments import StudyConfig
 
 TERMINAL = 80
 """Characters of a line of the usual terminal."""
@@ -48,8 +45,7 @@ def study(
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
     require("pyarrow", "joblib")
-    from pickenv.experiments.study import load_study
-    from pickenv.experiments.study_rows import run_study
+    from pickenv.experiments import load_study, run_study
 
     check_limit("--samples", samples, "samples")
     chosen = load_study(config)
@@ -78,7 +74,7 @@ def study(
 
 
 def _write_outputs(folder: Path, sobol: int) -> list[Path]:
-    from pickenv.experiments.study_report import write_outputs
+    from pickenv.experiments import write_outputs
 
     return write_outputs(folder, sobol)
 

@@ -7,11 +7,9 @@ from typing import Annotated
 
 import typer
 
+from pickenv.base import DO_NOT_USE, npz_path, obey, separate, write_json
 from pickenv.commands.corrections import ALLOW, CALIBRATION, UNIT
 from pickenv.commands.handing_over import deliver
-from pickenv.container import npz_path
-from pickenv.files import separate, write_json
-from pickenv.reservations import DO_NOT_USE, obey
 
 
 def twin(
@@ -39,11 +37,8 @@ def twin(
     Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another arm of them.
     """
     from pickenv.arm import load_arm, write_twin
-    from pickenv.calibration.model.measurements import Measurements
-    from pickenv.calibration.pipeline.calibration import Calibration
-    from pickenv.calibration.pipeline.twin import twin as made
-    from pickenv.calibration.reading.read import read_observations
-    from pickenv.errors import InputError
+    from pickenv.base import InputError
+    from pickenv.calibration import Calibration, Measurements, read_observations, twin as made
 
     if columns is not None and rows is None:
         raise InputError("--columns describes the files of --rows; give those too")

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from pickenv.base import separate, write_json
 from pickenv.commands.handing_over import deliver
-from pickenv.files import separate, write_json
 
 NOT_GOOD = 3
 """Exit code where the calibration is not what it was."""
@@ -33,10 +33,8 @@ def verify(
 
     The verdict comes first; unless it is "still good" the exit code is 3.
     """
-    from pickenv.calibration.pipeline.calibration import Calibration
-    from pickenv.calibration.pipeline.verification import frames_and_rows
-    from pickenv.calibration.pipeline.verification import verify as verified
-    from pickenv.calibration.reading.read import read_observations
+    from pickenv.calibration import Calibration, read_observations
+    from pickenv.calibration.pipeline.verification import frames_and_rows, verify as verified
 
     separate({"CALIBRATION": calibration, "FILES": files, "--columns": columns}, {"--json": json_file})
     old = Calibration.load(calibration)

@@ -19,16 +19,16 @@ import numpy as np
 from pickenv.arm import Array, Plant, displace_pose, draw_plants, load_tolerances, plant_at
 from pickenv.arm.effects.drives import ThermalGrowth, warmed
 from pickenv.arm.kinematics.forward import pose_of, split_joints
-from pickenv.calibration import Calibration
+from pickenv.base import InputError, estimate
+from pickenv.base.intervals import LEAST
+from pickenv.calibration import Calibration, Measurements, random_joints
 from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.identification.term_choice import identify_terms, plain_term
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, geometric_model
-from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements, random_joints
+from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
 from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, require_residual
-from pickenv.errors import InputError
 from pickenv.experiments.engine import Experiment, Progress, Rows, joined, run
 from pickenv.inspect.reports.conditions_report import HELD_OUT
-from pickenv.intervals import LEAST, estimate
 
 HELD = 60.0
 """s for which the arm is held before it is measured."""

@@ -34,14 +34,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.files.arm import content_sha256
-from pickenv.container import refusing_damage
-from pickenv.errors import InputError
-from pickenv.extras import require
-from pickenv.files import write_text, write_whole
-from pickenv.locks import FILE, locked
-from pickenv.provenance import code_fingerprint, versions
-from pickenv.sealed import check_sealed_parquet, parquet_is_sealed, sealed_parquet
-from pickenv.threads import single_threaded
+from pickenv.base import (
+    Estimate as Estimate,
+    InputError,
+    check_sealed_parquet,
+    code_fingerprint,
+    estimate as estimate,
+    locked,
+    parquet_is_sealed,
+    refusing_damage,
+    require,
+    sealed_parquet,
+    single_threaded,
+    versions,
+    write_text,
+    write_whole,
+)
+from pickenv.base.locks import FILE
 
 if TYPE_CHECKING:
     import pandas as pd

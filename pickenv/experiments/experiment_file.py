@@ -34,12 +34,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pickenv.agents.policies.foreign import faults_in
-from pickenv.errors import InputError
+from pickenv.base import WHOLE, Check, Estimate, InputError, Unit, estimate, file_sha256, listed, toml_of, toml_table
+from pickenv.base.intervals import LEAST
+from pickenv.base.toml_tables import made
 from pickenv.experiments.engine import Experiment, Rows
-from pickenv.intervals import LEAST, Estimate, estimate
-from pickenv.provenance import file_sha256
-from pickenv.texts import listed
-from pickenv.toml_tables import WHOLE, Check, Unit, made, toml_of, toml_table
 
 WORD = Check(lambda value: isinstance(value, str) and value != "", "a text")
 NAMES = Check(
@@ -80,7 +78,7 @@ class Number:
         value: The column that they are of; several for a function of them.
         by: Columns that name a number.
         over: One or two columns of units, which the intervals are over.
-        of: As `pickenv.intervals.estimate` takes it; a function is named.
+        of: As `pickenv.base.intervals.estimate` takes it; a function is named.
         against: Levels that the others are compared with, pair by pair.
         where: Levels of the rows that count.
         across: The column of ``by`` whose levels stand side by side; all in lines when left out.

@@ -18,10 +18,10 @@ import numpy as np
 
 from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, load_plant, load_tolerances, plant_at
 from pickenv.arm.plant.campaign import TRACKER
+from pickenv.base import InputError
 from pickenv.calibration import BpnnSettings, Choices, Measurements, Result, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.model.observations import BLOCKS
 from pickenv.calibration.pipeline.fitting import fit_remainder
-from pickenv.errors import InputError
 from pickenv.experiments.engine import Experiment, run
 from pickenv.inspect.runs.field_grid import field_grid
 

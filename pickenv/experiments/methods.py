@@ -17,23 +17,20 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.agents.evaluation.reaches import episode_seeds
+from pickenv.agents import episode_seeds
+from pickenv.arm import Plant, load_instrument, plant_at
 from pickenv.arm.files.arm import content_sha256
-from pickenv.arm.plant.campaign import TRACKER, load_instrument
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at, plant_count
+from pickenv.arm.plant.campaign import TRACKER
+from pickenv.arm.plant.plant_batch import plant_count
+from pickenv.base import InputError, code_fingerprint, stream
+from pickenv.base.registry import names, origin
 from pickenv.calibration import BpnnSettings, Calibration, fit
 from pickenv.envs.shared.task import check_count
-from pickenv.errors import InputError
 from pickenv.experiments.gains import random_sets
 from pickenv.inspect.runs.episode_summary import Reaches, reaches_of
-from pickenv.provenance import code_fingerprint
-from pickenv.registry import names, origin
-from pickenv.seeds import stream
-from pickenv.wrappers import Compensate
-from pickenv.wrappers.compensation import CompensationVectorWrapper
+from pickenv.wrappers import Compensate, CompensationVectorWrapper
 
-METHODS = ("raw", "ls", "ls_bpnn", "best")
+METHODS: tuple[str, ...] = ("raw", "ls", "ls_bpnn", "best")
 """What is compared where nothing else is asked for."""
 
 RESIDUALS = {"ls": None, "ls_bpnn": "bpnn", "best": "gp"}

@@ -17,30 +17,24 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pickenv.agents import Policy, ScriptedPick, roll_out
 from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.reaches import moments_of
-from pickenv.agents.evaluation.rollout import roll_out
 from pickenv.agents.policies.learned import BASELINES
-from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
-from pickenv.agents.policies.policy import Policy
+from pickenv.agents.policies.pick_policy import HASTY
+from pickenv.arm import Plant, plant_at
 from pickenv.arm.plant.named_plants import draw_arms
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.base import InputError, check_limit, file_sha256, seed_words, stream
+from pickenv.base.registry import names, origin
 from pickenv.calibration import Calibration
-from pickenv.envs.picking.pick import PickEnv
-from pickenv.envs.reaching.vector import ReachVectorEnv
+from pickenv.envs import PickEnv, ReachVectorEnv
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
-from pickenv.errors import InputError
 from pickenv.experiments import methods
 from pickenv.experiments.engine import Columns, Experiment, Progress, Rows, run
 from pickenv.inspect.runs.episode_summary import Reaches
 from pickenv.inspect.runs.run_folder import listed_files
-from pickenv.limits import check_limit
-from pickenv.orchard.gripper import load_gripper
-from pickenv.provenance import file_sha256
-from pickenv.registry import names, origin
-from pickenv.seeds import seed_words, stream
+from pickenv.orchard import load_gripper
 
 CYCLE_MM = 2.0
 """Radius within which a cycle is over, for the cycle time."""

@@ -14,14 +14,21 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pickenv.agents.policies.learned import shipped_baselines
-from pickenv.container import refusing_damage
+from pickenv.agents import shipped_baselines
+from pickenv.base import (
+    Estimate,
+    InputError,
+    command_line,
+    estimate,
+    interquartile_estimate,
+    refusing_damage,
+    write_json,
+)
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.errors import InputError
 from pickenv.experiments.engine import Rows, read_piece, write_piece
 from pickenv.experiments.methods import CalibrationPlan
 from pickenv.experiments.policies import PolicySettings, population_seed, run_policies
-from pickenv.files import write_json
+from pickenv.inspect import Run
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
@@ -29,9 +36,7 @@ from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.runs.matters import gripper_curves
-from pickenv.inspect.runs.run_folder import Run, TakePicture, recorded_run, unedited
-from pickenv.intervals import Estimate, estimate, interquartile_estimate
-from pickenv.provenance import command_line
+from pickenv.inspect.runs.run_folder import TakePicture, recorded_run, unedited
 
 EPISODES = "episodes.parquet"
 """An evaluation's episodes in its run folder, a row each."""

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from pickenv.base import Ends
 from pickenv.experiments.engine import Rows
 from pickenv.experiments.gains import LEARNT, LS
 from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench, bench_row
-from pickenv.intervals import Ends
 
 GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
 HELD = {"random": "random fifths", "blocks": "blocks", "poses": "its 20 random poses"}

@@ -25,24 +25,31 @@ import numpy as np
 import pickenv
 from pickenv.arm import Arm, Array, Geometry, Pose, draw_plants, load_arm, load_tolerances, plant_at
 from pickenv.arm.files.urdf import urdf_text
-from pickenv.calibration import Choices, Measurements, Result, align, calibrate, complete_model, frames_model, identify
+from pickenv.base import Ends, InputError, file_sha256, statistic_interval
+from pickenv.calibration import (
+    Choices,
+    Measurements,
+    Observations,
+    Result,
+    align,
+    calibrate,
+    complete_model,
+    frames_model,
+    identify,
+    read_observations,
+)
 from pickenv.calibration.identification.diagnosis import checked_rows
 from pickenv.calibration.model.observations import (
     BLOCKS,
-    Observations,
+    Rows as RowNumbers,
     contiguous_folds,
     equally_spaced,
     random_split,
     same_poses,
 )
-from pickenv.calibration.model.observations import Rows as RowNumbers
 from pickenv.calibration.pipeline.fitting import GEOMETRIC
-from pickenv.calibration.reading.read import read_observations
-from pickenv.errors import InputError
 from pickenv.experiments.engine import Experiment, Progress, Rows, run
 from pickenv.experiments.gains import LEARNT, LS, NOMINAL, TERMS, Squares, as_measured, left_by_models
-from pickenv.intervals import Ends, statistic_interval
-from pickenv.provenance import file_sha256
 
 
 @dataclass(frozen=True)

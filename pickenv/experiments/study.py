@@ -21,28 +21,29 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.stats import qmc
 
+from pickenv.arm import (
+    Array,
+    Geometry,
+    Instrument,
+    Plant,
+    Tolerances,
+    draw_plants,
+    forward,
+    load_instrument,
+    load_plant,
+    load_tolerances,
+)
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.files.arm import content_sha256
-from pickenv.arm.kinematics.forward import forward
-from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.arm.plant.campaign import TRACKER, Instrument, NormalDraws, load_instrument, normal_draws
-from pickenv.arm.plant.named_plants import load_plant
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.tolerances import GRADE, Tolerances, draw_plants, load_tolerances
-from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.arm_model import ErrorModel, link_model
-from pickenv.calibration.model.measurements import (
-    ATTITUDE_STD,
-    POSITION_STD,
-    Measurements,
-    random_joints,
-    tracked,
-)
+from pickenv.arm.plant.campaign import TRACKER, NormalDraws, normal_draws
+from pickenv.arm.plant.tolerances import GRADE
+from pickenv.base import LIMITS, ONCE, SHARE, WHOLE, Check, InputError, Key, Unit, toml_of, toml_table
+from pickenv.base.registry import names
+from pickenv.base.toml_tables import made
+from pickenv.calibration import Measurements, identify, link_model, random_joints
+from pickenv.calibration.model.arm_model import ErrorModel
+from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, tracked
 from pickenv.envs.shared.task import GOAL_MARGIN
-from pickenv.errors import InputError
-from pickenv.limits import LIMITS
-from pickenv.registry import names
-from pickenv.toml_tables import ONCE, SHARE, WHOLE, Check, Key, Unit, made, toml_of, toml_table
 
 VERSION = 3
 """Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""

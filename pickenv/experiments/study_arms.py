@@ -12,18 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm.kinematics.forward import forward
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.kinematics.pose_error import pose_error
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.calibration.compensation.compensator import Compensator
+from pickenv.arm import Array, Plant, forward, plant_at, pose_error
+from pickenv.base import InputError, single_threaded
+from pickenv.calibration import Calibration, Compensator, simulated_tracker
 from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.measurements import simulated_tracker
-from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.residual_models import fit_residual
-from pickenv.errors import InputError
 from pickenv.experiments.engine import Rows
 from pickenv.experiments.study import (
     LS,
@@ -38,7 +32,6 @@ from pickenv.experiments.study import (
     measured,
     spread_joints,
 )
-from pickenv.threads import single_threaded
 
 OK = "ok"
 """Status of an arm that was calibrated and judged; any other is a sentence that says why it was not."""

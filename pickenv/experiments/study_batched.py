@@ -19,23 +19,23 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from pickenv.arm import Array, Frame, Geometry, Plant, plant_at, plants_on
 from pickenv.arm.effects.drives import read_frame
-from pickenv.arm.kinematics.forward import Chain, Frame, attach, chain_of, frames, tool_frame
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
+from pickenv.arm.kinematics.forward import Chain, attach, chain_of, frames, tool_frame
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
 from pickenv.arm.kinematics.pose_error import frame_error
 from pickenv.arm.kinematics.task_space import link_column
 from pickenv.arm.plant.campaign import Place, in_components, visited
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.plant_batch import plant_at, plants_on, with_links
+from pickenv.arm.plant.plant_batch import with_links
 from pickenv.arm.plant.tree import tree_map
-from pickenv.calibration.compensation.compensator import Compensator, corrected
+from pickenv.base import InputError, torch_on_one_thread
+from pickenv.calibration import Compensator
+from pickenv.calibration.compensation.compensator import corrected
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, judged_step
 from pickenv.calibration.model.arm_model import ErrorModel
-from pickenv.errors import InputError
 from pickenv.experiments.engine import Rows, joined
 from pickenv.experiments.study import RAW, Circumstances, Protocol, Setting, carrying, measured
 from pickenv.experiments.study_arms import Outcomes, chunk_rows, evaluate_arm, gathered, reach_status
-from pickenv.threads import torch_on_one_thread
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
 """Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""

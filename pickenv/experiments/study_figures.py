@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
+from pickenv.arm import Array
+from pickenv.base import InputError
 from pickenv.experiments.study import RAW
 from pickenv.experiments.study_arms import ERROR
 from pickenv.experiments.study_findings import FEW, Findings, Placement, method_label, setting_label, specified

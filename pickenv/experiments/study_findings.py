@@ -16,15 +16,14 @@ import numpy as np
 import pyarrow.compute as pc
 from pyarrow.dataset import Dataset
 
-from pickenv.arm.plant.plant import Plant
-from pickenv.errors import InputError
+from pickenv.arm import Plant
+from pickenv.base import InputError, share_interval
 from pickenv.experiments.study import LS, RAW, Protocol, Setting, StudyConfig, prepared_study
 from pickenv.experiments.study_arms import ERROR, OK, evaluate_arm, figures, gathered
 from pickenv.experiments.study_rows import Row, held, quantiles_of, read_rows, study_of, yields_of
 from pickenv.experiments.study_variance import sensitivities_of
 from pickenv.inspect.reports.report_page import PageVerdict
 from pickenv.inspect.reports.report_words import percent
-from pickenv.intervals import share_interval
 
 DENSE = tuple(float(p) for p in np.linspace(0.01, 0.99, 99))
 """Probabilities of the distributions that are drawn."""

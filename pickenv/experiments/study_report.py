@@ -18,22 +18,20 @@ from typing import Any
 import numpy as np
 import pyarrow.compute as pc
 
-from pickenv.arm.kinematics.forward import forward
-from pickenv.arm.kinematics.pose_error import pose_error
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.errors import InputError
+from pickenv.arm import forward, plant_at, pose_error
+from pickenv.base import InputError, write_text
 from pickenv.experiments.study import LS, RAW, StudyConfig, carrying, prepared_study
 from pickenv.experiments.study_arms import OK, arm_commands
 from pickenv.experiments.study_figures import study_drawings
 from pickenv.experiments.study_findings import Findings, gather, ranked, setting_label, specified, study_verdict
 from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summary, study_of, write_sobol
-from pickenv.files import write_text
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings, write_drawings
+from pickenv.inspect import Comparison, PolicyErrors, Run, write_drawings
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import Page, PageTable, Pair, Part, Section, html_of
 from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
-from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors, compared, policy_errors
+from pickenv.inspect.runs.comparison_summary import compared, policy_errors
 from pickenv.inspect.runs.field_grid import field_grid
-from pickenv.inspect.runs.run_folder import Run, TakePicture
+from pickenv.inspect.runs.run_folder import TakePicture
 
 COUNTS = ("within", "arms", "failed")
 MOST_REASONS = 10
@@ -277,7 +275,7 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
     Raises:
         InputError: If there is no such setting, or no arm of it has a result.
     """
-    from pickenv.inspect.recordings.comparison_recording import record_comparison
+    from pickenv.inspect import record_comparison
 
     return record_comparison(arms_compared(folder, setting), path)
 

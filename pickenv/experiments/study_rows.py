@@ -22,14 +22,10 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from pickenv import __version__
-from pickenv.errors import InputError
+from pickenv.base import InputError, locked, quantile_levels, share_interval, toml_of, write_text
 from pickenv.experiments.engine import RECORD, Experiment, check_experiment, keep, kept_tables
 from pickenv.experiments.study import LS, RAW, Protocol, Setting, StudyConfig, load_study, prepared_study
 from pickenv.experiments.study_arms import FIGURES, OK, evaluate_chunk
-from pickenv.files import write_text
-from pickenv.intervals import quantile_levels, share_interval
-from pickenv.locks import locked
-from pickenv.toml_tables import toml_of
 
 Row = Mapping[str, Any]
 

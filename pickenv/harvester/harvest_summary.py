@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pickenv.arm import Array
-from pickenv.errors import InputError
-from pickenv.harvester.harvest import Harvest, Round
+from pickenv.base import Ends, InputError, clustered_share_interval, statistic_interval
+from pickenv.harvester.harvest_run import Harvest, Round
 from pickenv.harvester.machine import Machine
-from pickenv.intervals import Ends, clustered_share_interval, statistic_interval
 
 STAGES = ("present", "visible", "located", "reachable", "attempted", "attached", "detached", "collected")
 ROUND_NUMBERS = ("makespan", "busy", "held", "waits", "parallel", "travel", "picks", "collisions")

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
+from pickenv.base import read_toml
 from pickenv.harvester.machine import SHIPPED, Machine, MachineFile
-from pickenv.toml_tables import read
 
 
 def travel_time(distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
@@ -68,6 +68,6 @@ def workspace(machine: Machine, count: int, rng: np.random.Generator) -> Array:
 
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
     """Where Li 2016, Fig. 8, finds the cloud of reached points dense: ranges of x, y and z in the base frame, m."""
-    workspace = read(MachineFile, SHIPPED).workspace
+    workspace = read_toml(MachineFile, SHIPPED).workspace
     assert workspace is not None, SHIPPED
     return workspace.dense_x, workspace.dense_y, workspace.dense_z

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Arm, Array, Geometry, Pose, load_arm
-from pickenv.errors import InputError
-from pickenv.toml_tables import DEG, MM, SECONDS, WHOLE, Check, Key, Unit, read, toml_table
+from pickenv.base import DEG, MM, SECONDS, WHOLE, Check, InputError, Key, Unit, read_toml, toml_table
 
 SHIPPED = Path(__file__).parent / "li2016.toml"
 MOST_SLAVES = 6
@@ -318,7 +317,7 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     Raises:
         InputError: If a number is impossible, or neighbouring arms would meet at rest.
     """
-    file = read(MachineFile, path)
+    file = read_toml(MachineFile, path)
     head, accelerations = file.machine, file.acceleration
     count = head.slaves if slaves is None else slaves
     if count != int(count) or not 1 <= count <= MOST_SLAVES:

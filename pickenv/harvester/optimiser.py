@@ -11,12 +11,10 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from pickenv.errors import InputError
-from pickenv.extras import require
+from pickenv.base import NUMBER, InputError, read_toml, require, toml_table
 from pickenv.harvester.rules import hungarian_waves, li_rule, lower_bound, nearest_neighbour, static_columns
 from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain_lists
 from pickenv.harvester.zones import SHIPPED
-from pickenv.toml_tables import NUMBER, read, toml_table
 
 TICKS = 1000
 """CP-SAT counts whole milliseconds."""
@@ -194,7 +192,7 @@ class Effort:
 
 @lru_cache(maxsize=1)
 def _effort() -> Effort:
-    return read(Effort, SHIPPED, section="optimiser")
+    return read_toml(Effort, SHIPPED, section="optimiser")
 
 
 # A plan for a zone by the name of the method that makes it.

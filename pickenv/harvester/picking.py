@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
+from pickenv.base import MM, NUMBER, SHARE, Key, Then, Unit, fault, read_toml, toml_table
 from pickenv.harvester.trees import SHIPPED
 from pickenv.orchard import Branch, Cup, coupling, load_branch, load_gripper, swing
-from pickenv.toml_tables import MM, NUMBER, SHARE, Key, Then, Unit, fault, read, toml_table
 
 Flags = NDArray[np.bool_]
 
@@ -69,7 +69,7 @@ def load_picking(path: str | Path = SHIPPED) -> Picking:
     Raises:
         InputError: If a number is impossible or the gripper is not a cup.
     """
-    return read(Picking, path, section="pick")
+    return read_toml(Picking, path, section="pick")
 
 
 class Luck(NamedTuple):

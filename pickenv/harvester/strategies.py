@@ -9,8 +9,8 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from pickenv.errors import InputError
-from pickenv.harvester.harvest import Harvest, Strategy, harvest
+from pickenv.base import InputError
+from pickenv.harvester.harvest_run import Harvest, Strategy, harvest
 from pickenv.harvester.picking import Picking
 from pickenv.harvester.trees import Orchard, Tree, load_lab, sample_image, sample_tree
 from pickenv.harvester.true_machine import TrueMachine

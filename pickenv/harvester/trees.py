@@ -13,9 +13,9 @@ from typing import Annotated
 import numpy as np
 
 from pickenv.arm import Array
-from pickenv.errors import InputError
+from pickenv.base import MM, NUMBER, WHOLE, InputError, read_toml, toml_table
 from pickenv.harvester.machine import Machine
-from pickenv.harvester.pick_point import pick_point
+from pickenv.harvester.pick_points import pick_point
 from pickenv.orchard import (
     Canopy,
     Eyes,
@@ -29,7 +29,6 @@ from pickenv.orchard import (
     load_fruit_size,
     sample_fruit,
 )
-from pickenv.toml_tables import MM, NUMBER, WHOLE, read, toml_table
 
 SHIPPED = Path(__file__).parent / "picking.toml"
 TRIES = 1000
@@ -101,7 +100,7 @@ def load_orchard(
         fruit_map: A fruit map of `pickenv.orchard` instead of the file's; "v_trellis" hangs fruit in clusters of three.
         canopy: A canopy of `pickenv.orchard` instead of the file's; "li2016_bare" has no leaves.
     """
-    trees = read(TreesTable, path, section="trees")
+    trees = read_toml(TreesTable, path, section="trees")
     where = load_fruit_map(fruit_map or trees.fruit_map).scaled(trees.per_metre if per_metre is None else per_metre)
     return Orchard(load_canopy(canopy or trees.canopy), where, load_fruit_size(trees.fruit_size))
 
@@ -131,7 +130,7 @@ def tree_leaves(machine: Machine, eyes: Eyes, rng: np.random.Generator) -> Leave
 @lru_cache(maxsize=1)
 def load_lab() -> Lab:
     """Read Li's experiment."""
-    return read(Lab, SHIPPED, section="lab")
+    return read_toml(Lab, SHIPPED, section="lab")
 
 
 def lab_zone(canopy: Canopy) -> Array:

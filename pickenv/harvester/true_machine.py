@@ -14,12 +14,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Geometry, Plant, Pose, forward, load_plant
+from pickenv.arm import Array, Frame, Geometry, Plant, Pose, forward, load_plant
 from pickenv.arm.kinematics.backend import ONE
-from pickenv.arm.kinematics.forward import Frame, Scalar, attach, split_joints
-from pickenv.errors import InputError
+from pickenv.arm.kinematics.forward import Scalar, attach, split_joints
+from pickenv.base import InputError, read_toml
 from pickenv.harvester.machine import SHIPPED, Machine, MachineFile, composed, shifted
-from pickenv.toml_tables import read
 
 Rows = NDArray[np.intp]
 
@@ -189,7 +188,7 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
     Raises:
         InputError: If a number is impossible or a plant is not that of the machine's arm.
     """
-    table = read(MachineFile, path).true
+    table = read_toml(MachineFile, path).true
     if table is None:
         raise InputError(f"{path}: section [true] is missing; name the plants of master and slave there")
     master, slave = load_plant(table.master), load_plant(table.slave)

@@ -12,9 +12,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.errors import InputError
+from pickenv.base import MM, WHOLE, InputError, read_toml, toml_table
 from pickenv.orchard import Viewpoint
-from pickenv.toml_tables import MM, WHOLE, read, toml_table
 
 SHIPPED = Path(__file__).parent / "strategy.toml"
 AHEAD = np.array([0.0, -1.0, 0.0])
@@ -68,7 +67,7 @@ class Grid:
 
 def load_grid(path: str | Path = SHIPPED) -> Grid:
     """Read the grid from a strategy file."""
-    return read(Grid, path, section="zones")
+    return read_toml(Grid, path, section="zones")
 
 
 def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:

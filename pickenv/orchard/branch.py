@@ -12,9 +12,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pickenv.base import GRAVITY, KG, NUMBER, Unit, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array
-from pickenv.toml_tables import GRAVITY, KG, NUMBER, Unit, toml_table
 
 
 @toml_table

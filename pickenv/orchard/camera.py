@@ -15,11 +15,10 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.errors import InputError
+from pickenv.base import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, InputError, Kinds, Unit, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.vision import Detections
-from pickenv.toml_tables import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, Kinds, Unit, toml_table
 
 DRAWS = 5  # normal numbers per measurement: three of noise, two for the side from which leaves hide the fruit
 

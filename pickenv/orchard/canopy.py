@@ -14,11 +14,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.errors import InputError
+from pickenv.base import DEG, NUMBER, SHARE, InputError, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags, Integers
 from pickenv.orchard.fruit import FruitMap, FruitSize, sample_counts, sample_diameters
-from pickenv.toml_tables import DEG, NUMBER, SHARE, toml_table
 
 # Fruit in a canopy: counts by block become positions, clusters hang together, and no two fruit share a place. Each
 # cluster starts as a ring of touching fruit around a random centre in its block, tilted at random; fruit that

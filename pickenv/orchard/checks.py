@@ -8,8 +8,7 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.errors import InputError
-from pickenv.toml_tables import Unit, units_of
+from pickenv.base import InputError, Unit, units_of
 
 Array: TypeAlias = NDArray[np.float64]
 Flags: TypeAlias = NDArray[np.bool_]

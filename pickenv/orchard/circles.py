@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.extras import require
+from pickenv.base import NUMBER, PX, SHARE, WHOLE_PX, require, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import Array, Flags, Integers
 from pickenv.orchard.vision import (
@@ -27,7 +27,6 @@ from pickenv.orchard.vision import (
     red_minus_green,
     triangulate,
 )
-from pickenv.toml_tables import NUMBER, PX, SHARE, WHOLE_PX, toml_table
 
 STEP, SPREAD = 2, 1.5  # of the radii that are voted for, and of a vote around its pixel
 ROUNDS, SETTLED = 6, 1e-3  # of a circle's fit

@@ -14,10 +14,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.errors import InputError
+from pickenv.base import NEWTON, NEWTON_METRE, NUMBER, REQUIRED, WHOLE, InputError, Unit, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags, Integers
-from pickenv.toml_tables import NEWTON, NEWTON_METRE, NUMBER, REQUIRED, WHOLE, Unit, toml_table
 
 # What it takes to pick a fruit: pull or twist, whichever limit is met first, log-normal over fruit. One strength per
 # fruit scales both limits: a fruit that holds against pulling holds against twisting. Units: N, N·m, m.

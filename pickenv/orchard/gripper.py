@@ -14,11 +14,10 @@ from typing import Annotated, Any, Literal, Protocol, Union
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.errors import InputError
+from pickenv.base import DEG, NUMBER, REQUIRED, Check, InputError, Kinds, Unit, register, toml_table
+from pickenv.base.registry import get, load_all, names
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array
-from pickenv.registry import get, load_all, names, register
-from pickenv.toml_tables import DEG, NUMBER, REQUIRED, Check, Kinds, Unit, toml_table
 
 KIND = Check(lambda value: value in names("gripper"), "'cup' or 'hand'")
 

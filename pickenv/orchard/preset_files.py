@@ -10,9 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pickenv.errors import InputError
-from pickenv.texts import is_file, shortened
-from pickenv.toml_tables import made, toml_of
+from pickenv.base import InputError, is_file, shortened, toml_of
+from pickenv.base.toml_tables import made
 
 FOLDER = Path(__file__).parent / "presets"
 Thing = TypeVar("Thing")
@@ -35,7 +34,7 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
     Args:
         kind: Name of the file beside this module, such as "camera"; also the word in error messages.
         name: A shipped preset, or a path that ends in .toml whose keys are those of one preset.
-        thing: The class that the table makes (`pickenv.toml_tables.toml_table`), or what tells it from the table.
+        thing: The class that the table makes (`pickenv.base.toml_tables.toml_table`), or what tells it from the table.
 
     Raises:
         InputError: If the preset is unknown or a number is missing or impossible; names the file and the key.

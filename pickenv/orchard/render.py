@@ -13,11 +13,10 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.errors import InputError
+from pickenv.base import NUMBER, SHARE, WHOLE, WHOLE_PX, InputError, Unit, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Integers
 from pickenv.orchard.vision import StereoCamera, project
-from pickenv.toml_tables import NUMBER, SHARE, WHOLE, WHOLE_PX, Unit, toml_table
 
 BACKGROUND, LEAF = -1, -2
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.orchard.camera import camera_axes, camera_frame, orchard_frame
 from pickenv.orchard.canopy import Canopy, face
 from pickenv.orchard.checks import Array, Flags

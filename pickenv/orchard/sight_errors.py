@@ -16,11 +16,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.errors import InputError
-from pickenv.intervals import clustered_share_interval, statistic_interval
+from pickenv.base import NUMBER, SHARE, WHOLE, InputError, clustered_share_interval, statistic_interval, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags, Integers
-from pickenv.toml_tables import NUMBER, SHARE, WHOLE, toml_table
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """Axes of the three correlations of an error."""

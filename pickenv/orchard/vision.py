@@ -14,11 +14,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.errors import InputError
-from pickenv.extras import require
+from pickenv.base import PX, SHARE, WHOLE, WHOLE_PX, InputError, require, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags, Integers
-from pickenv.toml_tables import PX, SHARE, WHOLE, WHOLE_PX, toml_table
 
 # What any camera, modelled or rendered, tells the arm: where fruit is believed to be, and with what confidence.
 # Units: m.

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import qmc
 
+from pickenv.arm import Array, Geometry
 from pickenv.arm.kinematics.forward import drawn_parts, nominal_points, true_points
-from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.pictures.solids import turned
 from pickenv.pictures.stage import Balls, Mesh, Rgb, Rods, rgba
 

@@ -11,8 +11,7 @@ import sys
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
-from pickenv.errors import InputError
-from pickenv.extras import is_there, require
+from pickenv.base import InputError, is_there, require
 from pickenv.pictures.lettering import lettered
 from pickenv.pictures.stage import Pixels, Stage
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from PIL import Image, ImageDraw
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.pictures.stage import Balls, Eye, Mesh, Pixels, Rods, Stage, backdrop
 
 FINER = 2

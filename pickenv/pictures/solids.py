@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.pictures.stage import Balls, Colours, Mesh, Rgb, Rods, rgba
 
 AROUND, ARCS = 14, 4

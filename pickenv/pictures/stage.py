@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 
 Rgb = tuple[int, int, int]
 Colours = NDArray[np.uint8]

@@ -11,8 +11,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.orchard.render import load_look, sample_leaves
+from pickenv.arm import Array
+from pickenv.orchard import load_look, sample_leaves
 from pickenv.pictures.arm_shapes import JOINT, Solids
 from pickenv.pictures.solids import chequered, leaf_mesh, rod_triangles, turned
 from pickenv.pictures.stage import Balls, Eye, Mesh, Rgb, Rods, rgba

@@ -11,8 +11,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
-from pickenv.errors import InputError
-from pickenv.reservations import obey
+from pickenv.base import InputError, obey
 
 Observation = TypeVar("Observation")
 Action = TypeVar("Action")

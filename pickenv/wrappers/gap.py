@@ -19,11 +19,10 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from pickenv.envs.reaching.reach import ReachEnv
-from pickenv.envs.reaching.vector import ReachVectorEnv
+from pickenv.base import InputError
+from pickenv.envs import ReachEnv, ReachVectorEnv
 from pickenv.envs.shared.simulation import GOAL_NUMBERS, goal_gap
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
-from pickenv.errors import InputError
 from pickenv.wrappers.scaled import ScaledEnv, ScaledVector
 
 SMALLEST = 1e-6

@@ -12,7 +12,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from pickenv.arm import Array, Geometry, Plant, Pose, forward, pose_error
 from pickenv.arm.kinematics.forward import geometry_from_axes
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.wrappers.compensation import Compensate
 
 SLIDE, HINGE = 2, 3

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, joint_jacobian
 from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.base import InputError
 from pickenv.envs.shared.backends import NUMPY
 from pickenv.envs.shared.simulation import NUMBER_KEYS, goal_attempt
 from pickenv.envs.shared.spaces import final_rows, given_options, given_seeds
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_count, check_number
-from pickenv.errors import InputError
 
 SEEN_MM = 5.0
 """An error of the arm of this size is shown as 1."""

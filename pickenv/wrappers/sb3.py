@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 import pickenv  # noqa: F401  (registers the environments)
-from pickenv.errors import InputError
-from pickenv.seeds import seed_words, stream
+from pickenv.base import InputError, seed_words, stream
 from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper
 from pickenv.wrappers.scaled import ScaledVector
 

@@ -18,9 +18,9 @@ from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, joint_jacobian
+from pickenv.base import InputError
 from pickenv.envs.picking.pick_scene import CLOSE, PickSetting
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
-from pickenv.errors import InputError
 from pickenv.wrappers.scaled import ScaledEnv, ScaledVector
 
 LARGEST = 0.03

@@ -28,12 +28,25 @@ from scipy.optimize import least_squares as solve
 from scipy.spatial.transform import Rotation
 
 import pickenv
-from pickenv.arm import Arm, Geometry, Plant, Pose, forward, load_arm, load_plant, rotation_matrix
+from pickenv.arm import (
+    Arm,
+    Array,
+    Geometry,
+    Plant,
+    Pose,
+    forward,
+    from_standard_dh,
+    identity_pose,
+    load_arm,
+    load_plant,
+    plant_at,
+    rotation_matrix,
+)
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.kinematics.geometry import Array, behind, from_standard_dh, identity_pose, inverse_pose
+from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.arm.plant.campaign import Pace, moved, switched_on
 from pickenv.arm.plant.named_plants import draw_arms
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.base import InputError, write_text
 from pickenv.calibration import (
     Choices,
     Measurements,
@@ -48,9 +61,7 @@ from pickenv.calibration import (
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
-from pickenv.errors import InputError
 from pickenv.experiments.robots import SETS
-from pickenv.files import write_text
 
 MM = 1e3
 

@@ -16,11 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from pickenv.arm import Geometry, Pose, forward
-from pickenv.arm.kinematics.geometry import Array, identity_pose
+from pickenv.arm import Array, Geometry, Pose, forward, identity_pose
+from pickenv.base import read_text, yaml_content
 from pickenv.calibration import Calibration
 from pickenv.calibration.pipeline.calibration import uncertainty_from
-from pickenv.texts import read_text, yaml_content
 
 REACH = 0.1
 """How far the three points are ahead of the flange, and from its axis, m."""

@@ -19,15 +19,13 @@ import numpy as np
 from train_baselines import training_of
 
 import pickenv  # noqa: F401
-from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
-from pickenv.agents.policies.remembering import RememberingPolicy, load_remembering
-from pickenv.agents.training.training import train
+from pickenv.agents import AdaptiveReach, AdaptiveSettings, RememberingPolicy, load_remembering, train
 from pickenv.arm import Array, forward
 from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.base import seed_words, stream
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.experiments import Rows, estimate
 from pickenv.inspect.figures.style import WIDTH, new_figure
-from pickenv.seeds import seed_words, stream
 from pickenv.wrappers import SameArmVector
 from pickenv.wrappers.same_arm import SEEN_MM
 

@@ -12,20 +12,16 @@ from typing import Any
 import numpy as np
 from train_baselines import calibration_file
 
-from pickenv.agents.evaluation.rollout import roll_out
-from pickenv.agents.policies.scripted import ServoReach
-from pickenv.agents.training.training import train
-from pickenv.agents.training.training_setup import Training
+from pickenv.agents import ServoReach, Training, roll_out, train
 from pickenv.arm import forward, plant_at
+from pickenv.base import stream
 from pickenv.calibration import complete_model, random_joints, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
-from pickenv.experiments import Rows
-from pickenv.experiments.methods import CalibrationPlan, calibrate_arm
-from pickenv.experiments.policies import PolicySettings, population_seed, run_policies
+from pickenv.experiments import CalibrationPlan, PolicySettings, Rows, calibrate_arm, run_policies
+from pickenv.experiments.policies import population_seed
 from pickenv.inspect.colours import policy_colours, policy_label
 from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb
 from pickenv.inspect.recordings.field_day import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK
-from pickenv.seeds import stream
 
 TRAINED_ON: dict[str, dict[str, Any]] = {
     "calibrated arms": {"compensate": "calibration.npz"},

@@ -15,13 +15,18 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from papers.li2016.comparison import SEED, calibrated_controller, strategies
-from pickenv.harvester.harvest_summary import funnel
-from pickenv.harvester.machine import load_machine
-from pickenv.harvester.picking import load_picking
-from pickenv.harvester.strategies import Strategy, work_trees
-from pickenv.harvester.trees import load_orchard
-from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine
-from pickenv.harvester.zones import load_grid
+from pickenv.harvester import (
+    Controller,
+    TrueMachine,
+    funnel,
+    load_grid,
+    load_machine,
+    load_orchard,
+    load_picking,
+    load_true_machine,
+    work_trees,
+)
+from pickenv.harvester.strategies import Strategy
 
 
 @cache

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.files import write_text
-from pickenv.harvester.machine import load_machine
-from pickenv.harvester.trees import load_orchard, sample_tree, tree_leaves
-from pickenv.harvester.zones import cut, load_grid
+from pickenv.base import write_text
+from pickenv.harvester import load_grid, load_machine, load_orchard
+from pickenv.harvester.trees import sample_tree, tree_leaves
+from pickenv.harvester.zones import cut
 from pickenv.orchard import DETECTORS, Eyes, load_eyes, load_stereo_camera
 from pickenv.orchard.sight import errors_name, sightings
 from pickenv.orchard.sight_errors import (

@@ -13,19 +13,19 @@ from typing import Any
 
 import numpy as np
 
+from pickenv.agents import ScriptedPick, Training, load_policy, train
 from pickenv.agents.evaluation.reaches import pick_canopies
-from pickenv.agents.policies.learned import load_policy
-from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
+from pickenv.agents.policies.pick_policy import HASTY
 from pickenv.agents.training.policy_search import KNOBS, Searches, arguments_of, search
-from pickenv.agents.training.training import CHECKPOINT, train
-from pickenv.agents.training.training_setup import HELD_OUT, Training
+from pickenv.agents.training.training import CHECKPOINT
+from pickenv.agents.training.training_setup import HELD_OUT
 from pickenv.arm import Array
-from pickenv.envs.picking.pick_vector import PickVectorEnv
+from pickenv.base import seed_words, stream
+from pickenv.envs import PickVectorEnv
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.experiments import Rows
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import WIDTH, headline, new_figure, rgb
-from pickenv.seeds import seed_words, stream
 
 SEARCHES = range(5)
 CLUMPS = {"fruit_map": "v_trellis", "fruit": 25.0}

@@ -25,8 +25,8 @@ import numpy as np
 import typer
 from scipy import stats
 
+from pickenv.base import mean_interval
 from pickenv.experiments import StudyConfig, load_study, read_rows, run_study
-from pickenv.intervals import mean_interval
 
 AXES = ("it_grade", "poses")
 """Numbers whose order is compared."""

@@ -15,13 +15,12 @@ from typing import Any
 import typer
 from study_seeds import agreement, in_groups, sentence, sentence_of_groups
 
-from pickenv.errors import InputError
+from pickenv.base import InputError, write_text
 from pickenv.experiments import load_study, read_summary
 from pickenv.experiments.study_figures import yield_curves
 from pickenv.experiments.study_findings import Findings, gather, setting_label, specified
 from pickenv.experiments.study_variance import SAMPLES, sobol_of
-from pickenv.files import write_text
-from pickenv.inspect.figures.style import save_figure
+from pickenv.inspect import save_figure
 from pickenv.inspect.reports.report_words import estimated, percent
 
 ROOT = Path(__file__).parents[2]

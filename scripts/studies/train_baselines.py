@@ -13,16 +13,14 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
+from pickenv.agents import LearnedPolicy, RememberingPolicy, Training, train
 from pickenv.agents.evaluation.compared_policies import load_any
-from pickenv.agents.policies.learned import BASELINES, LearnedPolicy
-from pickenv.agents.policies.remembering import RememberingPolicy
+from pickenv.agents.policies.learned import BASELINES
 from pickenv.agents.training.hyperparams import tuned
-from pickenv.agents.training.training import train
-from pickenv.agents.training.training_setup import Training
 from pickenv.arm import load_plant
+from pickenv.base import write_text
 from pickenv.experiments import CalibrationPlan, PolicySettings, calibrate_arm, evaluation_rows, run_policies
 from pickenv.experiments.policy_tables import interval_words, with_interval
-from pickenv.files import write_text
 
 SEEDS = 5
 CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0, "fruit_noise_mm": 0.0}

@@ -18,11 +18,9 @@ from stable_baselines3 import PPO
 
 from pickenv.agents.training.history import HistoryPolicy
 from pickenv.arm import load_plant, write_twin
+from pickenv.base import seed_words, stream, torch_on_one_thread
 from pickenv.calibration import calibrate, random_joints, simulated_tracker
-from pickenv.seeds import seed_words, stream
-from pickenv.threads import torch_on_one_thread
-from pickenv.wrappers import SameArmVector
-from pickenv.wrappers.sb3 import Sb3Vec
+from pickenv.wrappers import SameArmVector, Sb3Vec
 
 POSES, TOGETHER, ARMS, PICKS = 100, 512, 1024, 20
 LOOK_MM = 0.3

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.agents.training.training import train
-from pickenv.agents.training.training_setup import Training
+from pickenv.agents import Training, train
 
 
 @pytest.fixture

@@ -12,15 +12,15 @@ import torch
 from typer import Typer
 from typer.testing import CliRunner
 
+from pickenv.agents import Training, train
 from pickenv.agents.training.checkpoints import check_checkpoint, read_checkpoint, save_checkpoint
-from pickenv.agents.training.training import resumed, train
-from pickenv.agents.training.training_setup import Inputs, Training, check_inputs, inputs_of, make_model
+from pickenv.agents.training.training import resumed
+from pickenv.agents.training.training_setup import Inputs, check_inputs, inputs_of, make_model
 from pickenv.arm import load_plant
 from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.base import InputError, read_container, write_container
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.commands import learning as commands
-from pickenv.container import read_container, write_container
-from pickenv.errors import InputError
 
 
 @pytest.fixture

@@ -15,20 +15,20 @@ import pytest
 from gymnasium import spaces
 
 import pickenv
-from pickenv.agents.evaluation.compare import PolicyComparison, write_comparison
+from pickenv.agents import PolicyComparison
+from pickenv.agents.evaluation.compare import write_comparison
 from pickenv.agents.policies.foreign import foreign_policy
 from pickenv.arm import forward, load_plant, pose_error
+from pickenv.base import InputError, mean_interval, paired_share_interval, share_interval
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.errors import InputError
+from pickenv.inspect import Comparison, read_run
 from pickenv.inspect.colours import lane, policy_colours, policy_rank
 from pickenv.inspect.runs import episode_summary
-from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.matters import pick_share
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, missing_positions
-from pickenv.inspect.runs.run_folder import load_comparison, load_part, read_run
+from pickenv.inspect.runs.run_folder import load_comparison, load_part
 from pickenv.inspect.runs.saved import nominal_points, true_points
-from pickenv.intervals import mean_interval, paired_share_interval, share_interval
-from pickenv.orchard.gripper import load_gripper
+from pickenv.orchard import load_gripper
 
 EPISODES = 12
 

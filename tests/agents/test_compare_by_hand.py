@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pickenv.agents.evaluation.compare import PolicyComparison, _capture, _joined, _lengthened, _recorded_policy
+from pickenv.agents import PolicyComparison
+from pickenv.agents.evaluation.compare import _capture, _joined, _lengthened, _recorded_policy
 from pickenv.agents.evaluation.reaches import Moment
 from pickenv.arm import Pose, load_plant
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
-from pickenv.orchard.gripper import capture_probability, load_gripper
+from pickenv.orchard import capture_probability, load_gripper
 
 CUP, HAND = load_gripper("li_cup"), load_gripper("compliant_hand")
 FRUIT = np.array([0.3, -0.2, 0.5])

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pickenv.agents import datasets
+from pickenv.base import InputError
 from pickenv.cli import main
-from pickenv.errors import InputError
 
 # Minari leaves its temporary folders to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore:Implicitly cleaning up:ResourceWarning")

@@ -7,8 +7,8 @@ import pytest
 import pickenv  # noqa: F401
 from pickenv.agents import ScriptedReach, episode_seeds, run_reaches
 from pickenv.arm import load_plant
+from pickenv.base import InputError
 from pickenv.calibration import Compensator
-from pickenv.errors import InputError
 from pickenv.wrappers import CompensationWrapper
 
 FIELDS = ("pose_error", "noncompensable", "success", "joint_command", "tool_position", "fruit_position")

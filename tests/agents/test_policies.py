@@ -5,11 +5,18 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401
-from pickenv.agents.evaluation.reaches import run_reaches
-from pickenv.agents.evaluation.rollout import PerArm, roll_out
-from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
-from pickenv.agents.policies.scripted import OracleReach, RandomReach, ScriptedReach, ServoReach
-from pickenv.errors import InputError
+from pickenv.agents import (
+    AdaptiveReach,
+    AdaptiveSettings,
+    OracleReach,
+    RandomReach,
+    ScriptedReach,
+    ServoReach,
+    roll_out,
+    run_reaches,
+)
+from pickenv.agents.evaluation.rollout import PerArm
+from pickenv.base import InputError
 
 CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0, "fruit_noise_mm": 0.0}
 

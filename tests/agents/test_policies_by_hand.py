@@ -9,15 +9,13 @@ import pytest
 from gymnasium.spaces import Box
 from scipy.spatial.transform import Rotation
 
-from pickenv.agents.evaluation.rollout import MOST_ROWS, Rollout, roll_out
-from pickenv.agents.policies.adaptive import AdaptiveReach, AdaptiveSettings
+from pickenv.agents import AdaptiveReach, AdaptiveSettings, RandomReach, Rollout, ScriptedReach, ServoReach, roll_out
+from pickenv.agents.evaluation.rollout import MOST_ROWS
 from pickenv.agents.policies.policy import read_observation
-from pickenv.agents.policies.scripted import RandomReach, ScriptedReach, ServoReach
-from pickenv.arm import forward, inverse, joint_jacobian, load_arm
-from pickenv.arm.kinematics.inverse import InverseSolution
+from pickenv.arm import InverseSolution, forward, inverse, joint_jacobian, load_arm
+from pickenv.base import InputError
 from pickenv.calibration import link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
-from pickenv.errors import InputError
 from pickenv.inspect.runs.episode_summary import Reaches
 from pickenv.orchard import load_gripper
 from pickenv.wrappers.gap import Scaling, joined_observation

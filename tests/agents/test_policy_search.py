@@ -4,12 +4,12 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from pickenv.agents import ScriptedPick
 from pickenv.agents.evaluation.reaches import pick_canopies
-from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
+from pickenv.agents.policies.pick_policy import HASTY
 from pickenv.agents.training.policy_search import KNOBS, arguments_of, search
-from pickenv.envs.picking.pick_vector import PickVectorEnv
-from pickenv.errors import InputError
-from pickenv.seeds import seed_words, stream
+from pickenv.base import InputError, seed_words, stream
+from pickenv.envs import PickVectorEnv
 
 ONE = {"fruit": np.array([[0.6, -0.72, 0.6]])}
 EXACT = {"plant": "ideal", "camera": "perfect"}

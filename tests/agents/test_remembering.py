@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 from sb3_contrib import RecurrentPPO
 
+from pickenv.agents import RememberingReach, Training, load_policy, load_remembering, train
 from pickenv.agents.evaluation.compared_policies import kind_of, maker_of
 from pickenv.agents.policies.foreign import foreign_policy
-from pickenv.agents.policies.learned import load_policy
-from pickenv.agents.policies.remembering import RememberingReach, load_remembering, remembers
+from pickenv.agents.policies.remembering import remembers
 from pickenv.agents.training.checkpoints import read_checkpoint
-from pickenv.agents.training.training import train
-from pickenv.agents.training.training_setup import Training, actor_of, make_model
+from pickenv.agents.training.training_setup import actor_of, make_model
 from pickenv.arm import load_arm
-from pickenv.envs.reaching.vector import ReachVectorEnv
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.envs import ReachVectorEnv
 from pickenv.wrappers import SameArm, SameArmVector, make_sb3_vec
 from pickenv.wrappers.same_arm import MOST_SEEN, SEEN_MM
 

@@ -8,7 +8,7 @@ import pickenv  # noqa: F401
 from pickenv.agents import ScriptedReach
 from pickenv.agents.policies.policy import read_observation
 from pickenv.arm import forward, pose_error, shipped_arms
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 
 @pytest.fixture

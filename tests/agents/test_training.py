@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.agents.policies.learned import load_policy
+from pickenv.agents import Training, load_policy, train
 from pickenv.agents.training.checkpoints import check_checkpoint
 from pickenv.agents.training.hyperparams import tuned
-from pickenv.agents.training.training import resumed, train
-from pickenv.agents.training.training_setup import Training, make_model
+from pickenv.agents.training.training import resumed
+from pickenv.agents.training.training_setup import make_model
 from pickenv.arm import load_plant
+from pickenv.base import InputError
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.errors import InputError
 
 ROOT = Path(__file__).parents[2]
 ALGORITHMS = ["ppo", "sac", pytest.param("tqc", marks=pytest.mark.slow)]  # tqc shares sac's lines

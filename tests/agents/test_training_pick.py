@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.agents.policies.learned import load_policy
-from pickenv.agents.training.training import train
-from pickenv.agents.training.training_setup import Training, words_of
+from pickenv.agents import Training, load_policy, train
+from pickenv.agents.training.training_setup import words_of
 from pickenv.arm import load_arm
-from pickenv.envs.picking.pick_vector import PickVectorEnv
+from pickenv.envs import PickVectorEnv
 
 pytestmark = pytest.mark.slow
 

@@ -11,6 +11,7 @@ import numpy as np
 from pickenv.arm import Geometry, forward, rotation_matrix
 from pickenv.calibration import (
     DistanceObservations,
+    Observations,
     ReflectorObservations,
     SocketObservations,
     TiltObservations,
@@ -18,7 +19,6 @@ from pickenv.calibration import (
     identify,
     random_joints,
 )
-from pickenv.calibration.model.observations import Observations
 
 TIP = np.array([0.03, -0.02, 0.06])
 ANCHOR, LINE_POINT, ALONG = np.array([0.5, -0.9, 0.3]), np.array([0.35, 0.2, 0.3]), np.array([0.6, -0.64, 0.48])

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Pose, rotation_matrix
-from pickenv.arm.kinematics.geometry import Geometry
+from pickenv.arm import Arm, Geometry, Pose, rotation_matrix
 from pickenv.calibration import Calibration
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess

@@ -10,9 +10,8 @@ import pytest
 from scipy.special import stdtrit
 
 from pickenv.arm import load_plant
-from pickenv.calibration import fit, identify, link_model, random_joints, simulated_tracker
+from pickenv.calibration import assess, fit, identify, link_model, random_joints, simulated_tracker
 from pickenv.calibration.assessment.metrics import LEAST_ROWS
-from pickenv.calibration.pipeline.result import assess
 
 pytestmark = pytest.mark.slow
 DYNAMIC = load_plant("qiao2026")

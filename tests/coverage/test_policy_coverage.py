@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from pickenv.base.intervals import LEAST, LEAST_RUNS, MANY
 from pickenv.experiments import compensations_compared, evaluation_rows
-from pickenv.intervals import LEAST, LEAST_RUNS, MANY
-from pickenv.orchard.gripper import capture_probability, load_gripper
+from pickenv.orchard import capture_probability, load_gripper
 from tests.experiments.synthetic import FRUIT, SETTINGS, rows_of
 
 SPREAD = 0.5

@@ -13,15 +13,8 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.experiments import study_variance
-from pickenv.experiments.study_variance import (
-    ARMS_PER_TERM,
-    LEAST_SAMPLES,
-    SAMPLES,
-    sensitivities_of,
-    sobol_indices,
-    variance_indices,
-)
+from pickenv.experiments import sensitivities_of, study_variance
+from pickenv.experiments.study_variance import ARMS_PER_TERM, LEAST_SAMPLES, SAMPLES, sobol_indices, variance_indices
 
 DEVIATIONS = 24
 SLOPES = {0: (1.0, 0.5), 1: (0.5, 0.8), 2: (0.3, 0.0), 3: (0.1, 0.2), 12: (0.2, 0.0)}

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.experiments.study import load_study, prepared_study
+from pickenv.base import share_interval
+from pickenv.experiments import load_study
+from pickenv.experiments.study import prepared_study
 from pickenv.experiments.study_batched import evaluate_batch
-from pickenv.intervals import share_interval
 
 STUDY = Path(__file__).parents[2] / "scripts/tolerance_grades.toml"
 

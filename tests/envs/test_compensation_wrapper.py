@@ -8,7 +8,7 @@ import pytest
 from gymnasium.wrappers import RecordEpisodeStatistics, RescaleAction, TimeLimit
 
 from pickenv.agents import ScriptedReach
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.wrappers import CompensationWrapper
 
 

@@ -7,12 +7,8 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401, registers the environments
-from pickenv.envs.harvesting.harvest_env import HarvestEnv
-from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
-from pickenv.envs.picking.pick import PickEnv
-from pickenv.envs.reaching.reach import ReachEnv
-from pickenv.envs.reaching.vector import ReachVectorEnv
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.envs import HarvestEnv, HarvestVectorEnv, PickEnv, ReachEnv, ReachVectorEnv
 
 MAKERS = {
     "Reach": ReachEnv,

@@ -8,12 +8,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from pickenv.base import InputError
+from pickenv.envs import HarvestEnv, HarvestVectorEnv
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import distances
-from pickenv.envs.harvesting.harvest_env import HarvestEnv
 from pickenv.envs.harvesting.harvest_task import harvest_spaces, make_harvest_task
-from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
-from pickenv.errors import InputError
 from pickenv.harvester.picking import Luck
 
 MIDDLE, SIDE, LEFT = 1, 2, 0

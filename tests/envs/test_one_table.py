@@ -11,17 +11,16 @@ import numpy as np
 import pytest
 import torch
 
-from pickenv.arm import plant_at, pose_error
-from pickenv.arm.kinematics.forward import chain_of, forward
+from pickenv.arm import forward, plant_at, pose_error
+from pickenv.arm.kinematics.forward import chain_of
 from pickenv.arm.plant.tree import tree_map
-from pickenv.calibration.compensation.compensator import Compensator, corrected
+from pickenv.calibration import Compensator
+from pickenv.calibration.compensation.compensator import corrected
+from pickenv.envs import PickEnv, ReachEnv, ReachGoalEnv, ReachGoalVectorEnv, ReachVectorEnv
 from pickenv.envs.harvesting import harvest_batch
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
-from pickenv.envs.picking.pick import PickEnv
-from pickenv.envs.reaching.reach import ReachEnv
-from pickenv.envs.reaching.reach_goal import ReachGoalEnv
-from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachVectorEnv
-from pickenv.experiments.study import RAW, Noise, StudyConfig, prepared_study
+from pickenv.experiments import StudyConfig
+from pickenv.experiments.study import RAW, Noise, prepared_study
 from pickenv.experiments.study_arms import chunk_rows, evaluate_arm
 from pickenv.experiments.study_batched import judge_batch
 from pickenv.harvester.picking import attempt, draw_luck

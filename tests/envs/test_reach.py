@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_plant, pose_error, rotation_matrix
+from pickenv.base import InputError
 from pickenv.envs.shared.backends import FLOATS
 from pickenv.envs.shared.simulation import goal_attempt
 from pickenv.envs.shared.streams import seed_word
 from pickenv.envs.shared.task import make_task
-from pickenv.errors import InputError
 
 MIDDLE = [math.radians(7.5), 0.3, 0.4, 0.0, 0.1, 0.0]
 

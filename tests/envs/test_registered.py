@@ -19,7 +19,7 @@ import pickenv
 import pickenv.envs.reaching.reach
 import pickenv.wrappers.compensation
 from pickenv.arm.plant.plant_file import PLANTS
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 IDS = sorted(name for name in gym.registry if name.startswith("pickenv/"))
 VARIANTS = [

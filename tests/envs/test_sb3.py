@@ -8,10 +8,16 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecMonitor
 
 from pickenv import InputError
-from pickenv.seeds import seed_words, stream
-from pickenv.wrappers import CompensationVectorWrapper, GapScaling, GapScalingVector, SameArmVector
+from pickenv.base import seed_words, stream
+from pickenv.wrappers import (
+    CompensationVectorWrapper,
+    GapScaling,
+    GapScalingVector,
+    SameArmVector,
+    Sb3Vec,
+    make_sb3_vec,
+)
 from pickenv.wrappers.gap import Scaling
-from pickenv.wrappers.sb3 import Sb3Vec, make_sb3_vec
 
 EARLY = {"end_on_success": True, "tolerance_mm": 400.0, "angle_tolerance_deg": 100.0, "max_episode_steps": 9}
 

@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 import pickenv
 from pickenv import InputError
-from pickenv.envs.reaching.vector import ReachGoalVectorEnv, ReachVectorEnv
+from pickenv.envs import ReachGoalVectorEnv, ReachVectorEnv
 from tests.envs.same import assert_same
 
 EARLY = {"end_on_success": True, "tolerance_mm": 400.0, "angle_tolerance_deg": 100.0}

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.experiments import PolicySettings, Rows
 from pickenv.experiments.engine import joined
-from pickenv.orchard.gripper import capture_probability, load_gripper
+from pickenv.orchard import capture_probability, load_gripper
 
 FRUIT = np.linspace(0.5, 1.5, 8)
 """Errors on an arm's fruit, in means of the arm."""

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, rotation_matrix
+from pickenv.base import InputError, write_text
 from pickenv.commands.check import findings_of
-from pickenv.errors import InputError
 from pickenv.experiments import check_experiment, robots
 from pickenv.experiments.gains import MEASURED, NOMINAL
 from pickenv.experiments.robot_tables import bench_json, bench_page, blocked_json
@@ -29,7 +29,6 @@ from pickenv.experiments.robots import (
     peer_python,
     run_bench,
 )
-from pickenv.files import write_text
 from pickenv.inspect.runs.run_folder import listed_files
 
 KEYS = {

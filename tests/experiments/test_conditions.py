@@ -14,9 +14,9 @@ import pytest
 from typer.testing import CliRunner
 
 from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_error
+from pickenv.base import InputError, mean_interval
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.cli import app
-from pickenv.errors import InputError
 from pickenv.experiments.conditions_study import (
     BLIND,
     BOTH,
@@ -38,8 +38,8 @@ from pickenv.experiments.conditions_study import (
     under,
     warming,
 )
-from pickenv.inspect.runs.run_folder import faults_of, read_run
-from pickenv.intervals import mean_interval
+from pickenv.inspect import read_run
+from pickenv.inspect.runs.run_folder import faults_of
 
 EXPANSION = 23e-6
 """Coefficient of linear expansion of aluminium, 1/K (ISO 1-1 tables; 22 to 24 for usual alloys)."""

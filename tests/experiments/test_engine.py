@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_array_equal
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.experiments import Experiment, Rows, check_experiment, keep, kept_rows, run
 from pickenv.experiments.engine import RECORD
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pickenv.base import InputError
 from pickenv.cli import app
-from pickenv.errors import InputError
 from pickenv.experiments import run
 from pickenv.experiments.experiment_file import load_experiment, number_table, plain_estimates
 

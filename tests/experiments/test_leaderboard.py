@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from pickenv.base import InputError, interquartile_estimate
 from pickenv.cli import app
 from pickenv.commands.check import findings_of
-from pickenv.errors import InputError
-from pickenv.experiments import PolicySettings, Rows, kept_rows, run_policies
-from pickenv.experiments import policy_tables as tables
+from pickenv.experiments import PolicySettings, Rows, kept_rows, policy_tables as tables, run_policies
 from pickenv.experiments.policy_tables import (
     LEADERBOARD,
     QUICK,
@@ -22,7 +21,6 @@ from pickenv.experiments.policy_tables import (
     reaching_rows,
     run_leaderboard,
 )
-from pickenv.intervals import interquartile_estimate
 
 KEYS = {
     "task",

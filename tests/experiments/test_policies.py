@@ -14,13 +14,13 @@ from scipy.stats import t
 from typer import Typer
 from typer.testing import CliRunner
 
+from pickenv.agents import Rollout, load_policy
 from pickenv.agents.evaluation.compared_policies import kind_of
-from pickenv.agents.evaluation.rollout import Rollout
-from pickenv.agents.policies.learned import load_policy
 from pickenv.arm import load_plant
+from pickenv.base import Estimate, InputError, clustered_share_interval, mean_interval
+from pickenv.base.intervals import crossed_interval, quantile_interval
 from pickenv.commands import learning as commands
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.errors import InputError
 from pickenv.experiments import (
     CalibrationPlan,
     PolicySettings,
@@ -40,9 +40,7 @@ from pickenv.experiments.policy_tables import (
     read_episodes,
     write_evaluation,
 )
-from pickenv.inspect.figures.run_drawings import write_drawings
-from pickenv.inspect.runs.run_folder import read_run
-from pickenv.intervals import Estimate, clustered_share_interval, crossed_interval, mean_interval, quantile_interval
+from pickenv.inspect import read_run, write_drawings
 from tests.experiments.synthetic import SETTINGS, rows_of
 
 KEYS = {"policy", "compensation", "feedback", "plant", "gripper", "mean_mm", "success_rate", "ci95", "success_ci95"}

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pickenv.base import InputError
 from pickenv.calibration import Choices, calibrate
-from pickenv.errors import InputError
 from pickenv.experiments import Rows
 from pickenv.experiments.robot_tables import NOTE, SPREAD_HEADS, spread_table
 from pickenv.experiments.robots import SETS, SPREAD, BenchSettings, model_errors, run_bench

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm import plant_at
 from pickenv.arm.plant.tolerances import TOLERANCES
-from pickenv.errors import InputError
-from pickenv.experiments import study_batched
-from pickenv.experiments.study import Noise, load_study, prepared_study
+from pickenv.base import InputError
+from pickenv.experiments import load_study, run_study, study_batched
+from pickenv.experiments.study import Noise, prepared_study
 from pickenv.experiments.study_arms import OK, evaluate_arm, evaluate_chunk
 from pickenv.experiments.study_batched import evaluate_batch, judge_batch
-from pickenv.experiments.study_rows import run_study
 
 AGREEMENT = 1e-9
 """Relative; what rounding leaves is about 1e-12."""

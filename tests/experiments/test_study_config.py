@@ -9,8 +9,9 @@ import pytest
 
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.arm.plant.tolerances import TOLERANCES
-from pickenv.errors import InputError
-from pickenv.experiments.study import Noise, load_study
+from pickenv.base import InputError
+from pickenv.experiments import load_study
+from pickenv.experiments.study import Noise
 
 ROOT = Path(__file__).parents[2]
 

@@ -7,12 +7,10 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.errors import InputError
-from pickenv.experiments import study_figures as figures
+from pickenv.base import InputError
+from pickenv.experiments import quantiles_of, sensitivities_of, study_figures as figures, yields_of
 from pickenv.experiments.study_findings import Placement
-from pickenv.experiments.study_rows import quantiles_of, yields_of
-from pickenv.experiments.study_variance import sensitivities_of
-from pickenv.inspect.figures.style import save_figure
+from pickenv.inspect import save_figure
 
 ARMS = 60
 REQUIRED = 0.95

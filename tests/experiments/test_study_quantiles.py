@@ -4,9 +4,10 @@ import numpy as np
 import pyarrow.dataset as ds
 import pytest
 
+from pickenv.base.intervals import quantile_interval
+from pickenv.experiments import quantiles_of
 from pickenv.experiments.study_arms import FIGURES
-from pickenv.experiments.study_rows import PROBABILITIES, quantiles_of
-from pickenv.intervals import quantile_interval
+from pickenv.experiments.study_rows import PROBABILITIES
 
 
 def test_quantiles_are_exact_and_leave_failed_arms_out(written):

@@ -14,10 +14,9 @@ from unittest import mock
 
 import pytest
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.experiments import load_study, read_rows, run_study
 from pickenv.experiments.engine import STARTS, _joined_ray
-from pickenv.experiments.study import load_study
-from pickenv.experiments.study_rows import read_rows, run_study
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "RAY_ADDRESS"} | {"PYTHONPATH": str(ROOT)}
@@ -72,7 +71,7 @@ finally:
 
 HOPELESS = """
 import os, signal
-from pickenv.errors import InputError
+from pickenv.base.errors import InputError
 from pickenv.experiments.engine import spread
 
 def dies(number):

@@ -12,20 +12,18 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.arm import forward, pose_error
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm import forward, plant_at, pose_error
 from pickenv.arm.plant.tolerances import random_columns
-from pickenv.errors import InputError
-from pickenv.experiments import study_findings
-from pickenv.experiments.study import load_study, prepared_study
+from pickenv.base import InputError, share_interval
+from pickenv.experiments import load_study, read_rows, record_study, run_study, study_findings, study_of, write_outputs
+from pickenv.experiments.study import prepared_study
 from pickenv.experiments.study_figures import study_drawings
 from pickenv.experiments.study_findings import gather, place, ranked, specified, study_verdict
-from pickenv.experiments.study_report import _failures, arms_compared, page, record_study, study_page, write_outputs
-from pickenv.experiments.study_rows import read_rows, read_sobol, run_study, study_of, write_record, write_sobol
+from pickenv.experiments.study_report import _failures, arms_compared, page, study_page
+from pickenv.experiments.study_rows import read_sobol, write_record, write_sobol
 from pickenv.experiments.study_variance import sobol_of, tolerance_groups
+from pickenv.inspect import read_run
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
-from pickenv.inspect.runs.run_folder import read_run
-from pickenv.intervals import share_interval
 
 STUDY = """
 plant = "qiao2026"

@@ -13,10 +13,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pickenv.errors import InputError
-from pickenv.experiments.engine import check_experiment
-from pickenv.experiments.study import load_study
-from pickenv.experiments.study_rows import check_folder, read_rows, run_study, study_of, table_sha256
+from pickenv.base import InputError
+from pickenv.experiments import check_experiment, check_folder, load_study, read_rows, run_study, study_of
+from pickenv.experiments.study_rows import table_sha256
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-c", "from pickenv.cli import main; main()", "study"]

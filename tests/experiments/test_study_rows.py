@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, load_plant, pose_error
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.arm import forward, load_plant, plant_at, pose_error
 from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
-from pickenv.errors import InputError
-from pickenv.experiments.study import Noise, carrying, load_study, prepared_study
+from pickenv.base import InputError
+from pickenv.experiments import load_study
+from pickenv.experiments.study import Noise, carrying, prepared_study
 from pickenv.experiments.study_arms import (
     FIGURES,
     NOT_FINITE,

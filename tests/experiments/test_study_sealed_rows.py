@@ -12,18 +12,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pickenv.errors import InputError
-from pickenv.experiments.study import load_study
+from pickenv.base import InputError
+from pickenv.experiments import check_folder, load_study, read_rows, read_summary, run_study, study_of
 from pickenv.experiments.study_findings import gather
-from pickenv.experiments.study_rows import (
-    check_folder,
-    read_rows,
-    read_summary,
-    run_study,
-    study_of,
-    table_sha256,
-    write_record,
-)
+from pickenv.experiments.study_rows import table_sha256, write_record
 
 ROOT = Path(__file__).parents[2]
 

@@ -6,14 +6,9 @@ import pyarrow.dataset as ds
 import pytest
 from scipy import stats
 
-from pickenv.errors import InputError
-from pickenv.experiments.study_variance import (
-    _interval,
-    sensitivities_of,
-    sobol_indices,
-    tolerance_kind,
-    variance_indices,
-)
+from pickenv.base import InputError
+from pickenv.experiments import sensitivities_of
+from pickenv.experiments.study_variance import _interval, sobol_indices, tolerance_kind, variance_indices
 
 
 def rows_of(columns, squared_error, arm=None):

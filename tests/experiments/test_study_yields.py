@@ -5,8 +5,9 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.experiments.study_rows import SETTING, yields_of
-from pickenv.intervals import share_interval
+from pickenv.base import share_interval
+from pickenv.experiments import yields_of
+from pickenv.experiments.study_rows import SETTING
 
 REQUIRED = 0.95
 

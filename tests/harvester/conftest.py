@@ -2,8 +2,7 @@
 
 import pytest
 
-from pickenv.harvester.machine import Machine, load_machine
-from pickenv.harvester.true_machine import TrueMachine, load_true_machine
+from pickenv.harvester import Machine, TrueMachine, load_machine, load_true_machine
 
 
 @pytest.fixture(scope="session")

@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pickenv.harvester import pick_point, timetable, zone_work
 from pickenv.harvester.arm_paths import echoes, slave_joints_at, ultrasonic_hold
-from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.rules import li_rule
-from pickenv.harvester.work import timetable, zone_work
 
 MIDDLE = 1
 RADIUS = 0.04

@@ -7,14 +7,13 @@ from itertools import permutations, product
 import numpy as np
 import pytest
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.harvester import assign, load_machine, pick_point, timetable, zone_work
 from pickenv.harvester.arm_paths import ultrasonic_hold
 from pickenv.harvester.joint_motion import travel_time
-from pickenv.harvester.machine import load_machine
-from pickenv.harvester.optimiser import _changed, assign
-from pickenv.harvester.pick_point import pick_point
+from pickenv.harvester.optimiser import _changed
 from pickenv.harvester.rules import li_rule, lower_bound
-from pickenv.harvester.work import Work, timetable, zone_work
+from pickenv.harvester.work import Work
 
 
 def hold_of(machine, work):

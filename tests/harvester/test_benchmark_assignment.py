@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from pickenv.harvester.optimiser import assign
-from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.work import zone_work
+from pickenv.harvester import assign, pick_point, zone_work
 
 
 @pytest.mark.parametrize("method", ["search", "cp-sat"])

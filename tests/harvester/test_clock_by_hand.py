@@ -7,11 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pickenv.harvester.harvest import Strategy, harvest
-from pickenv.harvester.picking import Luck, load_picking
-from pickenv.harvester.trees import Tree
-from pickenv.harvester.true_machine import Controller
-from pickenv.harvester.zones import Grid
+from pickenv.harvester import Controller, Grid, Strategy, Tree, harvest, load_picking
+from pickenv.harvester.picking import Luck
 from pickenv.orchard import load_canopy, load_eyes
 
 SURE, EYES = replace(load_picking(), push=0.0), load_eyes("ideal", load_canopy("li2016"))
@@ -37,7 +34,7 @@ def works(true, monkeypatch):
             none = np.zeros(count)
             return Luck(each, none, none + cut, none, none, none)
 
-        monkeypatch.setattr(sys.modules["pickenv.harvester.harvest"], "draw_luck", luck)
+        monkeypatch.setattr(sys.modules["pickenv.harvester.harvest_run"], "draw_luck", luck)
         fruit = np.asarray(fruit, dtype=float).reshape(-1, 3)
         tree = Tree(fruit, np.full(len(fruit), 0.06), np.full(len(fruit), 0.1), (-1.25, 1.25, 0.42, 2.42))
         chosen = Strategy("by hand", Controller(machine), **{"assignment": "nearest", "guard": False, **strategy})

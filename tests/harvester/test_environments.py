@@ -9,11 +9,10 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import pickenv  # noqa: F401
-from pickenv.agents.policies.harvest_policy import ScriptedHarvest
-from pickenv.envs.harvesting.harvest_env import HarvestEnv
-from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
-from pickenv.errors import InputError
-from pickenv.harvester.true_machine import Controller
+from pickenv.agents import ScriptedHarvest
+from pickenv.base import InputError
+from pickenv.envs import HarvestEnv, HarvestVectorEnv
+from pickenv.harvester import Controller
 from pickenv.wrappers import CompensationWrapper
 
 

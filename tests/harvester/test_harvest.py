@@ -7,15 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.errors import InputError
-from pickenv.harvester.harvest import Strategy, harvest
-from pickenv.harvester.harvest_summary import STAGES, funnel, summary
-from pickenv.harvester.machine import load_machine
-from pickenv.harvester.picking import load_picking
-from pickenv.harvester.strategies import work_images, work_trees
-from pickenv.harvester.trees import Tree, load_orchard
-from pickenv.harvester.true_machine import Controller, Nominal, load_true_machine
-from pickenv.harvester.zones import Grid, load_grid
+from pickenv.base import InputError
+from pickenv.harvester import (
+    Controller,
+    Grid,
+    Strategy,
+    Tree,
+    funnel,
+    harvest,
+    load_grid,
+    load_machine,
+    load_orchard,
+    load_picking,
+    load_true_machine,
+    summary,
+    work_images,
+    work_trees,
+)
+from pickenv.harvester.harvest_summary import STAGES
+from pickenv.harvester.true_machine import Nominal
 from pickenv.orchard import load_canopy, load_eyes, load_sight_errors
 
 MODEL, EYES = load_picking(), load_eyes("ideal", load_canopy("li2016"))
@@ -230,7 +240,7 @@ def test_a_trip_to_where_no_fruit_hangs_comes_back_empty_and_is_counted(machine,
 
 def test_a_second_look_meets_the_luck_of_the_first_as_far_as_it_lasts(machine, true, monkeypatch):
     """Where all of it lasts, to the bit; a first look at the next zone has luck of its own."""
-    module = importlib.import_module("pickenv.harvester.harvest")  # the package's name for it is the function
+    module = importlib.import_module("pickenv.harvester.harvest_run")  # the package's name for it is the function
     given, looked = [], module.see
 
     def see(eyes, view, fruit, *more, chances, **named):

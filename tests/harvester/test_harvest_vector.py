@@ -6,10 +6,9 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import pickenv  # noqa: F401
+from pickenv.base import InputError
+from pickenv.envs import HarvestEnv, HarvestVectorEnv
 from pickenv.envs.harvesting.harvest_batch import COLLECTED, attempts
-from pickenv.envs.harvesting.harvest_env import HarvestEnv
-from pickenv.envs.harvesting.harvest_vector import HarvestVectorEnv
-from pickenv.errors import InputError
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))

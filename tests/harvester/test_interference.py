@@ -3,12 +3,9 @@
 import numpy as np
 import pytest
 
+from pickenv.harvester import assign, load_machine, pick_point, timetable, zone_work
 from pickenv.harvester.arm_paths import closest_approach, slave_joints_at, ultrasonic_hold
 from pickenv.harvester.interference import arm_distances, excursion_distances, segment_distance
-from pickenv.harvester.machine import load_machine
-from pickenv.harvester.optimiser import assign
-from pickenv.harvester.pick_point import pick_point
-from pickenv.harvester.work import timetable, zone_work
 
 
 def zone(machine, rng, count):

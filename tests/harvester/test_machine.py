@@ -7,9 +7,9 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.harvester import load_machine
 from pickenv.harvester.joint_motion import joint_curves, profile, travel_time, workspace
-from pickenv.harvester.machine import load_machine
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
 PICK_POINT = np.array([-80, -660, 1220]) * 1e-3

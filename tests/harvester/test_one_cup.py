@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.agents.policies.harvest_policy import ScriptedHarvest
+from pickenv.agents import ScriptedHarvest
+from pickenv.envs import HarvestEnv
 from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_env import HarvestEnv
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.harvester.picking import attempt, displacements, draw_luck, pushes

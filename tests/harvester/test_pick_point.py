@@ -6,9 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pickenv.errors import InputError
-from pickenv.harvester.pick_point import METHODS, Search, border_indices, pick_point, searched
-from pickenv.harvester.zones import Grid, cut, load_grid
+from pickenv.base import InputError
+from pickenv.harvester import Grid, load_grid, pick_point
+from pickenv.harvester.pick_points import METHODS, Search, border_indices, searched
+from pickenv.harvester.zones import cut
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.harvester.picking import attempt, displacements, draw_luck, in_the_way, load_picking
-from pickenv.harvester.trees import load_orchard, sample_image, sample_tree
+from pickenv.harvester import load_orchard, load_picking
+from pickenv.harvester.picking import attempt, displacements, draw_luck, in_the_way
+from pickenv.harvester.trees import sample_image, sample_tree
 from pickenv.orchard import coupling, swing
 
 NOTHING = np.zeros((0, 3))

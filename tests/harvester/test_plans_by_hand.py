@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.optimize import milp
 
-from pickenv.errors import InputError
-from pickenv.harvester import optimiser
-from pickenv.harvester.optimiser import assign, cp_sat, local_search
-from pickenv.harvester.pick_point import _heights, _point_costs, border_indices, pick_heading, pick_point
+from pickenv.base import InputError
+from pickenv.harvester import Grid, assign, optimiser, pick_point, timetable
+from pickenv.harvester.optimiser import cp_sat, local_search
+from pickenv.harvester.pick_points import _heights, _point_costs, border_indices, pick_heading
 from pickenv.harvester.rules import lower_bound
-from pickenv.harvester.work import Work, timetable
-from pickenv.harvester.zones import Grid, cut
+from pickenv.harvester.work import Work
+from pickenv.harvester.zones import cut
 
 
 def made_up(rng, arms, count, reach=0.8, conflict=0.0):

@@ -9,14 +9,22 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.errors import InputError
-from pickenv.harvester import optimiser, rules
-from pickenv.harvester.machine import load_machine
-from pickenv.harvester.optimiser import _ticks, assign, cp_sat, local_search
-from pickenv.harvester.pick_point import Search, _heights, _point_costs, _search, pick_heading, pick_point, searched
+from pickenv.base import InputError
+from pickenv.harvester import (
+    Controller,
+    assign,
+    load_machine,
+    load_true_machine,
+    optimiser,
+    pick_point,
+    rules,
+    timetable,
+)
+from pickenv.harvester.optimiser import _ticks, cp_sat, local_search
+from pickenv.harvester.pick_points import Search, _heights, _point_costs, _search, pick_heading, searched
 from pickenv.harvester.rules import lower_bound
-from pickenv.harvester.true_machine import Controller, Nominal, load_true_machine
-from pickenv.harvester.work import Work, timetable
+from pickenv.harvester.true_machine import Nominal
+from pickenv.harvester.work import Work
 from pickenv.harvester.zones import AHEAD, Zone
 
 POINTS = sys.modules[searched.__module__]

@@ -6,19 +6,11 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_plant
+from pickenv.base import InputError
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.errors import InputError
-from pickenv.harvester.machine import load_machine
-from pickenv.harvester.pick_point import pick_point
+from pickenv.harvester import Controller, load_machine, load_true_machine, pick_point
 from pickenv.harvester.trees import sample_image
-from pickenv.harvester.true_machine import (
-    Controller,
-    Nominal,
-    _local_inverse,
-    _seated,
-    load_true_machine,
-    tip_errors,
-)
+from pickenv.harvester.true_machine import Nominal, _local_inverse, _seated, tip_errors
 
 TABLE3_MM = np.array([[3.0, 5.9], [6.6, 8.4], [6.4, 8.2], [6.9, 8.5]])
 

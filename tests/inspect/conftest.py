@@ -11,13 +11,11 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from pickenv.arm import Geometry, Plant, Pose, forward, inverse, load_plant, parameter_jacobian, pose_error
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse, load_plant, parameter_jacobian, pose_error
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.inspect.recordings.comparison_recording import record_comparison
+from pickenv.inspect import Comparison, PolicyErrors, Run, record_comparison
 from pickenv.inspect.runs.calibration_trace import trace_of
-from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
-from pickenv.inspect.runs.run_folder import Run, recorded_run, save_part
+from pickenv.inspect.runs.run_folder import recorded_run, save_part
 
 STEP = 0.055
 

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pickenv.inspect import Comparison, record_comparison
 from pickenv.inspect.recordings import blueprint
-from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.runs.comparison_summary import Comparison
 
 
 def rows(reading: Any, component: str) -> list[Any]:

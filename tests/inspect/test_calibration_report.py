@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_instrument, load_plant
-from pickenv.calibration import Choices, calibrate, fit, random_joints, simulated_tracker
+from pickenv.calibration import Choices, assess, calibrate, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure, unit_of
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.pipeline.fitting import GEOMETRIC
-from pickenv.calibration.pipeline.result import assess
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict
-from pickenv.inspect.reports.calibration_report import calibration_page, write_calibration_report
+from pickenv.inspect import write_calibration_report
+from pickenv.inspect.reports.calibration_report import calibration_page
 from pickenv.inspect.reports.report_page import Bar
 from pickenv.inspect.reports.report_words import parameter_words
 

@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import forward, load_plant, noncompensable_error
-from pickenv.arm.kinematics.task_space import joint_jacobian
+from pickenv.arm import forward, joint_jacobian, load_plant, noncompensable_error
 from pickenv.arm.plant.campaign import effect_shares
+from pickenv.inspect import Comparison, record_comparison
 from pickenv.inspect.colours import GREY, STEEL, policy_colours, viridis
-from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.recordings.details import FLOOR, attitude_fields, details_of, effect_fields
 from pickenv.inspect.recordings.field_day import CAMERA_STD, day_of, drifting_plant, joints_at
-from pickenv.inspect.runs.comparison_summary import Comparison, cell_means
+from pickenv.inspect.runs.comparison_summary import cell_means
 from pickenv.inspect.runs.saved import cut_away
 
 COLORMAP = 6

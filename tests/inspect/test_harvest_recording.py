@@ -10,20 +10,27 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
+from pickenv.arm import Array
+from pickenv.base import InputError
+from pickenv.harvester import (
+    Controller,
+    Harvest,
+    Strategy,
+    TrueMachine,
+    load_grid,
+    load_machine,
+    load_orchard,
+    load_picking,
+    load_true_machine,
+    work_trees,
+)
 from pickenv.harvester.arm_paths import slave_joints_at
-from pickenv.harvester.harvest import Harvest, Round, Strategy
+from pickenv.harvester.harvest_run import Round
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.joint_motion import profile, travel_time
-from pickenv.harvester.machine import load_machine
-from pickenv.harvester.picking import load_picking
-from pickenv.harvester.strategies import work_trees
-from pickenv.harvester.trees import load_orchard
-from pickenv.harvester.true_machine import Controller, TrueMachine, load_true_machine
-from pickenv.harvester.zones import load_grid
+from pickenv.inspect import inspect_harvest
 from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL
-from pickenv.inspect.recordings.harvest_recording import FATES, inspect_harvest
+from pickenv.inspect.recordings.harvest_recording import FATES
 from pickenv.inspect.runs.harvest_trace import picked_tree
 
 COLOURS = ((0, 114, 178), (230, 159, 0), (0, 158, 115))

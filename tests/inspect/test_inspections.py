@@ -16,11 +16,19 @@ import pytest
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents import Reaches, ScriptedReach, episode_seeds, run_reaches
 from pickenv.arm import Plant, forward, load_arm, load_plant
-from pickenv.calibration import BpnnSettings, Calibration, Fit, Measurements, fit, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.result import assess
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.calibration import (
+    BpnnSettings,
+    Calibration,
+    Fit,
+    Measurements,
+    assess,
+    fit,
+    random_joints,
+    simulated_tracker,
+)
+from pickenv.inspect import inspect_calibration, inspect_evaluation
 from pickenv.inspect.colours import lane
-from pickenv.inspect.recordings.inspections import inspect_calibration, inspect_evaluation
 from pickenv.wrappers import CompensationWrapper
 
 RERUN = Path(sys.executable).with_name("rerun")

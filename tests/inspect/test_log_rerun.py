@@ -21,9 +21,8 @@ import pytest
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.arm import forward
-from pickenv.envs.harvesting.harvest_env import HarvestEnv
-from pickenv.envs.reaching.vector import ReachVectorEnv
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.envs import HarvestEnv, ReachVectorEnv
 from pickenv.inspect import LogRerun, LogRerunVector
 from pickenv.inspect.recordings import live, log_rerun
 from pickenv.inspect.recordings.episodes import capped_cubic
@@ -272,7 +271,7 @@ FULL = """
 import resource, sys
 import gymnasium as gym
 import pickenv  # noqa: F401  (registers the environments)
-from pickenv.errors import InputError
+from pickenv.base.errors import InputError
 from pickenv.inspect import LogRerun
 env = LogRerun(gym.make("pickenv/Reach-v0", max_episode_steps=4), sys.argv[1], lambda _: True)
 resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))

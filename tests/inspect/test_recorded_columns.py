@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.arm import forward
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
+from pickenv.arm import Array, forward
+from pickenv.base import InputError
+from pickenv.inspect import Comparison, record_comparison
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, lane
-from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.runs.comparison_summary import Comparison, summary_markdown
+from pickenv.inspect.runs.comparison_summary import summary_markdown
 from pickenv.inspect.runs.saved import drawn_parts, nominal_points, true_points
 
 GAIN = 25.0

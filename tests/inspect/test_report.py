@@ -12,14 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.calibration.assessment.metrics import error_statistics
-from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn, trace_drawings
+from pickenv.base import share_interval
+from pickenv.calibration import error_statistics
+from pickenv.inspect import Comparison, Run, trace_drawings
+from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
 from pickenv.inspect.figures.style import new_figure
-from pickenv.inspect.reports.demo_report import demo_verdict
-from pickenv.inspect.reports.demo_report import page as demo_report
+from pickenv.inspect.reports.demo_report import demo_verdict, page as demo_report
 from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
 from pickenv.inspect.reports.report_page import (
     Interactive,
+    Page as ReportPage,
     PageTable,
     PageVerdict,
     Pair,
@@ -28,11 +30,8 @@ from pickenv.inspect.reports.report_page import (
     Section,
     html_of,
 )
-from pickenv.inspect.reports.report_page import Page as ReportPage
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison_summary import Comparison
-from pickenv.inspect.runs.run_folder import Run, load_part
-from pickenv.intervals import share_interval
+from pickenv.inspect.runs.run_folder import load_part
 
 VOID = {"meta", "link", "img", "br"}
 

@@ -13,19 +13,18 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_plant, noncompensable_error
-from pickenv.calibration import Choices, calibrate, fit, random_joints, simulated_tracker
+from pickenv.base import mean_interval, share_interval
+from pickenv.calibration import Choices, Result, assess, calibrate, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
-from pickenv.calibration.pipeline.result import Result, assess
+from pickenv.inspect import Comparison, Run
 from pickenv.inspect.reports import calibration_report, demo_report, report_page
 from pickenv.inspect.reports.report_page import Bar, Folded, Interactive, Page, Pair, Picture
 from pickenv.inspect.reports.report_words import between, estimated, parameter_words, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
-from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, load_part
-from pickenv.intervals import mean_interval, share_interval
+from pickenv.inspect.runs.run_folder import MATTERS_FILE, load_part
 
 
 def built(make: Callable[[], object]) -> Page:

@@ -16,16 +16,15 @@ import typer
 from typer.testing import CliRunner
 
 from pickenv.arm import load_plant
+from pickenv.base import InputError
+from pickenv.base.registry import names
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.cli import app
-from pickenv.errors import InputError
-from pickenv.harvester.harvest_summary import Measure
-from pickenv.inspect import drawings_of, page_of
+from pickenv.harvester import Measure
+from pickenv.inspect import Comparison, Run, drawings_of, page_of, read_run
 from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
-from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
-from pickenv.inspect.runs.run_folder import ISO9283, Run, read_run, recorded_run, run_kind, save_part
-from pickenv.registry import names
+from pickenv.inspect.runs.run_folder import ISO9283, recorded_run, run_kind, save_part
 
 LITERATURE = {
     "error_per_test_pose",

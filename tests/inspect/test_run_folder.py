@@ -8,27 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import load_plant
-from pickenv.arm.plant.plant_file import shipped_plants
+from pickenv.arm import load_plant, shipped_plants
+from pickenv.base import InputError, read_container, write_container, write_text
+from pickenv.base.registry import names
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.container import read_container, write_container
-from pickenv.errors import InputError
-from pickenv.files import write_text
+from pickenv.inspect import Comparison, Run, read_run
 from pickenv.inspect.runs import saved
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.run_folder import (
-    Run,
     added_to,
     faults_of,
     load_iso9283,
     load_part,
-    read_run,
     recorded_run,
     run_kind,
     save_part,
 )
-from pickenv.registry import names
 
 
 def assert_same(one, other):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect import Comparison
 from pickenv.inspect.runs.saved import cut_away, eye_direction, shown_box
 
 

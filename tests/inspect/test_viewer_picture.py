@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.inspect.recordings.comparison_recording import record_comparison
+from pickenv.inspect import Comparison, record_comparison
 from pickenv.inspect.recordings.open_recording import WINDOW, viewer_picture
-from pickenv.inspect.runs.comparison_summary import Comparison
 
 pytestmark = pytest.mark.browser
 

@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_arm
-from pickenv.calibration import Calibration
-from pickenv.calibration.reading.read import read_observations
+from pickenv.calibration import Calibration, read_observations
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from pickenv.inspect import read_run
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, last_of
-from pickenv.inspect.runs.run_folder import load_part, read_run
+from pickenv.inspect.runs.run_folder import load_part
 from tests.journeys.pages import walked
 
 ROOT = Path(__file__).parents[2]

@@ -19,9 +19,9 @@ import numpy as np
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.experiments.study import load_study, prepared_study
+from pickenv.experiments import load_study, yields_of
+from pickenv.experiments.study import prepared_study
 from pickenv.experiments.study_batched import evaluate_batch
-from pickenv.experiments.study_rows import yields_of
 
 ROOT = Path(__file__).parents[2]
 ASKED = 0.83

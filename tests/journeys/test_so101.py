@@ -15,14 +15,13 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
-from pickenv.arm import Geometry, Plant, Pose, forward, load_arm
+from pickenv.arm import Geometry, Plant, Pose, forward, load_arm, plant_at
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.plant.campaign import Pace, moved, switched_on
 from pickenv.arm.plant.named_plants import draw_arms
-from pickenv.arm.plant.plant_batch import plant_at
 from pickenv.calibration import Calibration
 from pickenv.cli import app
-from pickenv.experiments.study import load_study
+from pickenv.experiments import load_study
 from tests.calibration.camera.conftest import render
 from tests.journeys.test_camera import BOARD, DIM, LENS, after, back, call, set_up, views_of
 

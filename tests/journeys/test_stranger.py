@@ -107,7 +107,7 @@ def test_its_residual_model_is_learnt_saved_and_asked_for(folder: Path) -> None:
     assert code == 2 and said == "error: there is no residual 'woods'; give one of bpnn, rbf, gp, forest\n"
     assert "geometry+forest" in made(folder, "calibrate", rows, *words)
     header = (
-        "from pickenv.container import read_container as read; print(read('soft.npz', None, remake='').header"
+        "from pickenv.base.container import read_container as read; print(read('soft.npz', None, remake='').header"
         "['residual_from'])"
     )
     assert made(folder, "-c", header) == "{'package': 'forest-for-pickenv', 'version': '1.2', 'module': ''}\n"

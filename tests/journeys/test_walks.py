@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 import typer
 
+from pickenv.base import EXTRAS
 from pickenv.cli import app
-from pickenv.extras import EXTRAS
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / ".ci"))

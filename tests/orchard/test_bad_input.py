@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.orchard import (
     Branch,
     Detections,

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pickenv.orchard import (
     approach_clear,
@@ -16,7 +15,7 @@ from pickenv.orchard import (
     occlusion,
     shipped,
 )
-from pickenv.orchard.occlusion import disc_cover
+from pickenv.orchard.occlusions import disc_cover
 
 quick = settings(deadline=None, derandomize=True)
 

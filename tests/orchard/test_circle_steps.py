@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
-from pickenv.orchard import circles as circles_module
 from pickenv.orchard import (
+    circles as circles_module,
     fruit_circles,
     load_circle_search,
     load_look,

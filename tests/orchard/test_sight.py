@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.orchard import (
     DETECTORS,
     VISIONS,
     Chances,
+    Detections,
+    Leaves,
+    StereoPair,
     Viewpoint,
     camera_frame,
     draw_chances,
@@ -20,18 +23,17 @@ from pickenv.orchard import (
     locate,
     match_detections,
     next_picture,
+    render_stereo,
     see,
     shipped,
     sighted,
 )
-from pickenv.orchard.render import Leaves, StereoPair, render_stereo
 from pickenv.orchard.sight import _matched, picture, sightings
 from pickenv.orchard.sight_errors import (
     share_of,
     tabulated,
     together,
 )
-from pickenv.orchard.vision import Detections
 
 LEAFY = load_canopy("li2016")
 VIEW = Viewpoint(np.array([0.1, -1.0, 1.6]), np.array([0.0, 1.0, 0.0]))

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.errors import InputError
-from pickenv.intervals import clustered_share_interval, statistic_interval
+from pickenv.base import InputError, clustered_share_interval, statistic_interval
 from pickenv.orchard import Chances, load_sight_errors, shipped, sighted
 from pickenv.orchard.sight_errors import (
     Sightings,

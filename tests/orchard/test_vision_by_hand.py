@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from pickenv.errors import InputError
-from pickenv.orchard import StereoCamera, fruit_regions, load_stereo_camera, locate, project, triangulate
-from pickenv.orchard.vision import fruit_mask, red_minus_green
+from pickenv.base import InputError
+from pickenv.orchard import (
+    StereoCamera,
+    fruit_mask,
+    fruit_regions,
+    load_stereo_camera,
+    locate,
+    project,
+    red_minus_green,
+    triangulate,
+)
 
 CAMERA = load_stereo_camera("li2016")
 SQUARE = np.ones((3, 3))

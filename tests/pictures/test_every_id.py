@@ -13,7 +13,7 @@ from gymnasium.wrappers import RecordVideo
 
 import pickenv  # noqa: F401
 from pickenv.arm import forward, load_arm
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.pictures.arm_shapes import GAIN
 
 IDS = sorted(name for name in gym.registry if name.startswith("pickenv/"))
@@ -123,8 +123,7 @@ def test_words_and_dial_of_a_reach_say_what_info_says():
 
 
 def test_words_of_a_canopy_and_of_a_zone_say_what_info_says():
-    from pickenv.agents.policies.harvest_policy import ScriptedHarvest
-    from pickenv.agents.policies.pick_policy import ScriptedPick
+    from pickenv.agents import ScriptedHarvest, ScriptedPick
 
     for name, policy, steps in (("pickenv/Pick-v0", ScriptedPick, 60), ("pickenv/Harvest-v0", ScriptedHarvest, 60)):
         env = gym.make(name, render_mode="rgb_array")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pickenv import experiments
+from pickenv.base import toml_of
 from pickenv.experiments.experiment_file import load_experiment
 from pickenv.orchard import load_sight_errors
-from pickenv.toml_tables import toml_of
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,7 +5,7 @@ import importlib
 import numpy as np
 import pytest
 
-from pickenv.intervals import mean_interval, share_interval
+from pickenv.base import mean_interval, share_interval
 
 
 @pytest.fixture

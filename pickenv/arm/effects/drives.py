@@ -12,9 +12,7 @@ from pickenv.arm.files.joint_keys import PER_JOINT, joint_table
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
 from pickenv.arm.kinematics.forward import Frame, Scalar, frames
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.errors import InputError
-from pickenv.registry import register
-from pickenv.toml_tables import ARCSEC, DEG, HOURS, KELVIN, MILLISECONDS, MM, UM, Unit, toml_table
+from pickenv.base import ARCSEC, DEG, HOURS, KELVIN, MILLISECONDS, MM, UM, InputError, Unit, register, toml_table
 
 
 def _encoder(resolution: tuple[float, ...]) -> Encoder:

@@ -17,13 +17,11 @@ from typing import Annotated, Any, ClassVar, NamedTuple, Self, cast
 import numpy as np
 from scipy.special import ndtri
 
-from pickenv import registry
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, attach, frames, tool_frame
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
-from pickenv.toml_tables import GRAVITY, KG, MM, toml_table
+from pickenv.base import GRAVITY, KG, MM, InputError, registry, toml_table
 
 MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in range(8))
 """Where an effect acts, from the motors to the tool: on the motors (`Passage.turn`), in the drives (`Passage.drive`),

@@ -17,8 +17,7 @@ from pickenv.arm.effects.structure import turn_horizontally
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
 from pickenv.arm.kinematics.forward import Scalar
-from pickenv.registry import register
-from pickenv.toml_tables import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Check, Unit, toml_table
+from pickenv.base import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Check, Unit, register, toml_table
 
 GIVING_WAY = {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"}
 

@@ -19,8 +19,7 @@ from pickenv.arm.files.joint_keys import BOOM, TRAVEL, joint_table
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.registry import register
-from pickenv.toml_tables import GRAVITY, MM, NEWTON, NEWTON_METRE, NUMBER, WHOLE, Then, Unit, fault, toml_table
+from pickenv.base import GRAVITY, MM, NEWTON, NEWTON_METRE, NUMBER, WHOLE, Then, Unit, fault, register, toml_table
 
 PRELOAD = (NEWTON_METRE.not_negative, NEWTON.not_negative)
 

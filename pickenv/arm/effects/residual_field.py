@@ -26,9 +26,7 @@ from pickenv.arm.kinematics.backend import outside
 from pickenv.arm.kinematics.forward import Frame, Scalar
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.errors import InputError
-from pickenv.registry import register
-from pickenv.toml_tables import ARCMIN, DEG, MM, NUMBER, WHOLE, Then, toml_table
+from pickenv.base import ARCMIN, DEG, MM, NUMBER, WHOLE, InputError, Then, register, toml_table
 
 CHUNK = 64
 """Arms or poses worked on together in NumPy: their waves then stay in a core's cache."""

@@ -12,8 +12,7 @@ from pickenv.arm.effects.effect import BEND, DRIVE, JOINT, Components, Draws, Ef
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.joint_keys import BOOM, PER_JOINT, ByJoint
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
-from pickenv.registry import register
-from pickenv.toml_tables import ARCMIN, DEG, GRAVITY, KG, KG_PER_M, MM, NUMBER, WHOLE, Then, Unit, toml_table
+from pickenv.base import ARCMIN, DEG, GRAVITY, KG, KG_PER_M, MM, NUMBER, WHOLE, Then, Unit, register, toml_table
 
 
 @register("effect", "joint_compliance")

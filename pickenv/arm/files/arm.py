@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, geometry_fingerprint
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 MOST_RATIO = 1e3
 """No link moves further than this times the joint that it follows."""

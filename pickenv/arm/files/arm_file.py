@@ -17,8 +17,20 @@ import numpy as np
 from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.errors import InputError
-from pickenv.toml_tables import DEG, DEG_PER_S, LINE, MM, MM_PER_S, WHOLE, Check, Kinds, Unit, read, toml_table
+from pickenv.base import (
+    DEG,
+    DEG_PER_S,
+    LINE,
+    MM,
+    MM_PER_S,
+    WHOLE,
+    Check,
+    InputError,
+    Kinds,
+    Unit,
+    read_toml,
+    toml_table,
+)
 
 ARMS = Path(__file__).parent / "arms"
 
@@ -151,7 +163,7 @@ def read_arm(path: Path) -> Arm:
     Raises:
         InputError: If it is malformed; the message names file, line and joint or key.
     """
-    file = read(ArmFile, path)
+    file = read_toml(ArmFile, path)
     links = sorted(file.joints, key=lambda joint: joint.number)
     moved = [link for link in links if not isinstance(link, Follower)]
     names = tuple(link.name if link.name is not None else f"J{link.number}" for link in links)

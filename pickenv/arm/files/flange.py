@@ -10,8 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from pickenv.errors import InputError
-from pickenv.texts import shortened
+from pickenv.base import InputError, shortened
 
 GRIPPERS = re.compile("finger|gripper|jaw|knuckle|thumb|claw|pinch|grasp", re.IGNORECASE)
 """Words in the names of joints that move a gripper."""

@@ -20,8 +20,7 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import PARALLEL, geometry_from_axes
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, behind, identity_pose
-from pickenv.errors import InputError
-from pickenv.texts import shortened
+from pickenv.base import InputError, shortened
 
 
 class Drive(NamedTuple):

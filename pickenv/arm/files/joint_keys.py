@@ -10,8 +10,7 @@ from dataclasses import make_dataclass
 from typing import Annotated, Any, cast
 
 from pickenv.arm.files.arm import Arm
-from pickenv.errors import InputError
-from pickenv.toml_tables import ARCMIN, MM, WHOLE, Kinds, Then, Unit, fault, toml_table
+from pickenv.base import ARCMIN, MM, WHOLE, InputError, Kinds, Then, Unit, fault, toml_table
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:

@@ -14,10 +14,8 @@ from pickenv.arm.files.arm_file import ARMS, read_arm
 from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
 from pickenv.arm.files.xml_values import xml_number
 from pickenv.arm.kinematics.geometry import Pose, identity_pose
-from pickenv.errors import InputError
-from pickenv.registry import get, names, register
-from pickenv.texts import read_text, shortened, yaml_content
-from pickenv.toml_tables import RAD, M, file_named, shipped_in
+from pickenv.base import RAD, InputError, M, file_named, read_text, register, shipped_in, shortened, yaml_content
+from pickenv.base.registry import get, names
 
 # A Universal Robots arm by its kinematics file: `default_kinematics.yaml` of ROS's `ur_description` (format of 2.x).
 # `ur_calibration` writes such a file from what the maker measured of one robot and its controller keeps. Each of six

@@ -28,11 +28,19 @@ from pickenv.arm.files.xml_values import numbers_text, xml_number, xml_numbers, 
 from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.errors import InputError
-from pickenv.files import write_text
-from pickenv.registry import register
-from pickenv.texts import decimal_number, is_file, listed, one_line, shortened
-from pickenv.toml_tables import DEG, RAD, M
+from pickenv.base import (
+    DEG,
+    RAD,
+    InputError,
+    M,
+    decimal_number,
+    is_file,
+    listed,
+    one_line,
+    register,
+    shortened,
+    write_text,
+)
 
 # MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
 # kinematics are exact. Masses are not known of an arm's table: each link is a rod of `DENSITY`, so that inertias are

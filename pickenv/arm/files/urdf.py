@@ -22,11 +22,7 @@ from pickenv.arm.files.link_origins import link_origins
 from pickenv.arm.files.xml_values import numbers_text, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
-from pickenv.errors import InputError
-from pickenv.files import write_text
-from pickenv.registry import register
-from pickenv.texts import one_line, shortened
-from pickenv.toml_tables import M_PER_S, RAD, RAD_PER_S, M
+from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, one_line, register, shortened, write_text
 
 # URDF out: a chain as rods from joint to joint, exact, so that forward kinematics agree to rounding. Lengths in
 # metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.

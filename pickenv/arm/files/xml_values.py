@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
-from pickenv.texts import decimal_number, parsed, read_text, shortened
+from pickenv.base import InputError, decimal_number, read_text, shortened
+from pickenv.base.texts import parsed
 
 Element = ElementTree.Element
 

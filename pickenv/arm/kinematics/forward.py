@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose
-from pickenv.errors import InputError
-from pickenv.extras import require
+from pickenv.base import InputError, require
 
 # Modified DH parameters of any serial chain, from its joint axes at the zero position. Frame i has z on joint axis i
 # and x on the common normal to axis i + 1 (Craig 2005, section 3.4). Frame 0 coincides with frame 1 at zero, so

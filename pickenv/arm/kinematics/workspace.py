@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics.inverse import inverse
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 SAMPLES = 2**14
 """Evenly spread joints that show roughly where the tool can be."""

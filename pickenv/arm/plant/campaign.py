@@ -22,7 +22,7 @@ from pickenv.arm.effects.hysteresis import one_stop
 from pickenv.arm.kinematics.forward import Frame, Scalar, forward, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.plant.plant import Plant, PlantState, Ready
-from pickenv.toml_tables import HOURS, MILLISECONDS, MM, SECONDS, file_named, read, shipped_in, toml_table
+from pickenv.base import HOURS, MILLISECONDS, MM, SECONDS, file_named, read_toml, shipped_in, toml_table
 
 # Point-to-point motion of the true arm: joint commands in steps of a control period, no joint above its speed. All
 # joints of a move start and arrive together; the arm then waits. The command is a staircase of held values, as a
@@ -206,7 +206,7 @@ def load_instrument(name: str | Path) -> Instrument:
     Raises:
         InputError: If it is unknown or a number is impossible; the message names the file and the key.
     """
-    return read(Instrument, file_named("instrument", name, INSTRUMENTS))
+    return read_toml(Instrument, file_named("instrument", name, INSTRUMENTS))
 
 
 def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDraws:

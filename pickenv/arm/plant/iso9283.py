@@ -19,8 +19,7 @@ from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import Cube, largest_cube
 from pickenv.arm.plant.campaign import TRACKER, Instrument, Pace, move_time, stopped, switched_on
-from pickenv.errors import InputError
-from pickenv.intervals import Ends, statistic_interval
+from pickenv.base import Ends, InputError, statistic_interval
 
 Compensate = Callable[[Array], Array]
 """Joint targets ``(..., n)`` for the nominal arm to joint commands for the real one."""

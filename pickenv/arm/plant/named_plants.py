@@ -25,9 +25,7 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.plant_file import one_link_per_joint, read_plant, shipped_plants
 from pickenv.arm.plant.tolerances import SizesTable, Tolerances, draw_plants, load_tolerances, shipped_tolerances
-from pickenv.errors import InputError
-from pickenv.texts import is_file, shortened
-from pickenv.toml_tables import toml_of
+from pickenv.base import InputError, is_file, shortened, toml_of
 
 IDEAL = "ideal"
 """The plant without any error: the true arm is the nominal one."""

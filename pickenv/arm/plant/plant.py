@@ -18,12 +18,12 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv import registry
 from pickenv.arm.effects.effect import BESIDE, DRIVE, Components, Effect, Load, Passage
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.arm.plant.posterior import Posterior
+from pickenv.base import registry
 
 PlantState = tuple[Components, ...]
 """What a plant remembers from one moment to the next: the memory of each effect that has one, in the plant's order."""

@@ -10,14 +10,12 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pickenv import registry
 from pickenv.arm.effects.effect import Load, table_of
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.load import load_arm
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.twin_file import read_twin
-from pickenv.errors import InputError
-from pickenv.toml_tables import LINE, Check, Then, file_named, read, shipped_in, toml_of, toml_table
+from pickenv.base import LINE, Check, InputError, Then, file_named, read_toml, registry, shipped_in, toml_of, toml_table
 
 PLANTS = Path(__file__).parent / "plants"
 
@@ -81,7 +79,7 @@ def read_plant(name: str | Path) -> Plant:
         return read_twin(name)
     path = file_named("plant", name, PLANTS, ".toml, .npz")
     others = tuple(name for name in registry.names("effect") if name in toml_of(path)[0])
-    parts = dict(vars(read(plant_file(tuple(dict.fromkeys((*shipped_effects(), *others)))), path, context={})))
+    parts = dict(vars(read_toml(plant_file(tuple(dict.fromkeys((*shipped_effects(), *others)))), path, context={})))
     del parts["source"]
     arm, called, load = (parts.pop(key) for key in ("arm", "name", "load"))
     effects = tuple(effect for effect in parts.values() if effect is not None)

@@ -14,12 +14,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from pickenv import toml_tables
 from pickenv.arm.effects.effect import Draws, standard_normal_of
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.twin_arms import twin_arms
-from pickenv.errors import InputError
+from pickenv.base import InputError, toml_tables
 
 TOLERANCES = Path(__file__).parent / "tolerance_classes"
 
@@ -126,7 +125,7 @@ def load_tolerances(name: str | Path) -> Tolerances:
     Raises:
         InputError: If it is unknown or a number is impossible; the message names the file and the key.
     """
-    return toml_tables.read(Tolerances, toml_tables.file_named("tolerance class", name, TOLERANCES))
+    return toml_tables.read_toml(Tolerances, toml_tables.file_named("tolerance class", name, TOLERANCES))
 
 
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:

@@ -21,7 +21,7 @@ from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose, behind, inverse_pose
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.posterior import Posterior
-from pickenv.toml_tables import GRAVITY
+from pickenv.base import GRAVITY
 
 Zone = Callable[[Array], Array]
 """Turns even numbers 0 to 1, one per parameter that was not identified, into deviations within tolerances, m or rad."""

@@ -1,4 +1,4 @@
-"""A calibrated arm's plant as one verified file (.npz), with all that its arms are drawn from (`pickenv.container`)."""
+"""A calibrated arm's plant as one verified file (.npz), with all that its arms are drawn from: a container."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from pickenv.arm.kinematics.geometry import Geometry, Pose
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.posterior import Layout, Posterior
 from pickenv.arm.plant.twin_arms import twin_plant
-from pickenv.container import named_part, part_of, read_container, refusing_damage, write_container
-from pickenv.errors import InputError
+from pickenv.base import InputError, read_container, refusing_damage, write_container
+from pickenv.base.container import named_part, part_of
 
 TWIN = "twin"
 TWIN_FORMAT = 1

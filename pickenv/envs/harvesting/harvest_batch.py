@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
+from pickenv.base import InputError
 from pickenv.envs.harvesting.harvest_task import AS_DRAWN, GivenZones, HarvestTask, drawn_zone
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import Compensate
-from pickenv.errors import InputError
+from pickenv.harvester import pick_point
 from pickenv.harvester.interference import arm_distances, pairs_of
-from pickenv.harvester.pick_point import pick_point
 from pickenv.harvester.picking import attempt, draw_luck, pushes
 from pickenv.orchard import fruit_masses, swing
 

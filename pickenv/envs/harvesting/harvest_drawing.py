@@ -15,7 +15,7 @@ from pickenv.envs.harvesting.harvest_task import HarvestTask
 from pickenv.envs.shared.arm_env import GHOST_WORDS, staged
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import Compensate
-from pickenv.harvester.machine import Machine
+from pickenv.harvester import Machine
 from pickenv.pictures.arm_shapes import (
     CUP_RADIUS,
     FAINT,

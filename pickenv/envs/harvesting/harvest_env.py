@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.base import InputError
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState
 from pickenv.envs.harvesting.harvest_task import OPTIONS, HarvestTask, given_zones, harvest_spaces, make_harvest_task
 from pickenv.envs.shared.arm_env import DrawnEnv
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import Compensate, checked_action
-from pickenv.errors import InputError
 
 if TYPE_CHECKING:
     from pickenv.pictures.stage import Stage

@@ -12,17 +12,23 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
+from pickenv.base import MM, NUMBER, InputError, read_toml, toml_table
+from pickenv.base.limits import shown
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers, check_choice, check_number
-from pickenv.errors import InputError
-from pickenv.harvester.machine import Machine, load_machine
-from pickenv.harvester.picking import Picking, load_picking
-from pickenv.harvester.trees import SHIPPED, Orchard, lab_zone, load_orchard, tree_leaves
-from pickenv.harvester.true_machine import TrueMachine, load_true_machine
+from pickenv.harvester import (
+    Machine,
+    Orchard,
+    Picking,
+    TrueMachine,
+    load_machine,
+    load_orchard,
+    load_picking,
+    load_true_machine,
+)
+from pickenv.harvester.trees import SHIPPED, lab_zone, tree_leaves
 from pickenv.harvester.zones import AHEAD
-from pickenv.limits import shown
 from pickenv.orchard import Eyes, Sight, Viewpoint, load_eyes, sample_diameters, see
-from pickenv.toml_tables import MM, NUMBER, read, toml_table
 
 # The zone that a harvester begins with: fruit and how it is seen, drawn or as it is asked for. Units: m, rad.
 
@@ -125,7 +131,7 @@ class Rules:
 @lru_cache(maxsize=1)
 def load_rules() -> Rules:
     """Read the rules of the task."""
-    return read(Rules, SHIPPED, section="task")
+    return read_toml(Rules, SHIPPED, section="task")
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Frame
+from pickenv.base import InputError
 from pickenv.envs.picking.pick_arm import PickMotion, PickSight, act_arm, apart_mm, begin_arm, look_at_arm, reach_of
 from pickenv.envs.picking.pick_scene import (
     LONGEST,
@@ -28,7 +29,6 @@ from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import checked_action
-from pickenv.errors import InputError
 
 if TYPE_CHECKING:
     from pickenv.pictures.stage import Stage

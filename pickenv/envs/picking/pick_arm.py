@@ -20,11 +20,11 @@ from scipy.stats import qmc
 from pickenv.arm import Array, Geometry, Plant, PlantState, Pose, forward, inverse
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
+from pickenv.base import InputError
 from pickenv.envs.shared import situation
 from pickenv.envs.shared.backends import Executor
 from pickenv.envs.shared.simulation import DEGREES, length, move, nominal_frames, nominal_readings, scaled
 from pickenv.envs.shared.task import Task, inexact
-from pickenv.errors import InputError
 
 # Which points an arm reaches from below with its tool upright: where fruit can be picked. Base frame, m.
 

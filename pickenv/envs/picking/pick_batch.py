@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm import Array, Plant
 from pickenv.envs.picking.fruit_table import FruitTable
 from pickenv.envs.picking.pick_arm import PickMotion, act_arm, apart_mm, begin_arm, look_at_arm
 from pickenv.envs.picking.pick_scene import CLOSE, LONGEST, MOST_LEFT, STILL, PickSetting, PickStart, pick_reward

@@ -19,11 +19,11 @@ from numpy.typing import ArrayLike
 from pickenv import orchard as trees
 from pickenv.arm import Array, Frame
 from pickenv.arm.kinematics.forward import Scalar
+from pickenv.base import InputError
 from pickenv.envs.picking.pick_arm import UP, Flags, Reach
 from pickenv.envs.shared.spaces import box
 from pickenv.envs.shared.task import Task, as_numbers, check_count, check_number, make_task
-from pickenv.errors import InputError
-from pickenv.orchard.camera import DRAWS
+from pickenv.orchard import DRAWS
 
 FATES = ("attempted", "attached", "detached", "collected", "damaged")
 CLOSE, OPEN = 0.5, -0.5

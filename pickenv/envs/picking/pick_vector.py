@@ -10,6 +10,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant
+from pickenv.base import InputError
 from pickenv.envs.picking.pick_arm import reach_of
 from pickenv.envs.picking.pick_batch import BELIEVED, TOOL, PickBatch
 from pickenv.envs.picking.pick_scene import LONGEST, PICK_OPTIONS, Asked, PickStart, draw_starts, make_pick, pick_spaces
@@ -17,7 +18,6 @@ from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.stream_vector import Flags, Information, Rows, StreamVectorEnv
 from pickenv.envs.shared.streams import state_of_words, words_of_state
 from pickenv.envs.shared.task import Compensate, Task
-from pickenv.errors import InputError
 
 if TYPE_CHECKING:
     from pickenv.pictures.stage import Stage

@@ -10,6 +10,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Array, Frame, Geometry, forward
+from pickenv.base import InputError
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import (
     GHOST_WORDS,
@@ -29,7 +30,6 @@ from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import action_space, flat_space, given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, checked_action, make_task
-from pickenv.errors import InputError
 from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_look, cup_solids, joined_solids
 from pickenv.pictures.stage import SIZE, Eye, Stage, Words, fitted_eye
 from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig

@@ -15,12 +15,12 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plants_on
+from pickenv.base import InputError
 from pickenv.envs.reaching.batch import Batch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Columns, Flags, Rows, Words, naming_effects
 from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
 from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
-from pickenv.errors import InputError
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 BLOCK = 32768

@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.named_plants import IDEAL
+from pickenv.base import InputError, is_there, register, require
+from pickenv.base.registry import get, names
 from pickenv.envs.reaching.batch import Batch, NumpyBatch, Start, Views
 from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
 from pickenv.envs.shared import spaces
@@ -23,9 +25,6 @@ from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.spaces import PlainSpec
 from pickenv.envs.shared.streams import fresh_seed, seed_word
 from pickenv.envs.shared.task import Compensate, Task, check_choice, check_count, make_task
-from pickenv.errors import InputError
-from pickenv.extras import is_there, require
-from pickenv.registry import get, names, register
 
 AUTO = ("numpy", "compiled")
 """What "auto" takes where llvmlite is missing, and where it is there."""

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant, plants_on
 from pickenv.arm.plant.plant_batch import arrays_of
+from pickenv.base import InputError
 from pickenv.envs.shared.backends import NUMPY, Executor, Scalar
 from pickenv.envs.shared.task import Compensate, Task, as_numbers, bounds_of, exact_plant
-from pickenv.errors import InputError
 
 Flags = NDArray[np.bool_]
 Words = NDArray[np.uint64]

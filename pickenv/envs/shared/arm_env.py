@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on
 from pickenv.arm.kinematics.forward import true_points
+from pickenv.base import InputError, require
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.spaces import PlainSpec
 from pickenv.envs.shared.task import Compensate, Task, check_choice, exact_plant
-from pickenv.errors import InputError
-from pickenv.extras import require
 from pickenv.pictures.arm_shapes import (
     GAIN,
     ArmLook,

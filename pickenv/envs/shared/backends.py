@@ -15,7 +15,7 @@ from types import ModuleType
 import numpy as np
 
 from pickenv.arm.kinematics.forward import Scalar as Scalar
-from pickenv.extras import require
+from pickenv.base import require
 
 MASK = 2**64 - 1
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pickenv.errors import InputError
-from pickenv.seeds import seed_words, stream
+from pickenv.base import InputError, seed_words, stream
 
 _ARMS: dict[str, Any] = {"plant": "qiao2026", "arms": "per_episode"}
 _ORCHARD: dict[str, Any] = {

@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import qmc
 
-from pickenv.arm import Array, Geometry, Pose, forward, inverse
+from pickenv.arm import Array, Geometry, Pose, forward, inverse, rotation_matrix
 from pickenv.arm.kinematics.forward import frame_of
-from pickenv.arm.kinematics.pose_error import rotation_matrix
+from pickenv.base import InputError
+from pickenv.base.limits import shown
 from pickenv.envs.shared.task import Task, as_numbers
-from pickenv.errors import InputError
-from pickenv.limits import shown
 
 GOALS = ("goal_joints", "goal_position", "goal_pose")
 

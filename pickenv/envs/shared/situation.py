@@ -17,10 +17,10 @@ import numpy as np
 from pickenv.arm import Plant, PlantState
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
+from pickenv.base import InputError
+from pickenv.base.limits import shown
 from pickenv.envs.shared.backends import Executor
 from pickenv.envs.shared.streams import DRAWN, JOINTS, START, normal, stream_key, uniform
-from pickenv.errors import InputError
-from pickenv.limits import shown
 
 CONTROL_PERIOD = 0.1
 """Time between two actions where none is asked for, s: with the arm file's joint speeds it bounds one increment."""

@@ -13,9 +13,9 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
+from pickenv.base import InputError
 from pickenv.envs.shared.given_goals import GOALS
 from pickenv.envs.shared.task import Task
-from pickenv.errors import InputError
 
 # A specification that can be written down: paths among an environment's arguments stand in it as text.
 

@@ -11,10 +11,10 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.base import InputError
 from pickenv.envs.shared.arm_env import checked_render_mode, drawn
 from pickenv.envs.shared.spaces import PlainSpec, final_rows, given_mask, given_options, given_seeds
 from pickenv.envs.shared.task import check_choice, check_count
-from pickenv.errors import InputError
 
 if TYPE_CHECKING:
     from pickenv.pictures.stage import Stage

@@ -21,9 +21,9 @@ from pickenv.arm.kinematics.forward import Chain, Scalar, chain_of, frames
 from pickenv.arm.plant.named_plants import class_of, draw_arms
 from pickenv.arm.plant.plant import Ready
 from pickenv.arm.plant.plant_batch import plant_count
+from pickenv.base import InputError, check_limit
+from pickenv.base.limits import shown
 from pickenv.envs.shared.situation import Components, Situation, make_situation
-from pickenv.errors import InputError
-from pickenv.limits import check_limit, shown
 
 # Zeros and ones that cost nothing: an arm's table is full of right angles, and arrays need not be multiplied by them.
 # A chain with `Exact` entries gives `pickenv.arm.kinematics.forward.frames` on NumPy arrays a third of its work.

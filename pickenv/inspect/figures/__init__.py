@@ -1,5 +1,5 @@
 """Figures for papers and reports."""
 
-from pickenv.extras import require as _require
+from pickenv.base import require as _require
 
 _require("matplotlib")

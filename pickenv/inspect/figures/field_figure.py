@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
+from pickenv.arm import Array
+from pickenv.base import InputError
 from pickenv.inspect.colours import viridis, viridis_map
 from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, change, new_figure
 from pickenv.inspect.runs.comparison_summary import (

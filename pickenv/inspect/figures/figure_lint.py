@@ -24,7 +24,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Text
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.inspect.colours import BY_KEY, policy_key
 from pickenv.inspect.figures.style import BEFORE_SAVING, DARK, INK, PAPER, SOFT, style
 

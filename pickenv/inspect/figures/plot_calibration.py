@@ -14,8 +14,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.errors import InputError
+from pickenv.arm import Array, Geometry
+from pickenv.base import InputError
 from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis_map
 from pickenv.inspect.figures import style
 from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, finite_series, new_figure, plain_decades, rgb

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect import colours
 from pickenv.inspect.figures.style import LINES, WIDTH, alike, new_figure, plain_decades, rgb, short
 

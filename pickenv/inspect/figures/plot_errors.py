@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
+from pickenv.arm import Array
+from pickenv.base import InputError
 from pickenv.inspect.colours import RED, policy_colours, viridis
 from pickenv.inspect.figures import style
 from pickenv.inspect.figures.field_figure import colour_bar, field_gain

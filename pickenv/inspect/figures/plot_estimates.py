@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from pickenv.base import Estimate
 from pickenv.inspect.colours import policy_colours, policy_label
 from pickenv.inspect.figures.style import WIDTH, change, new_figure, plain_decades, rgb, whisker
-from pickenv.intervals import Estimate
 
 Row = Mapping[str, Any]
 UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
@@ -35,7 +35,7 @@ def estimates_figure(
     """Numbers with their intervals; an open end of a whisker is an arrow.
 
     Args:
-        rows: Each with the columns of ``by`` and "estimate", as from `pickenv.intervals.estimate`.
+        rows: Each with the columns of ``by`` and "estimate", as from `pickenv.base.intervals.estimate`.
         label: What the numbers are, with their unit.
         by: Columns that name a number.
         x: A column of numbers, which lines are drawn along; whiskers are drawn when None.

@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-from pickenv.errors import InputError
-from pickenv.harvester.harvest_summary import Measure
+from pickenv.base import InputError
+from pickenv.harvester import Measure
 from pickenv.inspect import colours
 from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, change, headline, new_figure, rgb
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree

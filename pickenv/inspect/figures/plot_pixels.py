@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
+from pickenv.arm import Array
+from pickenv.base import InputError
 from pickenv.inspect.colours import viridis_map
 from pickenv.inspect.figures.field_figure import round_down
 from pickenv.inspect.figures.style import WIDTH, new_figure

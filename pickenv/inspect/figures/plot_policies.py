@@ -15,8 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
+from pickenv.arm import Array
+from pickenv.base import InputError
 from pickenv.inspect.colours import GREY, RED, policy_colours
 from pickenv.inspect.figures import style
 from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, Comparison, cell_means, field_mm

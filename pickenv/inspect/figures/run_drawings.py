@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.base import clustered_share_interval
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_pixels, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
@@ -20,7 +21,6 @@ from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.matters import gripped, gripper_curves
 from pickenv.inspect.runs.view_errors import ViewErrors
-from pickenv.intervals import clustered_share_interval
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
 CAPTIONS = {

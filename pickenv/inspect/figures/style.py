@@ -19,9 +19,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
-from pickenv.files import write_whole
+from pickenv.arm import Array
+from pickenv.base import InputError, write_whole
 from pickenv.inspect.colours import BLUE, GREEN, RED, Rgb, policy_colours
 
 PIXELS_PER_INCH = 220

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
+from pickenv.arm import Array
+from pickenv.base import InputError
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 
 MOST_MOMENTS = 3.0

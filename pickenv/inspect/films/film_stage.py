@@ -8,8 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from pickenv.arm import Array
 from pickenv.arm.kinematics.forward import nominal_points, true_points
-from pickenv.arm.kinematics.geometry import Array
 from pickenv.inspect.colours import RED, policy_colours
 from pickenv.inspect.films.film_plan import Attempt, FilmCaption, FilmFrame, FilmPlan, attempts_of, grasp_offset
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy

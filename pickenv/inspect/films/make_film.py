@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pickenv.errors import InputError
-from pickenv.extras import require
+from pickenv.base import InputError, require
 from pickenv.inspect.films.film_plan import FilmPlan, plan_film
 from pickenv.inspect.films.film_stage import FilmSet, halves
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes

@@ -1,5 +1,5 @@
 """Recordings for the Rerun viewer."""
 
-from pickenv.extras import require as _require
+from pickenv.base import require as _require
 
 _require("rerun")

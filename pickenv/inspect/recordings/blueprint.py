@@ -13,7 +13,7 @@ from rerun.blueprint.components import ComponentColumnSelector
 from rerun.components import Colormap
 from rerun.encodings import TensorDimensionIndexSelection
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.inspect.colours import lane
 from pickenv.inspect.recordings.details import DAY_WORDS, FLOOR, Details, attitude_length
 from pickenv.inspect.recordings.field_day import Day

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from pickenv.errors import InputError
+from pickenv.base import InputError, versions
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, lane, policy_colours, policy_key
 from pickenv.inspect.recordings.blueprint import comparison_blueprint
 from pickenv.inspect.recordings.details import Details, details_of, send_details
@@ -31,7 +31,6 @@ from pickenv.inspect.recordings.scribe import (
 from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
 from pickenv.inspect.runs.saved import cut_away, drawn_parts, nominal_points, true_points
-from pickenv.provenance import versions
 
 TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008

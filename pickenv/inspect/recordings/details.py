@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from pickenv.arm import forward, noncompensable_error
+from pickenv.arm import Array, Geometry, forward, noncompensable_error
 from pickenv.arm.files.urdf import write_urdf
-from pickenv.arm.kinematics.geometry import Array, Geometry
 from pickenv.arm.plant.campaign import alone, causes_of
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
 from pickenv.inspect.recordings.field_day import Day, day_of

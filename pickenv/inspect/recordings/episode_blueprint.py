@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import rerun.blueprint as rrb
 
-from pickenv.arm.kinematics.forward import forward
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, forward
 from pickenv.inspect.recordings.blueprint import layout, seen_from
 from pickenv.inspect.recordings.episode_entities import GAIN
 from pickenv.inspect.recordings.episodes import (

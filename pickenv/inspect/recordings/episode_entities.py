@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
 from pickenv.inspect.recordings.episodes import (
     Row,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.arm import Array, Geometry
 from pickenv.inspect.runs.recorded_episodes import POSITIONS
 from pickenv.inspect.runs.saved import drawn_parts, nominal_points
 

@@ -12,14 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Geometry, Plant, forward, joint_jacobian, load_plant
+from pickenv.arm import Array, Geometry, Plant, forward, joint_jacobian, load_plant
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.kinematics.forward import split_joints
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.base import stream
 from pickenv.calibration import complete_model, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.inspect.runs.comparison_summary import Comparison
-from pickenv.seeds import stream
 
 DRIFTS = ("thermal_growth", "base_tilt")
 DRIFTING_PLANT = "orchard"

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pickenv.arm import Arm, Plant, forward, pose_error
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration.compensation.compensator import Compensator
-from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
-from pickenv.errors import InputError
+from pickenv.arm import Arm, Array, Plant, forward, pose_error
+from pickenv.base import InputError
+from pickenv.calibration import Calibration, Compensator, Measurements
+from pickenv.calibration.pipeline.calibration import uncertainty_from
 from pickenv.inspect.recordings.comparison_recording import record_comparison
 from pickenv.inspect.runs.comparison_summary import GAIN, Comparison, compared, policy_errors, round_step, stage_label
 from pickenv.inspect.runs.episode_summary import Reaches

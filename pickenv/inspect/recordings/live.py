@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 VIEWER_PORT = 9876
 """Where rerun's viewer listens unless told otherwise."""

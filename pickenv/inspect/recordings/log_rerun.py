@@ -13,7 +13,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 import pickenv
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect.colours import policy_key, policy_label
 from pickenv.inspect.recordings import episode_entities, episodes
 from pickenv.inspect.recordings.episode_blueprint import episode_blueprint

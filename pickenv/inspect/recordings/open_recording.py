@@ -24,7 +24,7 @@ from urllib.parse import quote
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect.recordings import live
 from pickenv.inspect.recordings.live import viewer_environment
 

@@ -13,7 +13,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.base import versions
 from pickenv.inspect.colours import WHITE, lane, policy_colours
 from pickenv.inspect.figures.field_figure import field_gain
 from pickenv.inspect.recordings.blueprint import seen_from, with_colour_bar
@@ -25,7 +26,6 @@ from pickenv.inspect.runs.comparison_summary import Comparison, error_spread, fi
 from pickenv.inspect.runs.episode_summary import comparison_markdown
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy, last_of
 from pickenv.inspect.runs.saved import shown_box
-from pickenv.provenance import versions
 
 SIDEWAYS = np.array([0.8, 0.6, 0.0])
 """Where the next policy stands: to the right as the eye sees it."""

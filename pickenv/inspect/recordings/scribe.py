@@ -14,9 +14,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.errors import InputError
-from pickenv.files import write_whole
+from pickenv.arm import Array
+from pickenv.base import InputError, write_whole
 from pickenv.inspect.colours import RED, WHITE, Rgb, viridis
 from pickenv.inspect.runs.comparison_summary import ticks
 from pickenv.inspect.runs.saved import capsules

@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from pickenv.base import write_text
+from pickenv.calibration import Measurements, Observations, Result, random_joints
 from pickenv.calibration.assessment.quality import axis_errors, base_combinations
 from pickenv.calibration.assessment.screen import Block, figure
-from pickenv.calibration.model.measurements import Measurements, random_joints
-from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
-from pickenv.calibration.pipeline.result import SIGMAS, Result, has_moved
-from pickenv.files import write_text
+from pickenv.calibration.pipeline.result import SIGMAS, has_moved
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings

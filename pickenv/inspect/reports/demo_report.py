@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pickenv.arm import noncompensable_error
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, noncompensable_error
+from pickenv.base import InputError, mean_interval, share_interval
+from pickenv.calibration import Calibration
 from pickenv.calibration.assessment import metrics
 from pickenv.calibration.assessment.metrics import LEAST_ROWS
 from pickenv.calibration.assessment.quality import axis_errors
-from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.errors import InputError
 from pickenv.inspect.figures.plot_calibration import joint_ranges
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
@@ -23,7 +22,6 @@ from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
 from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_cases, load_part
-from pickenv.intervals import mean_interval, share_interval
 
 RECORDING = "errors.rrd"
 OF_ONE = "All of it is of this one calibration of one arm: intervals are over fruit, and another calibration differs."

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pickenv.harvester.harvest_summary import Measure
+from pickenv.base.intervals import LEAST
+from pickenv.harvester import Measure
 from pickenv.harvester.joint_motion import dense_workspace
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
@@ -14,7 +15,6 @@ from pickenv.inspect.reports.report_page import PageTable, PageVerdict
 from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
-from pickenv.intervals import LEAST
 
 MEASURES = {
     "recovery": "of the reachable fruit collected (%)",

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures.field_figure import field_gain, thinned
 from pickenv.inspect.runs.comparison_summary import Comparison, colour_scale_mm, error_spread, field_mm, round_step

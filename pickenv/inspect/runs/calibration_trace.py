@@ -8,12 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import forward
-from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.pipeline.fitting import Fit
-from pickenv.calibration.residuals.bpnn import Bpnn
+from pickenv.arm import Array, Geometry, forward
+from pickenv.calibration import Bpnn, Fit, Measurements, Observations
 from pickenv.inspect.runs.view_errors import ViewErrors
 
 

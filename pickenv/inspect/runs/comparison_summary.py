@@ -12,9 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Plant
-from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.calibration.pipeline.calibration import Calibration
+from pickenv.arm import Array, Geometry, Plant
+from pickenv.calibration import Calibration
 from pickenv.inspect.colours import policy_key
 from pickenv.inspect.runs.field_grid import FieldGrid
 

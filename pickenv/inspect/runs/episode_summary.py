@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import noncompensable_error
-from pickenv.arm.kinematics.geometry import Array, Geometry
+from pickenv.arm import Array, Geometry, noncompensable_error
+from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
+from pickenv.base.intervals import LEAST
 from pickenv.inspect.runs.matters import PickChange, change_cells, matters, pick_changes
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
-from pickenv.intervals import LEAST, clustered_share_interval, mean_interval, paired_share_interval, share_interval
-from pickenv.orchard.gripper import misalignment
+from pickenv.orchard import misalignment
 
 # How episodes of reaching for a fruit ended: the numbers that evaluations, pages and recordings start from.
 

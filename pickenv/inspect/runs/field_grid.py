@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Pose, forward, inverse
-from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.calibration.model.measurements import random_joints
+from pickenv.arm import Array, Geometry, Pose, forward, inverse
+from pickenv.calibration import random_joints
 
 UPRIGHT = np.radians(30.0)
 """Tool poses this near to the vertical tell how large the grid is, rad."""

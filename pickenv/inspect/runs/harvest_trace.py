@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.harvester.harvest import Harvest
-from pickenv.harvester.harvest_summary import Measure
+from pickenv.arm import Array
+from pickenv.harvester import Harvest, Measure
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm import forward
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, forward
 from pickenv.inspect.runs.comparison_summary import Comparison
-from pickenv.orchard.gripper import Gripper, capture_probability, load_gripper, misalignment
+from pickenv.orchard import Gripper, capture_probability, load_gripper, misalignment
 
 # What position errors mean for grippers: how the fruit lies in the tool, and whether it is taken.
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import Array, Geometry
-from pickenv.errors import InputError
+from pickenv.arm import Array, Geometry
+from pickenv.base import InputError
 
 
 @dataclass(frozen=True, eq=False)

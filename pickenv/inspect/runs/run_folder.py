@@ -16,18 +16,23 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias, TypeVar
 
-from pickenv import registry
-from pickenv.container import refusing_damage
-from pickenv.errors import InputError
-from pickenv.files import write_text
+from pickenv.base import (
+    InputError,
+    code_fingerprint,
+    file_sha256,
+    locked,
+    refusing_damage,
+    register,
+    registry,
+    versions,
+    write_text,
+)
+from pickenv.base.registry import get, load_all
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
-from pickenv.locks import locked
-from pickenv.provenance import code_fingerprint, file_sha256, versions
-from pickenv.registry import get, load_all, register
 
 RECORD = "run.json"
 LIST = "files.json"
@@ -80,7 +85,7 @@ for _name, _run_kind in _KINDS.items():
 
 
 def run_kind(name: str, **source: str) -> RunKind:
-    """A registered kind of run; ``source`` is the package that a run's record names, as `pickenv.registry.get` has it.
+    """A registered kind of run; ``source`` is the package that a run's record names, as `registry.get` has it.
 
     Raises:
         InputError: If there is none of that name.
@@ -103,7 +108,7 @@ class Run:
         command: Command line that makes the same numbers again.
         seed: Seed of everything random; None where there is none, or several.
         versions: Versions of what computed it, by package.
-        code: Fingerprint of the code that computed it (`pickenv.provenance.code_fingerprint`).
+        code: Fingerprint of the code that computed it (`pickenv.base.provenance.code_fingerprint`).
         files: SHA-256 of each file that the run wrote, by its path inside the folder; None while it writes, and for a
             study, whose chunks carry their own.
     """

@@ -1,6 +1,6 @@
 """Frozen dataclasses of numbers and arrays as one file each, read back to the bit; nothing in a file is executed.
 
-A container (`pickenv.container`): a header in JSON, in which arrays are named, and the arrays. What may be rebuilt is
+A container (`pickenv.base`): a header in JSON, in which arrays are named, and the arrays. What may be rebuilt is
 what the type hints of the asked-for class lead to, and nothing else.
 """
 
@@ -15,16 +15,14 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv import registry
-from pickenv.arm.effects.effect import Effect
-from pickenv.arm.kinematics.forward import drawn_parts as drawn_parts
-from pickenv.arm.kinematics.forward import nominal_points as nominal_points
-from pickenv.arm.kinematics.forward import true_points as true_points
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm import Array, Effect, Plant
+from pickenv.arm.kinematics.forward import (
+    drawn_parts as drawn_parts,
+    nominal_points as nominal_points,
+    true_points as true_points,
+)
 from pickenv.arm.plant.plant_file import shipped_effects
-from pickenv.container import read_container, refusing_damage, write_container
-from pickenv.errors import InputError
+from pickenv.base import InputError, read_container, refusing_damage, registry, write_container
 from pickenv.inspect.runs.comparison_summary import Comparison
 
 # The links of an arm as capsules (rods with round ends), as the viewer wants them. Metres.

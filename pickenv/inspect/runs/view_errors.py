@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array
+from pickenv.calibration import Result
 from pickenv.calibration.model.pixels import PixelObservations
-from pickenv.calibration.pipeline.result import Result
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,22 +12,20 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from pickenv.agents.evaluation.compare import GRID_STEP, _command, _field, compare
+from pickenv.agents import RandomReach, ServoReach, compare, episode_seeds
+from pickenv.agents.evaluation.compare import GRID_STEP, _command, _field
 from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.contenders import contenders_of
-from pickenv.agents.evaluation.reaches import episode_seeds
 from pickenv.agents.policies.adaptive import CALIBRATED_PRIOR
-from pickenv.agents.policies.scripted import RandomReach, ServoReach
 from pickenv.arm import load_plant
+from pickenv.base import InputError, seed_words, stream
+from pickenv.base.registry import names
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.errors import InputError
 from pickenv.inspect.runs import matters as matters_module
 from pickenv.inspect.runs.comparison_summary import compared, policy_errors, stage_label
 from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.inspect.runs.matters import PERCEPTION_MM, PickChange, change_cells, matters, pick_changes, pick_share
-from pickenv.orchard.gripper import load_gripper
-from pickenv.registry import names
-from pickenv.seeds import seed_words, stream
+from pickenv.orchard import load_gripper
 
 
 class Late(gym.Env[Any, Any]):

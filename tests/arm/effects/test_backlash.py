@@ -7,8 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from pickenv.arm import Passage, forward, load_plant
 from pickenv.arm.effects.drives import Encoder, Servo

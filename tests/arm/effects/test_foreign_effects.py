@@ -10,19 +10,17 @@ import numpy as np
 import pytest
 
 import pickenv
-from pickenv import registry
 from pickenv.arm import Effect, Passage, Plant, draw_plants, load_plant, load_tolerances, plant_at
 from pickenv.arm.effects.effect import GEAR, TOOL, Components
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.plant.campaign import draw_reaches, effect_shares
 from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.base import ARCMIN, MM, SECONDS, InputError, registry, toml_table
 from pickenv.commands.plants import effects as effects_command
-from pickenv.errors import InputError
 from pickenv.experiments.study import deviations
 from pickenv.experiments.study_variance import tolerance_groups
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
-from pickenv.toml_tables import ARCMIN, MM, SECONDS, toml_table
 
 MEDIUM = load_tolerances("medium")
 

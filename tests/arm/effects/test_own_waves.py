@@ -17,7 +17,7 @@ from pickenv.arm.effects.residual_field import (
     standard_normal_of,
 )
 from pickenv.arm.plant.plant_file import PLANTS, shipped_effects
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 EFFECTS = shipped_effects()
 

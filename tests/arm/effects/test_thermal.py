@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, load_plant
+from pickenv.arm import Geometry, Pose, forward, load_plant
 from pickenv.arm.effects.drives import ThermalGrowth, warmed
-from pickenv.arm.kinematics.geometry import Geometry
 
 BARE = load_plant("geometry_only")
 ALUMINIUM = ThermalGrowth((23e-6,) * 6, initial_rise=-5.0, final_rise=20.0, time_constant=3600.0)

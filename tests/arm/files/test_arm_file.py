@@ -7,7 +7,7 @@ import pytest
 
 from pickenv.arm import load_arm, load_plant, shipped_arms
 from pickenv.arm.files.arm_file import ARMS
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 SHIPPED = (ARMS / "qiao2026.toml").read_text(encoding="utf-8")
 

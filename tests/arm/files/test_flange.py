@@ -7,7 +7,7 @@ import pytest
 
 from pickenv.arm import load_arm
 from pickenv.arm.files.flange import Carried, flange
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 PUBLISHED = {
     "so101/so101_new_calib.urdf": "gripper_link",

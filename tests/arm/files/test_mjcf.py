@@ -8,7 +8,7 @@ import pytest
 
 from pickenv.arm import Pose, forward, load_arm, pose_error
 from pickenv.arm.files.mjcf import load_mjcf
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 mujoco = pytest.importorskip("mujoco")
 

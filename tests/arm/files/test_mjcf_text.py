@@ -9,7 +9,7 @@ import pytest
 from pickenv.arm import forward, load_arm, shipped_arms
 from pickenv.arm.files.mjcf import load_mjcf, mjcf_text, write_mjcf
 from pickenv.arm.kinematics.geometry import Coupling
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 
 def posed(model, data, geometry, q):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose, forward, load_arm, pose_error
 from pickenv.arm.files.load import UR_KEYS, UR_LINKS
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 HALF = 1.570796327
 NOMINAL = {  # the frames that stand for the maker's DH table, with half a turn to ten digits as ur_description has it

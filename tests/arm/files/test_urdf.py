@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from pickenv.arm import forward, load_arm, pose_error, rotation_matrix
+from pickenv.arm import Geometry, Pose, forward, load_arm, pose_error, rotation_matrix
 from pickenv.arm.files.urdf import load_urdf, urdf_text, write_urdf
 from pickenv.arm.kinematics.forward import geometry_from_axes
-from pickenv.arm.kinematics.geometry import Geometry, Pose
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 FOREIGN = """<?xml version="1.0"?>
 <robot name="foreign">

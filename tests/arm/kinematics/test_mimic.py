@@ -5,14 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from pickenv.arm import forward, inverse, joint_jacobian, load_arm, parameter_jacobian, pose_error
+from pickenv.arm import Pose, forward, forward_torch, inverse, joint_jacobian, load_arm, parameter_jacobian, pose_error
 from pickenv.arm.files.urdf import load_urdf, urdf_text, write_urdf
-from pickenv.arm.kinematics.forward import forward_torch
-from pickenv.arm.kinematics.geometry import Pose
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 
 def robot(*joints: str, extra: str = "") -> str:

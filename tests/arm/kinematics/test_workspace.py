@@ -7,7 +7,7 @@ import pytest
 
 from pickenv.arm import Geometry, Pose, forward, inverse, load_arm, shipped_arms
 from pickenv.arm.kinematics.workspace import Cube, farthest, largest_cube
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 
 def gantry(*travel):

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from pickenv.arm import (
+    Instrument,
     Pose,
     draw_plants,
     forward,
@@ -25,11 +26,11 @@ from pickenv.arm.effects.drives import MeasurementNoise, read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.workspace import largest_cube
 from pickenv.arm.plant import campaign
-from pickenv.arm.plant.campaign import Instrument, Pace, normal_draws, visited
+from pickenv.arm.plant.campaign import Pace, normal_draws, visited
 from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283
 from pickenv.arm.plant.plant_file import shipped_effects
+from pickenv.base import InputError
 from pickenv.calibration import random_joints, simulated_tracker
-from pickenv.errors import InputError
 
 EFFECTS = shipped_effects()
 

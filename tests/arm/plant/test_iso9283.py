@@ -13,9 +13,8 @@ from pickenv.arm.kinematics.workspace import largest_cube
 from pickenv.arm.plant.campaign import Pace
 from pickenv.arm.plant.iso9283 import NORM_OF_NOISE, Iso9283Settings, _pose_performance, iso9283
 from pickenv.arm.plant.plant_file import shipped_effects
-from pickenv.calibration.model.measurements import random_joints, simulated_tracker
-from pickenv.calibration.reading.read import read_measurements
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.calibration import random_joints, read_measurements, simulated_tracker
 
 EFFECTS = shipped_effects()
 
@@ -137,7 +136,7 @@ def test_the_orchard_arm_is_as_poor_as_field_arms_are(orchard):
 
 
 def test_calibration_mends_accuracy_and_neither_repeatability_nor_variation():
-    from pickenv.calibration.pipeline.fitting import fit
+    from pickenv.calibration import fit
 
     plant = load_plant("qiao2026")
     rng = np.random.default_rng(1)

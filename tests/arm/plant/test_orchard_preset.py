@@ -11,7 +11,7 @@ from pickenv.arm import forward, load_plant
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.plant.campaign import Pace, causes_of, draw_reaches, effect_shares
 from pickenv.arm.plant.plant_file import PLANTS, shipped_effects
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 EFFECTS = shipped_effects()
 

@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 from pickenv.arm import load_arm, load_plant, shipped_arms
 from pickenv.arm.plant.campaign import causes_of
+from pickenv.base import InputError
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.commands import plants
-from pickenv.errors import InputError
 
 app = typer.Typer()
 app.command()(plants.arms)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_plant
-from pickenv.errors import InputError
+from pickenv.base import InputError
 
 SOUND = """
 name = "sound"

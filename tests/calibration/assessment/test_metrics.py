@@ -4,13 +4,12 @@ import tomllib
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
+from pickenv.base import mean_interval
 from pickenv.calibration import error_statistics, held_out_r2, paper_eta
 from pickenv.calibration.assessment.metrics import block_interval
-from pickenv.intervals import mean_interval
 
 # Qiao 2026, Tables 1 and 2, as printed; nan: removed as redundant.
 TABLES = tomllib.loads("""

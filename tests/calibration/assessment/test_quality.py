@@ -8,7 +8,9 @@ from scipy import stats
 
 from pickenv.arm import displace_pose, forward, parameter_jacobian, pose_error
 from pickenv.calibration import (
+    Identifiability,
     Measurements,
+    assess,
     fit,
     identify,
     link_model,
@@ -22,9 +24,8 @@ from pickenv.calibration.assessment.quality import (
     correlated_pairs,
     grade_quality,
 )
-from pickenv.calibration.identification.least_squares import Dropped, Identifiability
+from pickenv.calibration.identification.least_squares import Dropped
 from pickenv.calibration.pipeline.calibration import pose_uncertainty, uncertainty_from
-from pickenv.calibration.pipeline.result import assess
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from pickenv.arm import forward, parameter_jacobian
-from pickenv.calibration import Measurements, identify, link_model, random_joints
+from pickenv.calibration import Identifiability, Measurements, frames_model, identify, link_model, random_joints
 from pickenv.calibration.assessment.expected_errors import RegionError, Workspace
 from pickenv.calibration.assessment.instrument import base_frame_error, said_against
 from pickenv.calibration.assessment.quality import (
@@ -18,9 +18,9 @@ from pickenv.calibration.assessment.quality import (
     grade_quality,
 )
 from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
-from pickenv.calibration.identification.least_squares import Dropped, Identifiability
+from pickenv.calibration.identification.least_squares import Dropped
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ThermalTerm, frames_model
+from pickenv.calibration.model.arm_model import ThermalTerm
 from pickenv.calibration.model.prior import FRAMES, MADE, ZEROS, prior_model
 
 JUST = 1e-9

@@ -12,17 +12,22 @@ from typer.testing import CliRunner
 
 import pickenv  # noqa: F401 - registers the environments
 from pickenv.agents.evaluation.contenders import load_compensator
-from pickenv.arm import forward, load_arm
-from pickenv.arm.plant.plant_batch import plant_at
-from pickenv.arm.plant.tolerances import draw_plants, load_tolerances
-from pickenv.calibration import Calibration, Measurements, fit, random_joints, read_measurements, simulated_tracker
+from pickenv.arm import draw_plants, forward, load_arm, load_tolerances, plant_at
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Calibration,
+    Choices,
+    Measurements,
+    assess,
+    calibrate,
+    fit,
+    random_joints,
+    read_measurements,
+    simulated_tracker,
+)
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.model.observations import choose
-from pickenv.calibration.pipeline.given import Choices
-from pickenv.calibration.pipeline.result import assess
-from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.cli import app
-from pickenv.errors import InputError
 from pickenv.inspect.reports.calibration_report import calibration_page
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
@@ -248,7 +253,7 @@ def test_a_model_that_does_not_converge_is_never_chosen(dynamic, monkeypatch):
 
 
 def test_a_foreign_option_is_refused(qiao, exact):
-    from pickenv.calibration.model.kinds import DistanceObservations
+    from pickenv.calibration import DistanceObservations
 
     joints = exact(qiao.nominal).joints
     wire = DistanceObservations(joints, np.ones(len(joints)), 1e-4)

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from pickenv.arm import Pose
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Pose
 from pickenv.calibration.camera.boards import Board, Grey, board_picture
 from pickenv.calibration.model.pixels import Lens, undistorted
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from pickenv.base import InputError
 from pickenv.calibration.camera.boards import SHIPPED, load_board
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 A4 = (0.210, 0.297)
 

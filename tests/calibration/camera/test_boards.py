@@ -13,6 +13,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose
+from pickenv.base import InputError
+from pickenv.base.toml_tables import made
 from pickenv.calibration.camera.boards import (
     Board,
     _grey_at,
@@ -24,8 +26,6 @@ from pickenv.calibration.camera.boards import (
     write_board,
 )
 from pickenv.calibration.model.pixels import Lens, projected
-from pickenv.errors import InputError
-from pickenv.toml_tables import made
 
 BOARDS = {
     "charuco": Board(kind="charuco", columns=6, rows=8, square=0.03, marker=0.022, dictionary="5x5_100"),

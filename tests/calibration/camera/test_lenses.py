@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
+from pickenv.base import InputError
 from pickenv.calibration.camera.boards import read_lens, write_lens
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, by_point, by_values, projected, undistorted
-from pickenv.errors import InputError
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)) * (0.3, 0.3, 0.1) + (0.0, 0.0, 1.2)
 

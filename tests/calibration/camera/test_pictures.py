@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from pickenv.base import InputError
+from pickenv.calibration import read_observations
 from pickenv.calibration.camera.boards import load_board, read_lens
 from pickenv.calibration.identification.diagnosis import without_blind_views
 from pickenv.calibration.model.arm_model import pose_carrier
 from pickenv.calibration.reading.description import DESCRIPTIONS
-from pickenv.calibration.reading.read import read_observations
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 
 def call(*words: object) -> str:
@@ -178,7 +178,7 @@ def _pose(path: Path) -> list[float]:
 
 
 def test_the_shipped_description_is_of_its_board() -> None:
-    from pickenv.calibration.reading.description import load_description
+    from pickenv.calibration import load_description
 
     views = load_description("ical_charuco").views
     assert views is not None and views.board is not None

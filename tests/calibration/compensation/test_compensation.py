@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pickenv.arm import displace_pose, forward, load_arm, noncompensable_error, pose_error
 from pickenv.arm.kinematics.forward import chain_of
+from pickenv.base import InputError
 from pickenv.calibration import Compensator, random_joints
 from pickenv.calibration.compensation.compensator import NEGLIGIBLE, _Expected, _expected, _nearer, corrected
-from pickenv.errors import InputError
 from tests.calibration.compensation.networks import fast_network
 
 

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Geometry, forward, rotation_matrix
+from pickenv.arm import Arm, Geometry, Pose, forward, rotation_matrix
 from pickenv.arm.kinematics.forward import geometry_from_axes
-from pickenv.arm.kinematics.geometry import Pose
 from pickenv.calibration import Calibration, Choices, Measurements, calibrate, random_joints
 from pickenv.calibration.delivery.corrected_chain import link_frames
 from pickenv.calibration.model.arm_model import ArmModel

@@ -5,13 +5,12 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pickenv.arm import load_arm
 from pickenv.arm.files.urdf import urdf_text
+from pickenv.base import InputError
 from pickenv.calibration import export
-from pickenv.errors import InputError
 
 SNIPPETS = ["", "<", ">", '"', "&amp;", "1e400", "nan", "-", "{", "}", ":", "\n", "true", "[]", "\x0c", "é", "<a/>"]
 MJCF = """<mujoco><compiler angle="radian"/><worldbody><body name="a" pos="0 0 1"><joint name="J1 base"/>

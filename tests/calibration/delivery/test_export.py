@@ -4,20 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from pickenv.arm import forward, load_arm, rotation_matrix
+from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.arm.files.arm_file import ARMS
-from pickenv.arm.kinematics.geometry import Pose
-from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
+from pickenv.base import InputError
+from pickenv.calibration import (
+    BpnnSettings,
+    Calibration,
+    fit,
+    random_joints,
+    simulated_tracker,
+    write_arm_toml,
+    write_arm_urdf,
+    write_onnx,
+)
 from pickenv.calibration.delivery.corrected_chain import provenance
-from pickenv.calibration.delivery.export import write_onnx
-from pickenv.calibration.delivery.onto_files import arm_toml, write_arm_toml, write_arm_urdf
+from pickenv.calibration.delivery.onto_files import arm_toml
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm
 from pickenv.calibration.pipeline.calibration import Remainder
 from pickenv.calibration.residuals.residual_models import fit_residual
-from pickenv.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +133,7 @@ def test_turning_joints_and_conditions_are_inputs_too(calibration, conditions, t
     arm, rng = load_arm("ur5"), np.random.default_rng(1)
     joints, known = random_joints(arm.nominal, 64, rng), rng.uniform(0, 20, (64, conditions))
     given = known if conditions else None
-    from pickenv.calibration.residuals.bpnn import train_bpnn
+    from pickenv.calibration import train_bpnn
 
     learnt = fit_residual(
         "bpnn",

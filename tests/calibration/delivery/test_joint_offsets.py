@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import qmc
 
-from pickenv.arm import forward, load_arm, pose_error
-from pickenv.arm.kinematics.geometry import Pose
+from pickenv.arm import Pose, forward, load_arm, pose_error
+from pickenv.base import InputError
 from pickenv.calibration import (
     Calibration,
     Measurements,
@@ -25,7 +24,6 @@ from pickenv.calibration import (
     read_ros2_offsets,
 )
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.errors import InputError
 
 LEROBOT = """{
     "shoulder_pan": {

@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward, load_arm
+from pickenv.base import InputError
 from pickenv.calibration import export, random_joints
-from pickenv.errors import InputError
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 DEFAULT = """# of a UR5, as the controller has it

@@ -12,16 +12,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from pickenv.arm import forward, load_arm, rotation_matrix
+from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.arm.files.urdf import roll_pitch_yaw, write_urdf
-from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
+from pickenv.arm.kinematics.geometry import behind, inverse_pose
+from pickenv.base import InputError
 from pickenv.calibration import Calibration, export, random_joints
 from pickenv.calibration.delivery.corrected_chain import same_chain
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.errors import InputError
 
 CHAIN = """<?xml version='1.0'?>
 <!-- a comment with <origin xyz="9 9 9"/> and 'quotes' -->

@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 
-from pickenv.arm import forward, load_arm, rotation_matrix
-from pickenv.arm.kinematics.geometry import Pose, behind
+from pickenv.arm import Pose, forward, load_arm, rotation_matrix
+from pickenv.arm.kinematics.geometry import behind
+from pickenv.base import InputError
 from pickenv.calibration.delivery.corrected_chain import NEAR, link_frames, same_chain
-from pickenv.errors import InputError
 
 ARMS = ("ur5", "ur10e", "panda", "so101", "wam", "qiao2026", "positioner")
 

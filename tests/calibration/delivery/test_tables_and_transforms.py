@@ -8,14 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import forward, from_standard_dh, load_arm, rotation_matrix
-from pickenv.arm.kinematics.geometry import Pose, behind, inverse_pose
+from pickenv.arm import Pose, forward, from_standard_dh, load_arm, rotation_matrix
+from pickenv.arm.kinematics.geometry import behind, inverse_pose
+from pickenv.base import InputError
 from pickenv.calibration import export, random_joints
-from pickenv.errors import InputError
 
 
 def matrix(rotation: np.ndarray, position: np.ndarray) -> np.ndarray:

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pickenv.arm import Pose, load_arm, rotation_matrix
+from pickenv.base import InputError
 from pickenv.calibration import Measurements, align, complete_model, fit, frames_model, identify
-from pickenv.errors import InputError
 
 
 def placed(geometry, seed, reach=0.5):

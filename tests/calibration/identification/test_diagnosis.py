@@ -7,14 +7,18 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
-from pickenv.calibration import random_joints, simulated_tracker
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Choices,
+    DistanceObservations,
+    ReflectorObservations,
+    calibrate,
+    random_joints,
+    simulated_tracker,
+)
 from pickenv.calibration.identification.diagnosis import mixed_unit, telling_views
-from pickenv.calibration.model.kinds import DistanceObservations, ReflectorObservations
 from pickenv.calibration.model.observations import choose, contiguous_folds, same_poses
 from pickenv.calibration.model.pixels import Lens, PixelObservations
-from pickenv.calibration.pipeline.given import Choices
-from pickenv.calibration.pipeline.stages import calibrate
-from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import tilt
 
 PLAIN = Choices(terms="none", residual="none")

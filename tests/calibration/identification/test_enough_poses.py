@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from pickenv.calibration import identify, link_model
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, LeadTerm, complete_model, with_terms
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.calibration import complete_model, identify, link_model
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, LeadTerm, with_terms
 
 
 def chosen(geometry, *names):

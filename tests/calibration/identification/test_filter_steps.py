@@ -9,27 +9,22 @@ from scipy import stats
 
 from pickenv.arm import Pose, displace_pose, forward, joint_jacobian, load_arm, parameter_jacobian, pose_error
 from pickenv.arm.effects.drives import MeasurementNoise
-from pickenv.calibration.identification.extended_kalman_filter import (
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Measurements,
+    complete_model,
     continue_filter,
     filter_measurements,
+    identify,
+    link_model,
     offset_walk,
-    predict,
+    random_joints,
     random_walk,
     start_filter,
     thermal_walk,
-    update,
 )
-from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.arm_model import (
-    ArmModel,
-    Conditions,
-    ThermalTerm,
-    complete_model,
-    link_model,
-    with_terms,
-)
-from pickenv.calibration.model.measurements import Measurements, random_joints
-from pickenv.errors import InputError
+from pickenv.calibration.identification.extended_kalman_filter import predict, update
+from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm, with_terms
 
 NOISE = MeasurementNoise(2e-4, 5e-4)
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
+from pickenv.base import InputError
 from pickenv.calibration import Calibration, Choices, Measurements, calibrate, complete_model, identify
 from pickenv.calibration.identification import term_choice
 from pickenv.calibration.identification.term_choice import (
@@ -28,7 +29,6 @@ from pickenv.calibration.identification.term_choice import (
 )
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, GravityTerm, OrderTerm, PeriodicTerm, kind_of_term
 from pickenv.calibration.model.observations import contiguous_folds, same_poses
-from pickenv.errors import InputError
 
 ARM = load_arm("ur5")
 NOISE = 2e-5

@@ -8,22 +8,24 @@ import pytest
 
 from pickenv.arm import Geometry, Plant, displace_pose, forward
 from pickenv.arm.effects.drives import MeasurementNoise
-from pickenv.calibration.identification.extended_kalman_filter import (
-    FilterState,
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Measurements,
+    align,
+    complete_model,
     continue_filter,
     filter_measurements,
+    frames_model,
+    identify,
+    link_model,
     offset_walk,
-    predict,
+    random_joints,
     random_walk,
+    simulated_tracker,
     start_filter,
     thermal_walk,
-    update,
 )
-from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.identification.robust import align
-from pickenv.calibration.model.arm_model import complete_model, frames_model, link_model
-from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
-from pickenv.errors import InputError
+from pickenv.calibration.identification.extended_kalman_filter import FilterState, predict, update
 
 CAMERA = MeasurementNoise(3e-3, float(np.radians(0.5)))
 

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pickenv.arm import forward, load_arm, parameter_jacobian, rotation_matrix
+from pickenv.base import InputError
 from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import (
@@ -17,7 +17,6 @@ from pickenv.calibration.identification.least_squares import (
     is_angle,
 )
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
-from pickenv.errors import InputError
 
 PAPER_DROPS = {"a2", "a3", "a5", "d3", "d4", "theta2", "d6"}
 BASE_16 = {f"alpha{i}" for i in range(6)} | {"a0", "a1", "a4", "theta1", "theta3", "theta4", "theta5", "d1", "d3", "d5"}

@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, assume, given, settings, strategies as st
 from typer.testing import CliRunner
 
 from pickenv.arm import load_arm, load_plant
+from pickenv.base import InputError
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 ROWS = 90
 JOINTS = ("q1_deg", "q2_mm", "q3_mm", "q4_deg", "q5_mm", "q6_deg")

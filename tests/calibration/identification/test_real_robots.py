@@ -4,13 +4,19 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_arm
-from pickenv.calibration import Measurements, complete_model, fit, identify, read_measurements
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Choices,
+    Measurements,
+    calibrate,
+    complete_model,
+    fit,
+    identify,
+    read_measurements,
+    read_observations,
+)
 from pickenv.calibration.model.observations import contiguous_folds, same_poses
 from pickenv.calibration.pipeline.fitting import what_is_left
-from pickenv.calibration.pipeline.given import Choices
-from pickenv.calibration.pipeline.stages import calibrate
-from pickenv.calibration.reading.read import read_observations
-from pickenv.errors import InputError
 
 
 @pytest.fixture(scope="module")

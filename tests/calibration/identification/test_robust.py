@@ -6,11 +6,18 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Geometry, Plant, rotation_matrix
-from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.identification.robust import LOSSES, align, robust_align, robust_identify
-from pickenv.calibration.model.arm_model import complete_model, frames_model, link_model
-from pickenv.calibration.model.measurements import Measurements, random_joints, simulated_tracker
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Measurements,
+    align,
+    complete_model,
+    frames_model,
+    identify,
+    link_model,
+    random_joints,
+    simulated_tracker,
+)
+from pickenv.calibration.identification.robust import LOSSES, robust_align, robust_identify
 
 
 def rms(geometry: Geometry, data: Measurements) -> float:

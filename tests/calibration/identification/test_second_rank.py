@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
-from pickenv.calibration import complete_model, identify, link_model, random_joints
+from pickenv.calibration import DistanceObservations, complete_model, identify, link_model, random_joints
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import Progress
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.kinds import DistanceObservations
 
 
 @pytest.fixture(scope="module")

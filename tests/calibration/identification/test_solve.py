@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Plant, draw_plants, forward, load_arm, load_tolerances, plant_at, rotation_matrix
-from pickenv.calibration import identify, random_joints, simulated_tracker
+from pickenv.calibration import complete_model, identify, random_joints, simulated_tracker
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import complete_model
 from pickenv.calibration.model.noise import stated_noise
 from pickenv.calibration.model.prior import ANGLES, LENGTHS, ZEROS, prior_model
 

@@ -7,17 +7,16 @@ import numpy as np
 import pytest
 import torch
 
+from pickenv.base import InputError
+from pickenv.calibration import identifiability, identify, link_model
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import (
     REDUNDANCY_TOLERANCE,
     describe_absorption,
-    identifiability,
-    identify,
     is_angle,
     judged_step,
 )
-from pickenv.calibration.model.arm_model import geometric_model, link_model
-from pickenv.errors import InputError
+from pickenv.calibration.model.arm_model import geometric_model
 
 FAR = np.full(3, 1e-2)
 """A step of a hundredth of a tolerance, which counts."""

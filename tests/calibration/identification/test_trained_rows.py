@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from typer.testing import CliRunner
 
 from pickenv.arm import Plant, load_arm, load_plant
+from pickenv.base import InputError
 from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.identification.diagnosis import refuse_trained
 from pickenv.calibration.model.observations import SAME_POSE
 from pickenv.cli import app
-from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import KINDS
 
 PLANT = load_plant("qiao2026")

@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from pickenv.arm import Geometry, Pose, load_arm
-from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm import Array, Geometry, Pose, load_arm
 from pickenv.calibration import Identifiability, Measurements, complete_model, frames_model, identifiability, link_model
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 

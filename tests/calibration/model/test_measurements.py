@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_arm, load_instrument, load_plant, rotation_vector
+from pickenv.base import InputError
 from pickenv.calibration import Measurements, random_joints, read_measurements, simulated_tracker
-from pickenv.errors import InputError
 
 ULP = 4e-16  # degrees are written, radians kept: one rounding each way
 

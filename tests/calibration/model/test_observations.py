@@ -6,15 +6,20 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, rotation_matrix
-from pickenv.calibration import Measurements, align, complete_model, frames_model, identify, random_joints
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
-from pickenv.calibration.model.kinds import (
+from pickenv.calibration import (
     DistanceObservations,
+    Measurements,
     ReflectorObservations,
     SocketObservations,
+    align,
+    complete_model,
+    frames_model,
+    identify,
+    random_joints,
     tracker_covariance,
-    whitening_of,
 )
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
+from pickenv.calibration.model.kinds import whitening_of
 from pickenv.calibration.model.observations import nearest_rotation
 
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3

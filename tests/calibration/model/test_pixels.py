@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Geometry, Pose, forward, load_arm, rotation_matrix
+from pickenv.calibration import frames_model, identify
 from pickenv.calibration.assessment.instrument import said_of_instruments
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.identification.diagnosis import checked_rows
-from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.identification.robust import fitted_model, rough_start
-from pickenv.calibration.model.arm_model import ArmModel, frames_model, joints_of_finished_poses, pose_carrier
+from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses, pose_carrier
 from pickenv.calibration.model.pixels import Lens, PixelObservations, board_poses, projected
 
 BOARD = Board(kind="charuco", columns=6, rows=8, square=0.03, marker=0.022, dictionary="5x5_100")

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
+from pickenv.base import InputError
 from pickenv.calibration.model.observations import (
     PATH,
     SAME_POSE,
@@ -14,7 +14,6 @@ from pickenv.calibration.model.observations import (
     random_split,
     same_poses,
 )
-from pickenv.errors import InputError
 
 
 @given(st.integers(2, 500), st.data())

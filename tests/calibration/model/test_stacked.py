@@ -10,15 +10,20 @@ import pytest
 
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.arm.kinematics.geometry import move_pose
-from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.identification.robust import align, rough_start, stations_of
-from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, frames_model
-from pickenv.calibration.model.kinds import DistanceObservations
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Choices,
+    DistanceObservations,
+    Measurements,
+    Observations,
+    align,
+    calibrate,
+    frames_model,
+    random_joints,
+)
+from pickenv.calibration.identification.robust import rough_start, stations_of
+from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel
 from pickenv.calibration.model.measurements import InstrumentStation, Stacked
-from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.pipeline.given import Choices
-from pickenv.calibration.pipeline.stages import calibrate
-from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import touches
 
 PLAIN = Choices(terms="none", residual="none")

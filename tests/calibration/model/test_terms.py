@@ -8,6 +8,7 @@ import pytest
 
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rotation_matrix
 from pickenv.arm.effects.effect import GRAVITY
+from pickenv.base import InputError
 from pickenv.calibration import Measurements, identify, link_model, random_joints, simulated_tracker
 from pickenv.calibration.model.arm_model import (
     ArmModel,
@@ -22,7 +23,6 @@ from pickenv.calibration.model.arm_model import (
     term_from,
     with_terms,
 )
-from pickenv.errors import InputError
 
 ALL = tuple(range(6))
 

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from pickenv.arm import (
     Pose,
@@ -18,13 +17,20 @@ from pickenv.arm import (
     rotation_matrix,
     rotation_vector,
 )
-from pickenv.calibration import Compensator, fit, random_joints, simulated_tracker
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Compensator,
+    apply_calibration,
+    assess,
+    fit,
+    random_joints,
+    read_targets,
+    simulated_tracker,
+)
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm
-from pickenv.calibration.pipeline.apply import _carried, apply_calibration, toward
+from pickenv.calibration.pipeline.apply import _carried, toward
 from pickenv.calibration.pipeline.calibration import uncertainty_from
-from pickenv.calibration.pipeline.result import assess
-from pickenv.calibration.reading.read import Targets, joints_of, read_targets
-from pickenv.errors import InputError
+from pickenv.calibration.reading.read import Targets, joints_of
 
 
 @pytest.fixture(scope="module")

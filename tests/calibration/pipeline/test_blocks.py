@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward
+from pickenv.base import InputError, mean_interval
 from pickenv.calibration import Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice
@@ -14,9 +15,7 @@ from pickenv.calibration.model.observations import BLOCKS
 from pickenv.calibration.model.prior import prior_model
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.pipeline.fitting import AS_CHOSEN, HeldOut, pooled
-from pickenv.errors import InputError
 from pickenv.inspect.reports.calibration_report import calibration_page
-from pickenv.intervals import mean_interval
 
 PLAIN = Choices(terms="none", residual="none")
 FREE = Choices(terms="auto", residual="rbf")

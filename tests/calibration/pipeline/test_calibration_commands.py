@@ -8,11 +8,10 @@ import pytest
 from typer.testing import CliRunner
 
 from pickenv.arm import forward, load_arm
-from pickenv.calibration import BpnnSettings, Calibration, fit, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.result import assess
+from pickenv.base import InputError
+from pickenv.calibration import BpnnSettings, Calibration, assess, fit, random_joints, simulated_tracker
 from pickenv.cli import app
-from pickenv.errors import InputError
-from pickenv.inspect.reports.calibration_report import write_calibration_report
+from pickenv.inspect import write_calibration_report
 
 
 def call(*words, code=0):

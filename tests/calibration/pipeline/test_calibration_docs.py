@@ -11,10 +11,9 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_plant
-from pickenv.calibration import random_joints, read_measurements, simulated_tracker
+from pickenv.base.registry import names
+from pickenv.calibration import load_description, random_joints, read_measurements, simulated_tracker
 from pickenv.calibration.reading.csv_table import CONVENTIONS
-from pickenv.calibration.reading.description import load_description
-from pickenv.registry import names
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs/calibrating-a-robot.md").read_text(encoding="utf-8")

@@ -12,11 +12,10 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.arm.files.arm import geometry_arrays
+from pickenv.base import InputError, read_container, write_container
+from pickenv.base.sealed import seal
 from pickenv.calibration import BpnnSettings, Calibration, Measurements, fit
 from pickenv.calibration.pipeline.calibration import FORMAT
-from pickenv.container import read_container, write_container
-from pickenv.errors import InputError
-from pickenv.sealed import seal
 
 
 @pytest.fixture(scope="module")

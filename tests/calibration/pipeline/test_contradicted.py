@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Plant, Pose, draw_plants, load_arm, load_tolerances, plant_at, rotation_matrix
-from pickenv.calibration import random_joints, simulated_tracker
-from pickenv.calibration.pipeline.given import Choices
-from pickenv.calibration.pipeline.stages import calibrate
+from pickenv.calibration import Choices, calibrate, random_joints, simulated_tracker
 
 PLAIN = Choices(terms="none", residual="none")
 

@@ -7,14 +7,13 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from typer.testing import CliRunner
 
 from pickenv.arm import Arm, Plant
+from pickenv.base import InputError
 from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 
 def tracked(plant: Plant, rows: int, seed: int) -> Measurements:

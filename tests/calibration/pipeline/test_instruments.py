@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
+from pickenv.base import InputError
 from pickenv.calibration import (
     Choices,
     DistanceObservations,
@@ -16,14 +17,14 @@ from pickenv.calibration import (
     TiltObservations,
     calibrate,
     complete_model,
+    frames_model,
     identify,
     random_joints,
 )
 from pickenv.calibration.assessment.instrument import said_of_instruments, with_zeros_fitted
 from pickenv.calibration.identification.robust import rough_start, stations_of
-from pickenv.calibration.model.arm_model import ArmModel, frames_model
+from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.pipeline.given import given_rows
-from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import (
     ANGLE_STD,
     HERE,

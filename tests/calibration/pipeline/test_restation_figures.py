@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Pose, forward, load_arm, rotation_matrix, rotation_vector
-from pickenv.arm.kinematics.geometry import Array, move_pose
-from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
+from pickenv.arm import Arm, Array, Pose, forward, load_arm, rotation_matrix, rotation_vector
+from pickenv.arm.kinematics.geometry import move_pose
+from pickenv.base import InputError
+from pickenv.calibration import Calibration, ErrorStatistics, Measurements, error_statistics, random_joints
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.observations import equally_spaced
 from pickenv.calibration.pipeline import verification
-from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.verification import (
     Verification,
     _since,
@@ -31,7 +30,6 @@ from pickenv.calibration.pipeline.verification import (
     verify,
     weighed_by_reach,
 )
-from pickenv.errors import InputError
 
 HERE = Pose(np.array([2.0, 0.5, -0.3]), rotation_matrix(np.array([0.1, 0.2, -0.7])))
 TARGET = Pose(np.array([0.02, -0.01, 0.1]), rotation_matrix(np.array([0.2, -0.1, 0.4])))

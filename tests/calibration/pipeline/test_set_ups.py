@@ -11,18 +11,21 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, load_plant, rotation_matrix
-from pickenv.arm.kinematics.geometry import Array
-from pickenv.calibration import Measurements, random_joints, simulated_tracker
+from pickenv.arm import Arm, Array, Geometry, Pose, forward, load_arm, load_plant, rotation_matrix
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Choices,
+    Measurements,
+    Result,
+    calibrate,
+    random_joints,
+    read_observations,
+    simulated_tracker,
+)
 from pickenv.calibration.identification.robust import set_ups
 from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import InstrumentStation, Stacked
-from pickenv.calibration.pipeline.given import Choices
-from pickenv.calibration.pipeline.result import Result
-from pickenv.calibration.pipeline.stages import calibrate
-from pickenv.calibration.reading.read import read_observations
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 PLAIN = Choices(terms="none", residual="none")
 NOISE = 1e-4

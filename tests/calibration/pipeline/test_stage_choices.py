@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pickenv.base import InputError
 from pickenv.calibration import Choices, random_joints, simulated_tracker
 from pickenv.calibration.assessment.expected_errors import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut
@@ -12,9 +13,7 @@ from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import GravityTerm, PeriodicTerm
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.pipeline.given import workspace_joints
-from pickenv.calibration.residuals.gate import AUTO as OURS
-from pickenv.calibration.residuals.gate import GateReport, GateVerdict
-from pickenv.errors import InputError
+from pickenv.calibration.residuals.gate import AUTO as OURS, GateReport, GateVerdict
 
 AUTO = Choices(frames="known", residual="auto", terms="auto", seed=5)
 

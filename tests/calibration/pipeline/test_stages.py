@@ -12,11 +12,10 @@ from typer.testing import CliRunner
 import pickenv
 from pickenv.arm import forward
 from pickenv.arm.files.urdf import write_urdf
-from pickenv.calibration import Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
+from pickenv.base import InputError
+from pickenv.calibration import Calibration, Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.pipeline import stages
-from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 PLAIN = Choices(terms="none", residual="none")
 

@@ -9,14 +9,21 @@ from typer.testing import CliRunner
 
 from pickenv.arm import forward, load_arm
 from pickenv.arm.effects.effect import Load
-from pickenv.calibration import Calibration, Choices, Measurements, calibrate, complete_model, identify
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Calibration,
+    Choices,
+    Measurements,
+    apply_calibration,
+    calibrate,
+    complete_model,
+    identify,
+)
 from pickenv.calibration.identification.term_choice import terms_of
 from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, Conditions, with_terms
-from pickenv.calibration.pipeline.apply import apply_calibration
 from pickenv.calibration.pipeline.fitting import GEOMETRIC
 from pickenv.calibration.reading.read import Targets
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 ARM = load_arm("ur10")
 MASS = (7.1, 12.7, 4.3, 2.0, 2.0, 0.4)

@@ -24,6 +24,7 @@ from pickenv.arm.effects.effect import Load
 from pickenv.arm.effects.hysteresis import StickBand
 from pickenv.arm.kinematics.geometry import Coupling
 from pickenv.arm.plant.tolerances import it_tolerance
+from pickenv.base import InputError, write_container
 from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker, twin
 from pickenv.calibration.model.arm_model import (
     BendingTerm,
@@ -35,8 +36,6 @@ from pickenv.calibration.model.arm_model import (
 )
 from pickenv.calibration.pipeline.twin import SMOOTH, Scatter, repeated_std, scatter_of
 from pickenv.calibration.residuals.gaussian_process import feature_process
-from pickenv.container import write_container
-from pickenv.errors import InputError
 from tests.calibration.twins import found_by_hand, kernel, learnt_by_hand, process_by_hand
 
 QIAO, UR5 = load_arm("qiao2026"), load_arm("ur5")

@@ -11,20 +11,26 @@ import pytest
 from typer.testing import CliRunner
 
 from pickenv.arm import Arm, Geometry, Plant, Pose, forward, inverse, load_arm, rotation_matrix, rotation_vector
-from pickenv.calibration import Measurements, random_joints, simulated_tracker
-from pickenv.calibration.assessment.metrics import block_interval, error_statistics
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Choices,
+    DistanceObservations,
+    Measurements,
+    Result,
+    calibrate,
+    error_statistics,
+    random_joints,
+    read_observations,
+    simulated_tracker,
+)
+from pickenv.calibration.assessment.metrics import block_interval
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.kinds import DistanceObservations
 from pickenv.calibration.model.measurements import Stacked
 from pickenv.calibration.pipeline.calibration import MEASURED_REGION
-from pickenv.calibration.pipeline.given import Choices, given_rows
-from pickenv.calibration.pipeline.result import Result
-from pickenv.calibration.pipeline.stages import calibrate
+from pickenv.calibration.pipeline.given import given_rows
 from pickenv.calibration.pipeline.verification import Verification, _starts, frames_and_rows, restationed, verify
-from pickenv.calibration.reading.read import read_observations
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 PLAIN = Choices(terms="none", residual="none")
 FRAMES = ("base", "tool")

@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_arm, load_plant
-from pickenv.calibration import Calibration, Measurements, random_joints, simulated_tracker
+from pickenv.calibration import Calibration, Choices, Measurements, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.pipeline.calibration import Within95, uncertainty_from, within95
-from pickenv.calibration.pipeline.given import Choices
-from pickenv.calibration.pipeline.stages import calibrate
 from pickenv.wrappers import CompensationWrapper
 
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pickenv.calibration import link_model, random_joints
-from pickenv.calibration.planning.plan import plan_poses
+from pickenv.calibration import link_model, plan_poses, random_joints
 
 
 @pytest.mark.parametrize("criterion", ["d-optimal", "test-poses"])

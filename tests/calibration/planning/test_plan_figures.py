@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pickenv.arm import parameter_jacobian
-from pickenv.calibration import complete_model, link_model, random_joints
+from pickenv.base import InputError
+from pickenv.calibration import complete_model, link_model, plan_poses, random_joints
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
 from pickenv.calibration.planning.plan import (
     CurvePoint,
@@ -17,11 +18,9 @@ from pickenv.calibration.planning.plan import (
     exchange,
     gains,
     move_seconds,
-    plan_poses,
     short_tour,
     travel_seconds,
 )
-from pickenv.errors import InputError
 
 COUNT = 15
 

@@ -6,21 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from typer.testing import CliRunner
 
 import pickenv
 from pickenv.arm import Arm, displace_pose, forward, load_arm
-from pickenv.calibration import Choices, Measurements, random_joints
+from pickenv.base import InputError
+from pickenv.calibration import Choices, Measurements, plan_poses, random_joints
 from pickenv.calibration.assessment.expected_errors import workspace_error
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.noise import stated_noise
 from pickenv.calibration.model.prior import PriorModel, prior_model
 from pickenv.calibration.planning.like import first_rows, plan_like
-from pickenv.calibration.planning.plan import PosePlan, plan_poses
+from pickenv.calibration.planning.plan import PosePlan
 from pickenv.cli import app
-from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import KINDS
 
 STD = np.repeat([1e-4, 2e-4], 3)
@@ -89,7 +88,8 @@ def test_no_plan_is_worse_than_chance(name: str, known: bool, seed: int) -> None
         for kind in ("pose", "position"):
             plan = planned(arm, model, count, field, seed, criterion=criterion, kind=kind)
             assert plan.predicted_error is not None and plan.random_predicted_error is not None
-            assert plan.predicted_error <= plan.random_predicted_error
+            # Where so few poses tell nothing beyond the prior, both are the prior's error to some digits.
+            assert plan.predicted_error <= plan.random_predicted_error * (1 + 1e-5)
 
 
 def test_one_pose_is_a_plan_where_all_is_expected_somewhere() -> None:

@@ -6,12 +6,20 @@ from itertools import pairwise, permutations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from typer.testing import CliRunner
 
 from pickenv.arm import Plant, Pose, displace_pose, draw_plants, forward, load_arm, load_tolerances, plant_at
-from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints, simulated_tracker
+from pickenv.base import InputError
+from pickenv.calibration import (
+    Measurements,
+    complete_model,
+    identify,
+    link_model,
+    plan_poses,
+    random_joints,
+    simulated_tracker,
+)
 from pickenv.calibration.assessment.expected_errors import workspace_error
 from pickenv.calibration.identification.least_squares import observability, observability_of
 from pickenv.calibration.identification.solve import solve
@@ -25,13 +33,11 @@ from pickenv.calibration.planning.plan import (
     exchange,
     gains,
     move_seconds,
-    plan_poses,
     predicted_error,
     short_tour,
     travel_seconds,
 )
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 
 def information(rows):

@@ -13,16 +13,22 @@ import pytest
 from typer.testing import CliRunner
 
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
-from pickenv.calibration import DistanceObservations, Measurements, complete_model, identify, random_joints
+from pickenv.base import InputError
+from pickenv.calibration import (
+    DistanceObservations,
+    Measurements,
+    Observations,
+    complete_model,
+    identify,
+    random_joints,
+)
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.arm_model import ErrorModel
 from pickenv.calibration.model.measurements import InstrumentStation, Stacked
-from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.calibration.planning.like import plan_like
 from pickenv.calibration.planning.plan import PosePlan, exchange
 from pickenv.cli import app
-from pickenv.errors import InputError
 from tests.calibration.simulated_instruments import KINDS, LINE_POINT, STD, from_anchor, from_plane, points_at
 
 LENS = Lens(np.array([620.0, 622.0, 323.0, 238.0, -0.08, 0.05, 0.0008, -0.0005, 0.01]), (640, 480))

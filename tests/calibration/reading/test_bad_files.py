@@ -5,8 +5,8 @@ import csv
 import numpy as np
 import pytest
 
+from pickenv.base import InputError
 from pickenv.calibration import fit, random_joints, read_measurements, simulated_tracker
-from pickenv.errors import InputError
 
 COLUMNS = [
     "q1_deg",

@@ -7,10 +7,10 @@ import pytest
 from scipy.linalg import expm
 
 from pickenv.arm import load_arm
-from pickenv.calibration import Measurements, random_joints, read_measurements
+from pickenv.base import InputError
+from pickenv.calibration import Measurements, load_description, random_joints, read_measurements
 from pickenv.calibration.reading.csv_table import CONVENTIONS
-from pickenv.calibration.reading.description import load_description, shipped_descriptions
-from pickenv.errors import InputError
+from pickenv.calibration.reading.description import shipped_descriptions
 
 JOINTS = 'joints.columns = ["A1", "A2", "A3", "A4", "A5", "A6"]\njoints.unit = "deg"\n'
 HEADER = ["A1", "A2", "A3", "A4", "A5", "A6", "X", "Y", "Z"]

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Geometry, forward, load_arm
+from pickenv.base import InputError
 from pickenv.calibration import (
     DistanceObservations,
+    Observations,
     ReflectorObservations,
     SocketObservations,
     TiltObservations,
     random_joints,
+    read_observations,
 )
-from pickenv.calibration.model.observations import Observations
-from pickenv.calibration.reading.read import read_observations
-from pickenv.errors import InputError
 
 NAMES = ["A1", "A2", "A3", "A4", "A5", "A6"]
 JOINTS = f'joints = {{ columns = {NAMES}, unit = "deg" }}\n'.replace("'", '"')

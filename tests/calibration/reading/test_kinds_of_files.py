@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
-from pickenv.calibration import random_joints
-from pickenv.calibration.model.kinds import DistanceObservations, ReflectorObservations, SocketObservations
-from pickenv.calibration.model.measurements import Measurements
+from pickenv.base import InputError
+from pickenv.calibration import (
+    DistanceObservations,
+    Measurements,
+    ReflectorObservations,
+    SocketObservations,
+    random_joints,
+    read_observations,
+)
 from pickenv.calibration.model.observations import choose, contiguous_folds, same_poses
-from pickenv.calibration.reading.read import read_observations
-from pickenv.errors import InputError
 
 JOINTS = 'joints.columns = ["A1", "A2", "A3", "A4", "A5", "A6"]\njoints.unit = "deg"\n'
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3

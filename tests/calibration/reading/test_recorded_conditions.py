@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from typer.testing import CliRunner
 
 from pickenv.arm import Arm, Plant
+from pickenv.base import InputError
 from pickenv.calibration import Choices, calibrate, random_joints, read_measurements, simulated_tracker
 from pickenv.cli import app
-from pickenv.errors import InputError
 
 PLAIN = Choices(terms="none", residual="none")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
+from pickenv.base import InputError
 from pickenv.calibration import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.bpnn import _folded, _network
-from pickenv.errors import InputError
 
 SHORT = BpnnSettings(epochs=40)
 

@@ -6,16 +6,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Geometry, Plant, forward
-from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.calibration import align
-from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.arm_model import complete_model, frames_model
-from pickenv.calibration.model.measurements import Measurements
+from pickenv.arm import Arm, Geometry, Plant, forward, rotation_matrix
+from pickenv.base import InputError
+from pickenv.calibration import Measurements, align, complete_model, frames_model, identify
 from pickenv.calibration.model.observations import blocked_split
 from pickenv.calibration.residuals.gate import gate_residuals
 from pickenv.calibration.residuals.residual_models import Fitter
-from pickenv.errors import InputError
 
 
 class Nearest:

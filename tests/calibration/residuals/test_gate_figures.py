@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Geometry, Pose, displace_pose, forward
+from pickenv.base import InputError
+from pickenv.calibration import Measurements
 from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import blocked_split
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
-from pickenv.errors import InputError
 
 ROWS = 100
 

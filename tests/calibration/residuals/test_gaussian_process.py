@@ -10,9 +10,7 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from pickenv.arm import Plant
-from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.arm_model import link_model
-from pickenv.calibration.model.measurements import random_joints, simulated_tracker
+from pickenv.calibration import identify, link_model, random_joints, simulated_tracker
 from pickenv.calibration.residuals import gaussian_process
 from pickenv.calibration.residuals.gaussian_process import (
     AMPLITUDES,

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Plant
-from pickenv.calibration.identification.least_squares import identify
-from pickenv.calibration.model.arm_model import link_model
-from pickenv.calibration.model.measurements import random_joints, simulated_tracker
+from pickenv.base import InputError
+from pickenv.base.registry import get, names
+from pickenv.calibration import Bpnn, BpnnSettings, identify, link_model, random_joints, simulated_tracker, train_bpnn
 from pickenv.calibration.residuals import bpnn
-from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.gaussian_process import Fitter, fit_gaussian_process, fit_rbf, k_means
 from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, joint_inputs
-from pickenv.errors import InputError
-from pickenv.registry import get, names
 
 PRISMATIC = (False, True, False)
 QUICK: dict[str, Fitter] = {name: get("residual", name).fit for name in names("residual")}

@@ -10,8 +10,10 @@ import pytest
 import torch
 from sklearn.cluster import KMeans
 
+from pickenv.base import is_there
+from pickenv.base.registry import get
+from pickenv.calibration import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals import bpnn, gaussian_process
-from pickenv.calibration.residuals.bpnn import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.gaussian_process import (
     GaussianProcessSettings,
     Rbf,
@@ -21,8 +23,6 @@ from pickenv.calibration.residuals.gaussian_process import (
     k_means,
 )
 from pickenv.calibration.residuals.residual_models import fit_residual, joint_inputs
-from pickenv.extras import is_there
-from pickenv.registry import get
 
 TINY = BpnnSettings(hidden=(12, 8), epochs=4, batch_size=8, dropout=0.25)
 

@@ -12,15 +12,13 @@ from scipy import stats
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import pickenv.envs.picking.pick
-from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
-from pickenv.arm import forward, load_plant
+from pickenv.agents import ScriptedPick
+from pickenv.agents.policies.pick_policy import HASTY
+from pickenv.arm import forward, load_plant, plant_at, pose_error
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.kinematics.pose_error import pose_error
-from pickenv.arm.plant.plant_batch import plant_at
+from pickenv.base import InputError
 from pickenv.calibration import Compensator
-from pickenv.envs.picking.pick import PickEnv
-from pickenv.envs.picking.pick_vector import PickVectorEnv
-from pickenv.errors import InputError
+from pickenv.envs import PickEnv, PickVectorEnv
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 EACH_EPISODE, EACH_ENVIRONMENT = ({"arms": arms, "population": 64} for arms in ("per_episode", "per_env"))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward
-from pickenv.envs.picking.pick import PickEnv
+from pickenv.envs import PickEnv
 from pickenv.envs.picking.pick_scene import PickScene
 from pickenv.orchard import Strength
 

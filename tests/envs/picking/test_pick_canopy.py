@@ -9,10 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward
-from pickenv.envs.picking.pick import PickEnv
+from pickenv.base import InputError
+from pickenv.envs import PickEnv
 from pickenv.envs.picking.pick_arm import reach_of, upright_turn
 from pickenv.envs.picking.pick_scene import draw_scenes, looked_at, make_setting, to_base, to_orchard
-from pickenv.errors import InputError
 from pickenv.orchard import load_canopy, occlusion, sample_fruit, shipped
 
 

@@ -6,8 +6,8 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
-from pickenv.envs.picking.pick_vector import PickVectorEnv
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.envs import PickVectorEnv
 from pickenv.wrappers import ToolStepping, ToolSteppingVector
 from tests.envs.same import assert_same
 

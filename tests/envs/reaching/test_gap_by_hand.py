@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import pickenv  # noqa: F401, registers the environments
+from pickenv.base import InputError
 from pickenv.envs.shared.simulation import GOAL_NUMBERS
-from pickenv.errors import InputError
 from pickenv.wrappers import GapScaling, GapScalingVector
 from pickenv.wrappers.gap import Scaling, joined_observation
 

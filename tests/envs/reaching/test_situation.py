@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401, registers the environments
-from pickenv.arm import forward
-from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.envs.picking.pick import PickEnv
-from pickenv.envs.reaching.reach import ReachEnv
-from pickenv.envs.reaching.vector import ReachVectorEnv
-from pickenv.errors import InputError
+from pickenv.arm import forward, rotation_matrix
+from pickenv.base import InputError
+from pickenv.envs import PickEnv, ReachEnv, ReachVectorEnv
 
 STEPS = 12
 

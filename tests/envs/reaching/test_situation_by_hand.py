@@ -9,11 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward
-from pickenv.envs.reaching.reach import ReachEnv
+from pickenv.base import InputError
+from pickenv.envs import ReachEnv
 from pickenv.envs.shared.difficulty import LADDER_VERSION, on_ladder
 from pickenv.envs.shared.given_goals import given_goals
 from pickenv.envs.shared.situation import make_situation
-from pickenv.errors import InputError
 
 LIMITS = {
     "control_period_s": (1e-3, 10.0),

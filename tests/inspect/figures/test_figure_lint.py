@@ -13,18 +13,14 @@ from matplotlib.figure import Figure
 
 from pickenv.calibration import Choices, calibrate
 from pickenv.commands.calibrate import write_run
-from pickenv.experiments import PolicySettings, run_policies
+from pickenv.experiments import PolicySettings, load_study, run_policies, run_study, write_outputs
 from pickenv.experiments.policy_tables import evaluation_drawings
 from pickenv.experiments.robots import SETS, learnable
-from pickenv.experiments.study import load_study
-from pickenv.experiments.study_report import write_outputs
-from pickenv.experiments.study_rows import run_study
+from pickenv.inspect import Run, drawings_of, read_run
 from pickenv.inspect.figures import plot_calibration, style
 from pickenv.inspect.figures.figure_lint import contrast_of, figure_faults, linting
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports import report_svg
-from pickenv.inspect.reports.run_pages import drawings_of
-from pickenv.inspect.runs.run_folder import Run, read_run
 from tests.experiments.conftest import SMALL
 from tests.experiments.synthetic import FRUIT, rows_of
 from tests.inspect.figures.test_figures import PLOTS

@@ -19,15 +19,14 @@ from matplotlib.container import BarContainer, ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
-from pickenv.harvester.harvest_summary import Measure
+from pickenv.harvester import Measure
+from pickenv.inspect import Comparison, comparison_drawings
 from pickenv.inspect.colours import arm_colour, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields, field_gain, round_down, thinned
 from pickenv.inspect.figures.plot_errors import error_slices
 from pickenv.inspect.figures.plot_policies import CycleCurve
-from pickenv.inspect.figures.run_drawings import comparison_drawings
 from pickenv.inspect.figures.style import WIDTH
-from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
 

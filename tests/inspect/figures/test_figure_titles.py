@@ -12,8 +12,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from pickenv.errors import InputError
-from pickenv.harvester.harvest_summary import Measure
+from pickenv.base import InputError
+from pickenv.harvester import Measure
 from pickenv.inspect.colours import ORANGE, policy_colours
 from pickenv.inspect.figures import plot_harvest, plot_policies
 from pickenv.inspect.figures.plot_conditions import METHODS, error_by_condition

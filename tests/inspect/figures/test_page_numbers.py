@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.harvester.harvest_summary import Measure
-from pickenv.inspect import drawings_of, page_of
+from pickenv.harvester import Measure
+from pickenv.inspect import Run, drawings_of, page_of
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
-from pickenv.inspect.runs.run_folder import ISO9283, Run, recorded_run, save_part
+from pickenv.inspect.runs.run_folder import ISO9283, recorded_run, save_part
 
 CONTROLLERS = ("raw", "calibrated")
 

@@ -14,12 +14,12 @@ from matplotlib.quiver import Quiver
 from PIL import Image
 
 from pickenv.arm import Pose, rotation_matrix
+from pickenv.base import InputError
+from pickenv.calibration import Result, calibrate
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses, pose_carrier
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
-from pickenv.calibration.pipeline.result import Result
-from pickenv.calibration.pipeline.stages import calibrate
-from pickenv.errors import InputError
+from pickenv.inspect import trace_drawings
 from pickenv.inspect.colours import viridis
 from pickenv.inspect.figures.plot_pixels import (
     MOST_VIEWS,
@@ -27,7 +27,7 @@ from pickenv.inspect.figures.plot_pixels import (
     faint_picture,
     view_errors,
 )
-from pickenv.inspect.figures.run_drawings import Drawing, trace_drawings
+from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.reports.calibration_report import calibration_page
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.saved import load_numbers, save_numbers

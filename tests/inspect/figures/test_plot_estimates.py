@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from pickenv.base import Estimate
 from pickenv.inspect.figures.figure_lint import figure_faults
 from pickenv.inspect.figures.plot_estimates import estimates_figure
-from pickenv.intervals import Estimate
 
 ROWS = [
     {"plant": plant, "method": method, "pick": pick, "estimate": Estimate(value, ends)}

@@ -11,11 +11,11 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from pickenv.errors import InputError
+from pickenv.base import InputError
+from pickenv.inspect import Comparison
 from pickenv.inspect.colours import OTHERS, RED, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors
 from pickenv.inspect.figures.style import INK, SOFT
-from pickenv.inspect.runs.comparison_summary import Comparison
 
 RNG = np.random.default_rng(23)
 ERRORS = {"raw": RNG.gamma(4, 1.5, 40), "LS": RNG.gamma(4, 0.15, 40), "LS + BPNN": RNG.gamma(2, 0.1, 40)}

@@ -14,8 +14,9 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 from PIL import Image
 
-from pickenv.errors import InputError
-from pickenv.harvester.harvest_summary import Measure
+from pickenv.base import InputError
+from pickenv.harvester import Measure
+from pickenv.inspect import Comparison
 from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, Rgb, viridis
 from pickenv.inspect.figures import plot_harvest, plot_pixels, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields, field_gain
@@ -23,7 +24,6 @@ from pickenv.inspect.figures.plot_conditions import error_by_condition
 from pickenv.inspect.figures.plot_errors import error_slices
 from pickenv.inspect.figures.plot_policies import CycleCurve
 from pickenv.inspect.figures.style import INK
-from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 from pickenv.inspect.runs.saved import eye_direction, shown_box
 from pickenv.inspect.runs.view_errors import ViewErrors

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect.films.film_plan import MOST_MOMENTS, attempts_of, plan_film
 from pickenv.inspect.films.film_stage import FilmSet, film_stage
 from pickenv.inspect.films.make_film import GAP, HALF, STRIP, film_pictures

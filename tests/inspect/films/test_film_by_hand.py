@@ -11,7 +11,7 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.arm.kinematics.forward import nominal_points
-from pickenv.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect.colours import RED
 from pickenv.inspect.films import make_film
 from pickenv.inspect.films.film_plan import Attempt, FilmPlan, attempts_of, grasp_offset, plan_film

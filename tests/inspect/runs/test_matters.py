@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pickenv.inspect.runs.matters import MATTERS, PERCEPTION_MM, PickChange, matters, pick_changes, pick_share
-from pickenv.orchard.gripper import Cup, capture_probability, load_gripper
+from pickenv.orchard import Cup, capture_probability, load_gripper
 
 
 @pytest.mark.parametrize("name", ["li_cup", "compliant_hand"])

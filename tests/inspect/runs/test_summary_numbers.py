@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward
-from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.calibration import assess, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
-from pickenv.calibration.pipeline.result import assess
 from pickenv.inspect.reports.calibration_report import calibration_page
 from pickenv.inspect.runs.comparison_summary import (
     attitude_scale_deg,

@@ -6,9 +6,10 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial import KDTree
 
-from pickenv.agents.policies.scripted import ScriptedReach
-from pickenv.arm.effects.effect import BASE, Effect
-from pickenv.toml_tables import MM, toml_table
+from pickenv.agents import ScriptedReach
+from pickenv.arm import Effect
+from pickenv.arm.effects.effect import BASE
+from pickenv.base import MM, toml_table
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,303 @@
+"""One verified file for numbers: a NumPy archive (.npz) that says what it holds, hashes it all, and runs no code.
+
+`header.json` names the kind of file, its version, what made it, and each array's type, shape and SHA-256. The archive's
+comment is a seal over all other bytes. Before anything is unpacked, the seal, the list of members and their sizes are
+checked; arrays are rebuilt from the header's types, never from text that NumPy would evaluate.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+import re
+import struct
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pickenv.base.errors import InputError
+from pickenv.base.files import write_whole
+from pickenv.base.provenance import code_fingerprint, versions
+from pickenv.base.sealed import ends_sealed, seal
+
+SCHEMA = "pickenv container 1"
+HEADER = "header.json"
+
+LIMIT = 1 << 28
+"""Bytes that a file, and all that it unpacks to, may have unless the reader allows more (256 MiB)."""
+HEADER_LIMIT = 1 << 24
+"""Bytes that a header may have (16 MiB)."""
+
+MOST_AXES = 32
+"""Axes that an array may have."""
+
+PLAIN = re.compile(r"[<>|][biufcU][0-9]{1,9}")
+"""Types of numbers and text; what could hold objects is not among them."""
+UTF8_NAME = 0x800
+"""The one flag that a member may carry; encryption is another."""
+BARE_END = b"PK\x05\x06"
+"""How the last 22 bytes of a zip archive without comment begin."""
+
+
+@dataclass(frozen=True, eq=False)
+class Container:
+    """What such a file holds.
+
+    Attributes:
+        kind: What it is: "calibration", "policy".
+        version: Version of this kind's content.
+        made_with: Versions of pickenv, NumPy and Python, and the fingerprint of the code that wrote it ("code").
+        header: Numbers and text by name, as JSON keeps them.
+        arrays: Arrays by name.
+        blobs: Bytes by name.
+    """
+
+    kind: str
+    version: int
+    made_with: Mapping[str, str]
+    header: Mapping[str, Any]
+    arrays: Mapping[str, NDArray[Any]]
+    blobs: Mapping[str, bytes]
+
+
+@contextmanager
+def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
+    """Whatever reading a file raises inside leaves as one sentence: a damaged file can raise anything.
+
+    Args:
+        path: The file.
+        what: What it should be: "a calibration file".
+        remake: What to do about it, as the end of a sentence.
+
+    Raises:
+        InputError: For every exception inside but an interrupt.
+    """
+    try:
+        yield
+    except Exception as error:  # the one place where all of them are caught; none of them is lost
+        raise InputError(f"{path} is not {what} or is damaged ({_reason(error)}); {remake}") from error
+
+
+def _reason(error: Exception) -> str:
+    """An exception in a few words on one line."""
+    if isinstance(error, KeyError) and error.args:
+        return f"{str(error.args[0])[:60]!r} is missing"
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return " ".join(str(text).split())[:160]
+
+
+def named_part(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays with a prefix before their names, as a part of something larger."""
+    return {f"{prefix}{name}": np.asarray(value) for name, value in arrays.items()}
+
+
+def part_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    """The inverse of `named_part`."""
+    return {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
+
+
+def npz_path(path: str | Path) -> Path:
+    """The path, with ``.npz`` appended if it is missing; a folder without a name, such as "/" or "..", as it is."""
+    path = Path(path)
+    return path if path.suffix == ".npz" or path.name in ("", "..") else path.with_name(path.name + ".npz")
+
+
+def write_container(
+    path: str | Path,
+    kind: str,
+    header: Mapping[str, Any],
+    arrays: Mapping[str, NDArray[Any]],
+    blobs: Mapping[str, bytes] | None = None,
+    *,
+    version: int = 1,
+    compressed: bool = False,
+) -> Path:
+    """Write a container, whole or not at all; equal content, code and versions give equal bytes.
+
+    Args:
+        path: The file (.npz).
+        kind: What it is, in a word or two.
+        header: Numbers and text by name (JSON).
+        arrays: Arrays of numbers or text by name.
+        blobs: Further bytes by name, such as another program's file.
+        version: Version of this kind's content.
+        compressed: Whether members are deflated.
+
+    Raises:
+        InputError: If the file cannot be written.
+        TypeError: If an array holds objects.
+    """
+    numbers = {
+        name: value.tobytes("A") for name, value in arrays.items()
+    }  # as they lie, so that sums repeat to the bit
+    described = {name: _description(name, value, numbers[name]) for name, value in arrays.items()}
+    blobs = blobs or {}
+    if any(name.endswith(".npy") or name == HEADER for name in blobs):
+        raise ValueError(f"blobs may be called neither {HEADER} nor .npy")
+    text = json.dumps(
+        {
+            "schema": SCHEMA,
+            "kind": kind,
+            "version": version,
+            "made_with": versions() | {"code": code_fingerprint()},
+            "arrays": described,
+            "blobs": {name: {"bytes": len(value), "sha256": _sha256(value)} for name, value in blobs.items()},
+            "header": dict(header),
+        }
+    )
+    buffer = io.BytesIO()
+    method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
+    with zipfile.ZipFile(buffer, "w") as archive:
+
+        def add(name: str, content: bytes) -> None:
+            archive.writestr(zipfile.ZipInfo(name), content, method)  # dated 1980, so that bytes repeat
+
+        add(HEADER, text.encode())
+        for name, content in numbers.items():
+            add(f"{name}.npy", _preamble(described[name]) + content)
+        for name, content in blobs.items():
+            add(name, content)
+        archive.comment = bytes(len(seal()))
+    content = buffer.getvalue()[: -len(seal())]
+    return write_whole(path, lambda temporary: temporary.write_bytes(content + seal(content)))
+
+
+def read_container(
+    path: str | Path, kind: str | None, *, remake: str, version: int | None = None, limit: int = LIMIT
+) -> Container:
+    """Read and verify what `write_container` wrote; nothing in it is executed.
+
+    Args:
+        path: The file.
+        kind: What it must be; None for anything.
+        remake: What to do about a file that is refused, as the end of a sentence: "fit it again".
+        version: The version of this kind's content that the caller reads; None for any.
+        limit: Bytes that the file, and all that it unpacks to, may have.
+
+    Raises:
+        InputError: If the file is missing, damaged in any byte, too large, of another kind, or of another version.
+    """
+    what = f"a {kind} file" if kind else "a file of pickenv"
+    with refusing_damage(path, what, remake):
+        path = Path(path)
+        missing = not path.exists()
+    if missing:
+        raise InputError(f"{path} does not exist; {remake}")
+    with refusing_damage(path, what, remake):
+        content = _bounded(path, limit)
+        earlier = content[-22:-18] == BARE_END
+    if earlier:
+        raise InputError(f"{path} was written by an earlier version, or by another program, without a seal; {remake}")
+    with refusing_damage(path, what, remake):
+        container = _verified(content, limit)
+    if kind is not None and container.kind != kind:
+        raise InputError(f"{path} holds a {container.kind}, not a {kind}; {remake}")
+    if version is not None and container.version > version:
+        raise InputError(f"{path} has format {container.version}, this program reads up to {version}; update pickenv")
+    if version is not None and container.version < version:
+        raise InputError(f"{path} has the earlier format {container.version}, this program reads {version}; {remake}")
+    return container
+
+
+def _bounded(path: Path, limit: int) -> bytes:
+    if not path.is_file():
+        raise ValueError("it is a folder, a device or a pipe")
+    size = path.stat().st_size
+    if size > limit:
+        raise ValueError(f"it has {size} bytes, over the limit of {limit}")
+    return path.read_bytes()
+
+
+def _verified(content: bytes, limit: int) -> Container:
+    """The container in these bytes; raises anything at all where they are not one."""
+    if not ends_sealed(content):
+        raise ValueError("its seal does not hold: a byte was changed or lost")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = archive.infolist()
+        for member in members:
+            if member.flag_bits & ~UTF8_NAME or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise ValueError(f"member {member.filename!r} is encrypted or packed in an unknown way")
+        total = sum(member.file_size for member in members)
+        if total > limit:
+            raise ValueError(f"it unpacks to {total} bytes, over the limit of {limit}")
+        if not members or members[0].filename != HEADER or members[0].file_size > HEADER_LIMIT:
+            raise ValueError("its header is missing or too long")
+        header = json.loads(archive.read(members[0]))
+        if header["schema"] != SCHEMA:
+            raise ValueError(f"its schema is {str(header['schema'])[:40]!r}, not {SCHEMA!r}")
+        arrays, blobs = header["arrays"], header["blobs"]
+        preambles = {name: _preamble(entry) for name, entry in arrays.items()}
+        listed = [f"{name}.npy" for name in arrays] + list(blobs)
+        if [member.filename for member in members[1:]] != listed:
+            raise ValueError("its members are not those that its header lists")
+        sizes = [len(preambles[name]) + _size(entry) for name, entry in arrays.items()]
+        sizes += [entry["bytes"] for entry in blobs.values()]
+        if [member.file_size for member in members[1:]] != sizes:
+            raise ValueError("its members have other sizes than its header says")
+        parts = {member.filename: archive.read(member) for member in members[1:]}
+    return Container(
+        kind=str(header["kind"]),
+        version=int(header["version"]),
+        made_with={str(name): str(value) for name, value in header["made_with"].items()},
+        header=dict(header["header"]),
+        arrays={name: _array(name, parts[f"{name}.npy"], preambles[name], entry) for name, entry in arrays.items()},
+        blobs={name: _same(name, parts[name], entry) for name, entry in blobs.items()},
+    )
+
+
+def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, Any]:
+    """An array's line in the header."""
+    if not PLAIN.fullmatch(value.dtype.str):
+        raise TypeError(f"array {name!r} holds {value.dtype}; only numbers and text can be saved")
+    fortran = value.flags.f_contiguous and not value.flags.c_contiguous
+    return {
+        "dtype": value.dtype.str,
+        "shape": list(value.shape),
+        "fortran": bool(fortran),
+        "sha256": _sha256(numbers),
+    }
+
+
+def _preamble(entry: Mapping[str, Any]) -> bytes:
+    """What a .npy file (version 1.0) has before its numbers."""
+    dtype, shape = str(entry["dtype"]), entry["shape"]
+    lengths_fit = len(shape) <= MOST_AXES and all(type(length) is int and length >= 0 for length in shape)
+    if not PLAIN.fullmatch(dtype) or not lengths_fit:
+        raise ValueError("an array's type or shape is not one of numbers or text")
+    text = f"{{'descr': '{dtype}', 'fortran_order': {bool(entry['fortran'])}, 'shape': {tuple(shape)}, }}"
+    padding = " " * (-(10 + len(text) + 1) % 64)
+    return b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text) + len(padding) + 1) + f"{text}{padding}\n".encode()
+
+
+def _size(entry: Mapping[str, Any]) -> int:
+    """Bytes of an array's numbers."""
+    size: int = math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize
+    return size
+
+
+def _array(name: str, content: bytes, preamble: bytes, entry: Mapping[str, Any]) -> NDArray[Any]:
+    if not content.startswith(preamble):
+        raise ValueError(f"array {name!r} is of another type or shape than its header says")
+    numbers = _same(name, content[len(preamble) :], entry)
+    order: Literal["C", "F"] = "F" if entry["fortran"] else "C"
+    shape: tuple[int, ...] = tuple(entry["shape"])
+    flat: NDArray[Any] = np.frombuffer(numbers, entry["dtype"]) if numbers else np.empty(0, entry["dtype"])
+    return flat.reshape(shape, order=order).copy(order)
+
+
+def _same(name: str, content: bytes, entry: Mapping[str, Any]) -> bytes:
+    if _sha256(content) != entry["sha256"]:
+        raise ValueError(f"{name!r} has changed since it was written")
+    return content
+
+
+def _sha256(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()

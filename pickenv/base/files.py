@@ -1,0 +1,234 @@
+"""Files are written whole or not at all: write beside, then rename, so that an interrupt never leaves half a file."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import platform
+import re
+import secrets
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pickenv.base.errors import InputError
+
+Named = str | Path | Iterable[str | Path] | None
+"""What an option names: a file, several, or none."""
+
+FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+"""How a system says that a disk is full, or that a user has had his share of it."""
+
+
+def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
+    """Let ``write`` fill a temporary file beside ``path``, then rename it into place.
+
+    File and folder are flushed to the disk, so that a power cut leaves the old file or the new one. A link stays, and
+    the file that it leads to is replaced; devices, pipes and the standard streams are written into. What killed runs
+    of this machine left unfinished in the folder is taken away.
+
+    Args:
+        path: Where the finished file shall stand; missing folders are made.
+        write: Called with the temporary path (same suffix as ``path``); it writes the content.
+
+    Returns:
+        The path written.
+
+    Raises:
+        InputError: If the file cannot be written: no such right, no space, a folder in its place.
+    """
+    path = Path(path)
+    try:
+        if _is_device(path) or _stream(path) is not None:
+            _write_into(path, write)
+            return path
+        target = Path(os.path.realpath(path))
+        if target.is_dir():
+            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if target.is_symlink():
+            raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+        target.parent.mkdir(parents=True, exist_ok=True)
+        _sweep(target.parent)
+        temporary = _temporary(target)
+    except OSError as error:
+        reason = error.strerror or error
+        raise InputError(f"cannot write {path}: {reason}; choose a folder that can be written") from error
+    try:
+        write(temporary)
+        _flush(temporary)
+        os.replace(temporary, target)
+        _flush_folder(target.parent)
+    except Exception as error:
+        fault = _fault_of_the_disk(error)
+        if fault is None:
+            raise
+        raise InputError(f"cannot write {path}: {fault.strerror or fault}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return path
+
+
+def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
+    """The system's own error, also where a writer answered a full disk with an error of its own."""
+    if isinstance(error, OSError):
+        return error
+    before = None if error is None else error.__context__
+    return before if isinstance(before, OSError) and before.errno in FULL else None
+
+
+def _temporary(target: Path) -> Path:
+    """A new, empty file beside ``target``, named after this process; its rights are those of any other new file."""
+    name = f".pickenv-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{target.suffix}"
+    temporary = target.with_name(name)
+    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # less what the umask takes away
+    return temporary
+
+
+@cache
+def _machine() -> str:
+    """Short name of what process ids are counted on: the machine and, in a container, the container."""
+    processes = Path("/proc/self/ns/pid")
+    space = os.readlink(processes) if processes.is_symlink() else ""
+    return hashlib.sha256(f"{platform.node()} {space}".encode()).hexdigest()[:8]
+
+
+@cache
+def _sweep(folder: Path) -> None:
+    """Take away, once per folder, the temporary files of processes of this machine that are no more."""
+    if not os.access(folder, os.R_OK):
+        return
+    ours = re.compile(rf"\.pickenv-{_machine()}-(\d+)-[0-9a-f]{{8}}(\..*)?")
+    for entry in os.scandir(folder):
+        found = ours.fullmatch(entry.name)
+        if found and not _is_running(int(found[1])):
+            with suppress(OSError):  # another user's, in a folder for all
+                os.unlink(entry.path)
+
+
+def _is_running(process: int) -> bool:
+    """Whether there is a process of that id; on Windows, where asking would end it, always."""
+    if sys.platform == "win32":
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:  # of another user
+        return True
+    return True
+
+
+def _flush(path: Path) -> None:
+    """Have a file's content on the disk."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _flush_folder(folder: Path) -> None:
+    """Have a folder's entries on the disk, where the system can: Windows opens no folders, some servers flush none."""
+    if sys.platform == "win32" or not os.access(folder, os.R_OK):
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(handle)
+
+
+def _write_into(path: Path, write: Callable[[Path], Any]) -> None:
+    """Let ``write`` fill a file elsewhere, then send its content where ``path`` leads."""
+    with tempfile.TemporaryDirectory() as folder:
+        temporary = Path(folder) / f"content{path.suffix}"
+        write(temporary)
+        content = temporary.read_bytes()
+    stream = _stream(path)
+    if sys.stdout is not None:
+        sys.stdout.flush()
+    with path.open("wb") if stream is None else os.fdopen(os.dup(stream), "wb") as file:
+        file.write(content)
+
+
+def _stream(path: Path) -> int | None:
+    """Number of the standard stream that ``path`` leads to, as /dev/stdout does, even into a file; None for others."""
+    for number in (1, 2):
+        try:
+            if os.path.samestat(os.fstat(number), path.stat()):
+                return number
+        except OSError:  # a closed stream, a file that is not there yet
+            continue
+    return None
+
+
+def write_text(path: str | Path, text: str) -> Path:
+    """Write ``text`` to ``path`` as UTF-8, whole or not at all."""
+    return write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def write_json(path: str | Path, content: Any) -> Path:
+    """Write numbers and text to ``path`` as JSON for people, whole or not at all."""
+    return write_text(path, json.dumps(content, indent=2) + "\n")
+
+
+def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
+    """Refuse to write over what is read, or two results into one file; call it before anything is computed.
+
+    Links, hard links and different spellings of one file are seen through. Devices may be named twice. Several files of
+    one option, such as those of a run folder, are compared with other options' files, not with one another.
+
+    Args:
+        inputs: What is read, by the option's name; names that are no files, such as an arm's "ur5", are passed over,
+            and of "arm.urdf#tip" the part before "#" counts.
+        outputs: What will be written, by the option's name.
+
+    Raises:
+        InputError: If an output is an input or another option's output; the message names both options. If an output's
+            name is too long for a file, or a folder's.
+    """
+    taken = [(f"{name} reads", path) for name, named in inputs.items() for path in _paths(named) if path.exists()]
+    for output, named in outputs.items():
+        paths = list(_paths(named))
+        for path in paths:
+            _check_name(path)
+            for use, other in taken:
+                if not _is_device(path) and _same(path, other):
+                    raise InputError(f"{output} would write over {path}, which {use}; give {output} another file")
+        taken += [(f"{output} writes too", path) for path in paths]
+
+
+def _paths(named: Named) -> Iterator[Path]:
+    """The files that an option names."""
+    names = () if named is None else (named,) if isinstance(named, str | Path) else named
+    for name in names:
+        path, _, tip = str(name).rpartition("#")
+        yield Path(path) if path.endswith((".urdf", ".xml")) and tip else Path(name)
+
+
+def _check_name(path: Path) -> None:
+    """Refuse a name that no file can have, or that a folder has: after hours of computing it would be too late."""
+    try:
+        folder = path.exists() and path.is_dir()
+    except OSError as error:
+        raise InputError(f"cannot write {path}: {error.strerror}; give another name") from error
+    if folder:
+        raise InputError(f"cannot write {path}: it is a folder; give the name of a file")
+
+
+def _same(one: Path, other: Path) -> bool:
+    """Whether two paths lead to one file, be it there already or not."""
+    if one.exists() and other.exists():
+        return one.samefile(other)
+    return os.path.normcase(os.path.realpath(one)) == os.path.normcase(os.path.realpath(other))
+
+
+def _is_device(path: Path) -> bool:
+    """Whether ``path`` leads to something that is neither file nor folder: a device, a pipe."""
+    return path.exists() and not path.is_file() and not path.is_dir()

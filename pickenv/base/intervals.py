@@ -1,0 +1,498 @@
+"""95 % intervals that hold: of means, of ratios, of shares, of quantiles, and of means over two crossed factors.
+
+`estimate` makes them of rows: which rows make one number, and what it is an interval over. Fruit of one arm are alike,
+so an arm counts once, with its own mean. Where a policy was trained several times, arms and training seeds are two
+crossed factors: another arm and another training would both give another number.
+
+What the values vary over decides what an interval is of. Values of one arm (one tree, one block of a file) are alike:
+take each arm's own figure first, and give one value per arm. Where a sample is too small, or says nothing of how far it
+would wander, there is no interval (None) rather than a narrow one. No random numbers: equal data, equal ends.
+
+How often each holds the truth is measured in tests/coverage, for errors as arms make them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.base.seeds import stream
+
+Ends = tuple[float, float]
+"""Lower and upper end of a 95 % interval."""
+
+LEAST = 10
+"""Fewest values (arms, trees, blocks) for an interval of a mean: with fewer, skewed errors are covered too seldom."""
+
+LEAST_RUNS = 5
+"""Fewest runs (training seeds, repeated calibrations): their means are nearly normal."""
+
+MOST_SKEWNESS = 3.0
+"""Beyond it a sample's skewness says more of its one largest value than of what it comes from."""
+
+_TAILS = (0.025, 0.975)
+
+
+def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
+    """Of the mean of independent values ``(n,)``: Student's t, put right for skewness (Hall 1992, J. R. Stat. Soc. B).
+
+    Errors are skewed: an arm that is three times as bad as the others is not rare. The plain t interval holds the mean
+    of such errors too seldom, and misses on the upper side.
+
+    Args:
+        values: One per arm, fruit, tree or block.
+        least: Fewest values.
+
+    Returns:
+        The ends, or None where there are fewer values or all are equal.
+
+    Raises:
+        ValueError: If the values are not one-dimensional.
+    """
+    x = np.asarray(values, dtype=float)
+    if x.ndim != 1:
+        raise ValueError(f"an interval is of values in one row, one per arm or fruit; got the shape {x.shape}")
+    if len(x) < least or _equal(x):
+        return None
+    from scipy.special import stdtrit  # late: half of SciPy comes along
+
+    n, mean, deviation = len(x), float(x.mean()), float(x.std(ddof=1))
+    skewness = float(np.clip(np.mean(((x - mean) / deviation) ** 3), -MOST_SKEWNESS, MOST_SKEWNESS))
+    low, high = (
+        mean - deviation * _unskewed(float(stdtrit(n - 1, tail)) / np.sqrt(n), skewness, n) for tail in _TAILS[::-1]
+    )
+    return float(low), float(high)
+
+
+def statistic_interval(
+    table: ArrayLike, statistic: Callable[[NDArray[np.float64]], Any], least: int = LEAST
+) -> Ends | None:
+    """Of a smooth function of many rows, such as a ratio of sums: `mean_interval` of the jackknife's pseudo-values.
+
+    Not for quantiles; see `quantile_interval`.
+
+    Args:
+        table: One row per tree or arm, ``(n, ...)``.
+        statistic: From rows to one number.
+        least: Fewest rows.
+    """
+    pseudo = pseudo_values(np.asarray(table, dtype=float), statistic)
+    found = mean_interval(pseudo, least)
+    if found is None:
+        return None
+    shift = float(statistic(np.asarray(table, dtype=float))) - float(pseudo.mean())
+    return found[0] + shift, found[1] + shift
+
+
+def pseudo_values(table: NDArray[np.float64], statistic: Callable[[NDArray[np.float64]], Any]) -> NDArray[np.float64]:
+    """What each of n rows adds to a statistic ``(n,)`` (Tukey's jackknife); of a mean, the values themselves."""
+    n = len(table)
+    whole = float(statistic(table))
+    return np.array([n * whole - (n - 1) * float(statistic(np.delete(table, i, axis=0))) for i in range(n)])
+
+
+def share_interval(successes: float, trials: int) -> Ends:
+    """Of a share of independent trials: Wilson's score interval (1927).
+
+    Args:
+        successes: How many, or the sum of probabilities.
+        trials: Of how many.
+
+    Raises:
+        ValueError: If there are no trials, or more successes than trials.
+    """
+    if not 0 <= successes <= trials or trials < 1:
+        raise ValueError(f"{successes:g} successes of {trials} trials make no share")
+    return _wilson(successes / trials, float(trials))
+
+
+def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
+    """Of the difference of two shares of the same trials, the first minus the second: Newcombe's method 10 (1998).
+
+    Wilson's intervals of both, put together with the correlation that the pairs show.
+
+    Args:
+        successes: Whether each trial succeeded one way ``(n,)``.
+        others: And the other way ``(n,)``.
+
+    Raises:
+        ValueError: If there are no trials, or not equally many.
+    """
+    one, other = np.asarray(successes, dtype=bool), np.asarray(others, dtype=bool)
+    if one.shape != other.shape or one.ndim != 1 or not len(one):
+        raise ValueError(f"shares are compared trial by trial; got the shapes {one.shape} and {other.shape}")
+    n = len(one)
+    both, neither = int(np.sum(one & other)), int(np.sum(~one & ~other))
+    first, second = int(one.sum()), int(other.sum())
+    product = first * (n - first) * second * (n - second)
+    cross = float(both * neither) - int(np.sum(one & ~other)) * int(np.sum(~one & other))
+    cross = max(cross - n / 2.0, 0.0) if cross > 0 else cross
+    correlation = cross / np.sqrt(product) if product else 0.0
+    (low_1, high_1), (low_2, high_2) = share_interval(first, n), share_interval(second, n)
+    p, q = first / n, second / n
+
+    def reach(a: float, b: float) -> float:
+        return float(np.sqrt(max(a * a - 2.0 * correlation * a * b + b * b, 0.0)))
+
+    return p - q - reach(p - low_1, high_2 - q), p - q + reach(high_1 - p, q - low_2)
+
+
+def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int = LEAST) -> Ends | None:
+    """Of a share whose trials come in clusters, such as the fruit of many arms: Wilson's, of as many trials as count.
+
+    How many count follows from how differently the clusters do (the design effect; Korn and Graubard 1998). That is
+    known no better than from the few clusters that have any failure, or any success, if those are fewer. Where all
+    do the same, each cluster counts once: that much is certain.
+
+    Args:
+        successes: In each of n clusters ``(n,)``; sums of probabilities, too.
+        trials: In each ``(n,)``, or the same number for all.
+        least: Fewest clusters; None is returned for fewer.
+    """
+    taken = np.asarray(successes, dtype=float)
+    tried = np.broadcast_to(np.asarray(trials, dtype=float), taken.shape)
+    n, total = len(taken), float(tried.sum())
+    if n < least or not total:
+        return None
+    from scipy.special import stdtrit
+
+    share = float(taken.sum()) / total
+    spread = float(np.sum((taken - share * tried) ** 2)) * n / (n - 1) / total**2
+    counted = float(n)
+    if 0.0 < share < 1.0 and spread > 0.0:
+        telling = max(min(int(np.sum(taken > 0.0)), int(np.sum(taken < tried))) - 1, 1)
+        few, many = float(stdtrit(telling, _TAILS[1])), float(stdtrit(total - 1.0, _TAILS[1]))
+        counted = share * (1.0 - share) / spread * (many / few) ** 2
+    return _wilson(share, float(np.clip(counted, min(n, total), total)))
+
+
+def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_RUNS)) -> Ends | None:
+    """Of the mean of values ``(A, B)`` over two crossed factors, both drawn: arms and training seeds.
+
+    Variance of the mean (MS_A + MS_B - MS_AB) / (A B) from the two-way analysis of variance, degrees of freedom after
+    Satterthwaite (1946).
+
+    Args:
+        values: Of every arm with every seed.
+        least: Fewest of each.
+
+    Returns:
+        The ends, or None where there are fewer or all values are equal.
+    """
+    x = np.asarray(values, dtype=float)
+    a, b = x.shape
+    if a < least[0] or b < least[1] or _equal(x):
+        return None
+    from scipy.special import stdtrit
+
+    mean, arms, seeds = float(x.mean()), x.mean(axis=1), x.mean(axis=0)
+    squares = (b * arms.var(ddof=1), a * seeds.var(ddof=1))
+    both = float(np.sum((x - arms[:, None] - seeds[None] + mean) ** 2)) / ((a - 1) * (b - 1))
+    total = max(squares[0] + squares[1] - both, *squares)
+    freedom = total**2 / (squares[0] ** 2 / (a - 1) + squares[1] ** 2 / (b - 1))
+    half = float(stdtrit(freedom, _TAILS[1])) * float(np.sqrt(total / (a * b)))
+    return mean - half, mean + half
+
+
+def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | None, float | None]:
+    """Of a quantile of independent values ``(n,)``; an end that the sample cannot bound is None.
+
+    Nothing is assumed of what the values come from: fractional order statistics (Hutson 1999, J. Appl. Stat.).
+    """
+    x = np.asarray(values, dtype=float)
+    levels = quantile_levels(len(x), probability)
+    low, high = (None if level is None else float(np.quantile(x, level, method="hazen")) for level in levels)
+    return low, high
+
+
+def quantile_levels(count: int, probability: float) -> tuple[float | None, float | None]:
+    """At which levels of a sample (Hazen's positions, 0..1) the ends of `quantile_interval` stand; None for open ends.
+
+    Args:
+        count: Size n of the sample.
+        probability: Of the quantile, 0..1.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import betainc
+
+    def beyond(rank: float, tail: float) -> float:
+        """Chance that the order statistic of this rank lies below the quantile, minus the tail."""
+        return float(betainc(rank, count + 1.0 - rank, probability)) - tail
+
+    if count < 1:
+        return None, None
+    ends: list[float | None] = []
+    for tail, side, innermost, outermost in ((_TAILS[1], 1.0, float(count), 1.0), (_TAILS[0], -1.0, 1.0, float(count))):
+        if side * beyond(outermost, tail) < 0.0:
+            ends.append(None)
+            continue
+        enough = side * beyond(innermost, tail) >= 0.0
+        rank = innermost if enough else float(brentq(beyond, 1.0, float(count), args=(tail,)))
+        ends.append((rank - 0.5) / count)
+    return ends[0], ends[1]
+
+
+def _equal(values: NDArray[np.float64]) -> bool:
+    """Whether values differ by rounding alone, or by less than arithmetic can square."""
+    return not np.ptp(values) > max(1e-12 * np.abs(values).max(), 1e-150)
+
+
+def _unskewed(standardised: float, skewness: float, n: int) -> float:
+    """Hall's transformation inverted: where a standardised mean stands, once the skewness is put back."""
+    if abs(skewness) < 1e-6:
+        return standardised
+    a = skewness / 3.0
+    return float((np.cbrt(1.0 + 3.0 * a * (standardised - skewness / (6.0 * n))) - 1.0) / a)
+
+
+def _wilson(share: float, trials: float) -> Ends:
+    from scipy.special import ndtri
+
+    z2 = float(ndtri(_TAILS[1])) ** 2
+    middle = (share + z2 / (2.0 * trials)) / (1.0 + z2 / trials)
+    half = float(np.sqrt(z2 * share * (1.0 - share) / trials + z2**2 / (4.0 * trials**2))) / (1.0 + z2 / trials)
+    return (0.0 if share == 0.0 else middle - half), (1.0 if share == 1.0 else middle + half)
+
+
+# Numbers with their intervals, of arrays and of rows.
+
+RESAMPLES = 4000
+"""Samples of a bootstrap."""
+
+MANY = 30
+"""Arms from which the skewed shares of arms have a mean that is covered: of 10 it holds 92 to 96 %."""
+
+MARGIN_MM = 0.05
+"""Mean errors that differ by less are the same to a picker: a twentieth of what the best gripper forgives."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A number and its 95 % interval.
+
+    Attributes:
+        value: The number.
+        ci95: Both ends, an open one as None; or None where there is no interval.
+        missing: Why there is none.
+    """
+
+    value: float
+    ci95: tuple[float | None, float | None] | None
+    missing: str = ""
+
+    @property
+    def significant(self) -> bool | None:
+        """Whether the interval leaves out zero; None without one."""
+        if self.ci95 is None:
+            return None
+        low, high = self.ci95
+        return (low is not None and low > 0.0) or (high is not None and high < 0.0)
+
+    @property
+    def ends(self) -> list[float | None] | None:
+        """The interval as JSON has it."""
+        return None if self.ci95 is None else list(self.ci95)
+
+    @property
+    def exponential(self) -> Estimate:
+        """The exponential of a logarithm, with the interval's ends."""
+        ends = [None if end is None else float(np.exp(end)) for end in self.ci95 or ()]
+        return Estimate(float(np.exp(self.value)), (ends[0], ends[1]) if ends else None, self.missing)
+
+    def verdict(self, margin: float = MARGIN_MM) -> str:
+        """What a difference says: "carries over" inside the margin, "differs" beyond zero, else "not settled"."""
+        if self.ci95 is not None and None not in self.ci95:
+            low, high = self.ci95
+            if low is not None and high is not None and -margin <= low and high <= margin:
+                return "carries over"
+        return "differs" if self.significant else "not settled"
+
+
+def estimate(
+    columns: Mapping[str, ArrayLike],
+    value: str | Sequence[str],
+    by: Sequence[str] = (),
+    over: Sequence[str] = ("arm",),
+    of: str | float | Callable[[NDArray[np.float64]], Any] = "mean",
+    against: Mapping[str, Any] | None = None,
+    least: int = LEAST,
+) -> list[dict[str, Any]]:
+    """Numbers with their intervals, of rows.
+
+    Args:
+        columns: The rows by column, such as those of `pickenv.experiments.Rows`.
+        value: The column that the numbers are of; several for a function of them.
+        by: Columns that name a number; one number for each combination of theirs, in the order of the rows.
+        over: One or two columns of what was drawn, which the intervals are over; rows that agree in these are averaged.
+        of: "mean"; "share" of chances or successes, or of what two columns took and tried; "ratio" of two columns'
+            sums; "removed", the share of the mean at the levels of ``against`` that is gone; "interquartile", the mean
+            of the middle half of the units; a probability, for that quantile over units; or a function of the units'
+            means ``(units, values)``.
+        against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
+        least: Fewest units for an interval of a mean.
+
+    Returns:
+        For each combination the columns of ``by``; "estimate", an `Estimate`; and "units", the mean of each unit's
+        values ``(units,)``, which say how units differ, or None for a function of several columns.
+
+    Raises:
+        ValueError: If not every unit was measured equally often at a combination, those of a difference are not the
+            same units, a value is no number, or the arguments do not go together.
+    """
+    names = [value] if isinstance(value, str) else list(value)
+    _check_asked(names, by, over, of, against)
+    arrays = {name: np.asarray(columns[name]) for name in (*by, *over, *names)}
+    for name in names:
+        if absent := int(np.sum(~np.isfinite(np.asarray(arrays[name], dtype=float)))):
+            raise ValueError(f"{absent} of {len(arrays[name])} values of {name} are no numbers; leave these rows out")
+    keys = list(zip(*(arrays[name].tolist() for name in by), strict=True)) or [()] * len(arrays[over[0]])
+    places: dict[tuple[Any, ...], list[int]] = {}
+    for number, key in enumerate(keys):
+        places.setdefault(key, []).append(number)
+    cubes = {key: _cubes({n: v[rows] for n, v in arrays.items()}, names, over) for key, rows in places.items()}
+    drawn = {key: [np.unique(arrays[name][rows]) for name in over] for key, rows in places.items()}
+    found = []
+    for key, cube in cubes.items():
+        base = key if against is None else tuple(against.get(n, own) for n, own in zip(by, key, strict=True))
+        if against is not None and (base == key or base not in cubes):
+            continue
+        if against is not None:  # unit by unit, whatever the number of rows of each
+            cube, other = (each.mean(axis=3, keepdims=True) for each in (cube, cubes[base]))
+            once = other.shape[2] == 1  # what was not trained is the same for every training
+            pairs = list(zip(over, drawn[key], drawn[base], strict=True))[: 1 if once else None]
+            if apart := [name for name, one, two in pairs if not np.array_equal(one, two)]:
+                raise ValueError(f"{key} and {base} were not measured on the same {apart[0]}")
+            both = [np.broadcast_to(other, cube.shape), cube]
+            cube = np.concatenate(both) if of == "removed" else cube - other
+        units = cube[0].mean(axis=(1, 2)) if len(cube) == 1 else None
+        found.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(cube, of, least), "units": units})
+    return found
+
+
+def _check_asked(
+    names: Sequence[str], by: Sequence[str], over: Sequence[str], of: Any, against: Mapping[str, Any] | None
+) -> None:
+    """Refuse arguments of `estimate` that do not go together."""
+    if not 1 <= len(over) <= 2:
+        raise ValueError(f"an interval is over one or two columns, not over {list(over)}")
+    if unknown := [name for name in against or () if name not in by]:
+        raise ValueError(f"against names {unknown[0]}, which is none of the columns of by, {list(by)}")
+    if callable(of):
+        return
+    if len(names) != 1 and not (len(names) == 2 and of in ("share", "ratio")):
+        raise ValueError(f"'{of}' is of one column, not of {names}; give share or ratio of two, or a function of them")
+    if of == "ratio" and len(names) != 2:
+        raise ValueError(f"'ratio' is of two columns, not of {names}")
+    if of == "removed" and against is None:
+        raise ValueError("'removed' wants against: the levels of which a share is gone")
+
+
+def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> NDArray[np.float64]:
+    """Values ``(len(names), units, runs, repeats)``; one run where ``over`` names one column."""
+    places = [np.unique(rows[name], return_inverse=True)[1] for name in over]
+    if len(places) == 1:
+        places.append(np.zeros_like(places[0]))
+    units, runs = (int(place.max()) + 1 for place in places)
+    order = np.lexsort((np.arange(len(places[0])), places[1], places[0]))
+    counts = np.bincount(places[0] * runs + places[1], minlength=units * runs)
+    if len(set(counts.tolist())) != 1:
+        raise ValueError(f"not every combination of {' and '.join(over)} has as many rows: {sorted(set(counts))}")
+    values = [np.asarray(rows[name], dtype=float)[order].reshape(units, runs, -1) for name in names]
+    return np.stack(values)
+
+
+def _estimated(
+    cube: NDArray[np.float64], of: str | float | Callable[[NDArray[np.float64]], Any], least: int
+) -> Estimate:
+    if callable(of) or len(cube) > 1:
+        table = cube.mean(axis=(2, 3)).T
+        if of == "share":  # what was taken, of what was tried, with other numbers tried of each unit
+            taken, tried = cube.sum(axis=(2, 3))
+            return _with_reason(_ratio(table), clustered_share_interval(taken, tried), table)
+        function = of if callable(of) else _removed if of == "removed" else _ratio
+        return _with_reason(float(function(table)), statistic_interval(table, function), table)
+    (values,) = cube
+    if of == "share":
+        return share_estimate(values)
+    if of == "interquartile":
+        return interquartile_estimate(values.mean(axis=(1, 2)))
+    return mean_estimate(values, least) if of == "mean" else quantile_estimate(values, float(of))
+
+
+def _ratio(table: NDArray[np.float64]) -> float:
+    """The ratio of the sums of two columns ``(units, 2)``."""
+    over, under = table.sum(axis=0)
+    return float(over / max(under, 1e-12))
+
+
+def _removed(table: NDArray[np.float64]) -> float:
+    """The share of the first column's mean that the second has no more ``(units, 2)``."""
+    before, after = table.mean(axis=0)
+    return float(1.0 - after / before)
+
+
+def mean_estimate(values: NDArray[np.float64], least: int = LEAST) -> Estimate:
+    """Mean of values ``(arms, trainings, fruit)``; fewer arms than ``least`` have no interval."""
+    each = values.mean(axis=2)
+    ends = mean_interval(each[:, 0], least) if each.shape[1] == 1 else crossed_interval(each)
+    return _with_reason(float(each.mean()), ends, each, least)
+
+
+def quantile_estimate(values: NDArray[np.float64], probability: float) -> Estimate:
+    """Quantile over arms of their means, of values ``(arms, trainings, fruit)``; of several trainings their mean."""
+    each = values.mean(axis=2)
+    found = float(np.quantile(each.mean(axis=1), probability, method="hazen"))
+    if each.shape[1] > 1:
+        return Estimate(found, None, "no interval of a quantile counts trainings")
+    ends = quantile_interval(each[:, 0], probability)
+    return Estimate(found, None, "needs more arms") if ends == (None, None) else Estimate(found, ends)
+
+
+def share_estimate(chances: NDArray[np.float64]) -> Estimate:
+    """Share of successes, of chances ``(arms, trainings, fruit)`` of success.
+
+    Chances vary less than successes that are drawn with them. Where no arm always or never succeeds, and arms are many,
+    the share is a mean like any other; elsewhere as many tries bound it as there were, which is on the safe side.
+    """
+    arms, trainings, fruit = chances.shape
+    each = chances.mean(axis=2)
+    if trainings == 1 and arms >= MANY and each.min() > 0.0 and each.max() < 1.0:
+        ends = mean_interval(each[:, 0])
+    elif trainings == 1:
+        ends = clustered_share_interval(chances.sum(axis=(1, 2)), fruit)
+    else:
+        ends = crossed_interval(each)
+    if ends is not None:
+        ends = max(ends[0], 0.0), min(ends[1], 1.0)
+    return _with_reason(float(each.mean()), ends, each)
+
+
+def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:
+    """Mean of the middle half of independent values ``(n,)``, one per arm; its interval is a bootstrap's over them.
+
+    Args:
+        values: The values; the lowest and the highest quarter do not count.
+    """
+    from scipy.stats import trim_mean  # late: half of SciPy comes along
+
+    found = float(trim_mean(values, 0.25))
+    if len(values) < LEAST:
+        return Estimate(found, None, f"needs {LEAST} arms")
+    drawn = np.random.default_rng(stream(0, "leaderboard")).integers(len(values), size=(RESAMPLES, len(values)))
+    low, high = np.quantile(trim_mean(values[drawn], 0.25, axis=1), (0.025, 0.975))
+    return Estimate(found, (float(low), float(high)))
+
+
+def _with_reason(value: float, ends: Ends | None, each: NDArray[np.float64], least: int = LEAST) -> Estimate:
+    arms, trainings = each.shape
+    if ends is not None:
+        return Estimate(value, ends)
+    if arms < least:
+        return Estimate(value, None, f"needs {least} arms")
+    if 1 < trainings < LEAST_RUNS:
+        return Estimate(value, None, f"needs {LEAST_RUNS} trainings")
+    return Estimate(value, None, "all arms are equal")

@@ -1,0 +1,70 @@
+"""How large a number may be that a person gives: beyond stands a wrong unit or a slip, or a run that never ends.
+
+One table for command options, study files and environments; `pickenv.arm` has its own for what files say of an arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from pickenv.base.errors import InputError
+
+PAYLOAD = "arms that pick, and those calibrated here, carry less"
+COST = "more takes days and tells no more"
+MEMORY = "more does not fit into a computer's memory"
+
+LIMITS: Mapping[str, tuple[float, float, str]] = {
+    "payload_kg": (0.0, 300.0, PAYLOAD),
+    "temperature_K": (-200.0, 200.0, "no arm works that much cooler or warmer than it was calibrated"),
+    "torque_Nm": (-1e5, 1e5, "no joint of an arm bears more"),
+    "scatter_mm": (1e-6, 100.0, "no instrument scatters less, and one that scatters more measures no arm"),
+    "position_mm": (0.0, 100.0, "an instrument that scatters more measures no arm"),
+    "attitude_deg": (0.0, 10.0, "an instrument that scatters more measures no arm"),
+    "radius_mm": (0.0, 1000.0, "who calls a metre near enough needs no study"),
+    "weather_K": (0.0, 60.0, "no day in an orchard is that much cooler or warmer than usual"),
+    "hours": (0.0, 10_000.0, "every machine is as warm as it gets long before"),
+    "dwell_s": (0.0, 86_400.0, "every arm has come to rest long before"),
+    "reaches": (2, 100_000, COST),
+    "candidates": (10, 100_000, MEMORY),
+    "cycles": (2, 10_000, COST),
+    "arms": (1, 10_000_000, COST),
+    "chunk": (1, 100_000, MEMORY),
+    "fruit": (1, 100_000, COST),
+    "poses": (1, 10_000, COST),
+    "compared arms": (1, 10_000, MEMORY),
+    "episodes": (1, 100_000, MEMORY),
+    "epochs": (1, 100_000, COST),
+    "population": (1, 1_000_000, MEMORY),
+    "samples": (256, 2**20, COST),
+    "seed": (0, 2**128, "random numbers come from 128 bits"),
+    "seed of training": (0, 2**32 - 1, "stable-baselines3 takes 32 bits"),
+}
+"""Least, most, and why no more, of each quantity; the name ends with the unit where there is one."""
+
+
+def check_limit(name: str, value: Any, quantity: str) -> None:
+    """Refuse a number that is no number, not finite, or beyond the limits of its quantity.
+
+    Args:
+        name: What it is called where it was given, for the message: "--hours", "study.toml: payload_kg of [picking]".
+        value: The number.
+        quantity: A key of `LIMITS`.
+
+    Raises:
+        InputError: If it is; the message says the limits and why.
+    """
+    least, most, why = LIMITS[quantity]
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not least <= value <= most:
+        limits = f"{least:_.12g} to {most:_.12g}".replace("_", " ")
+        raise InputError(f"{name} is {shown(value)}; give {limits}: {why}")
+
+
+def shown(value: Any) -> str:
+    """What was given, as far as a sentence can hold it."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of thousands of digits"
+    return text if len(text) <= 60 else f"{text[:60]}…"

@@ -1,0 +1,70 @@
+"""Where a number comes from: the versions and the code that computed it, and the hash of a file."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shlex
+from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numpy as np
+
+import pickenv
+from pickenv.base import registry
+
+
+def versions(*packages: str) -> dict[str, str]:
+    """Versions of what computed numbers: pickenv, NumPy, Python, packages that extend it, and named ones if there."""
+    found = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    found |= registry.packages()
+    for name in packages:
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
+
+
+def command_line(*words: object, **options: object) -> str:
+    """A command as a shell reads it.
+
+    Args:
+        words: Command and arguments.
+        options: Values of options; True is a flag, a list repeats its option, None and False leave it out.
+    """
+    said = [str(word) for word in words]
+    for name, value in options.items():
+        option = f"--{name.replace('_', '-')}"
+        for each in value if isinstance(value, list | tuple) else [value]:
+            if each is not None and each is not False:
+                said += [option] if each is True else [option, str(each)]
+    return shlex.join(said)
+
+
+SHOWS = ("cli.py", "commands/", "pictures/", *(f"inspect/{shelf}/" for shelf in ("figures", "films", "recordings")))
+"""What shows numbers and makes none: a change of it leaves kept work as it is."""
+
+
+@cache
+def code_fingerprint() -> str:
+    """SHA-256 over the code and tables (.py, .toml) that make numbers, links of a checkout included; read once.
+
+    Packages of others that extend pickenv count by name and version.
+    """
+    root, total = Path(__file__).parents[1], hashlib.sha256()
+    files = (Path(folder) / name for folder, _, names in os.walk(root, followlinks=True) for name in names)
+    for path in sorted(path for path in files if path.suffix in (".py", ".toml")):
+        place = path.relative_to(root).as_posix()
+        if not place.startswith(SHOWS):
+            total.update(f"{place} {file_sha256(path)}\n".encode())
+    for package, number in registry.packages().items():
+        total.update(f"{package} {number}\n".encode())
+    return total.hexdigest()
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,268 @@
+"""One door for every kind of extension: what ships and what others bring is registered by kind and name.
+
+A thing is registered by a decorator, ``@pickenv.register("residual", "forest")``, or by an installed package's entry
+point ``forest = "module:Forest"`` of the group ``pickenv.residual``, which is imported when that name is asked for.
+What ships stands in the modules of `SHIPPED`, which are imported when their kind is first asked for.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import import_module, metadata
+from types import MappingProxyType
+from typing import Any, TypeVar
+
+from pickenv.base.errors import InputError
+
+KINDS = (
+    *("arm_format", "instrument", "observation", "residual", "effect"),
+    *("exporter", "report", "gripper", "policy", "backend"),
+)
+"""Every kind of extension; `docs/extending.md` says what a thing of each must have."""
+
+SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        **dict.fromkeys(KINDS, ()),
+        "arm_format": ("pickenv.arm.files.load", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
+        "backend": ("pickenv.envs.reaching.vector",),
+        "effect": tuple(
+            f"pickenv.arm.effects.{name}" for name in ("structure", "hysteresis", "drives", "ground", "residual_field")
+        ),
+        "exporter": ("pickenv.calibration.delivery.export",),
+        "gripper": ("pickenv.orchard.gripper",),
+        "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
+        "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),
+        "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
+        "report": ("pickenv.inspect.runs.run_folder",),
+        "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
+    }
+)
+"""The modules that register what ships, by kind; the order of names is theirs."""
+
+Thing = TypeVar("Thing", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a registered thing comes from; a saved file that needs the thing keeps it.
+
+    Attributes:
+        package: The distribution's name, such as "forest-for-pickenv"; "" of a script's or a notebook's own code.
+        version: The distribution's version; "" where there is no package.
+        module: The module, where there is no package; else "".
+    """
+
+    package: str = ""
+    version: str = ""
+    module: str = ""
+
+    def __str__(self) -> str:
+        return f"the package {self.package} {self.version}" if self.package else f"the module {self.module}"
+
+
+@dataclass(frozen=True)
+class _Entry:
+    thing: Any
+    module: str
+    origin: Origin
+
+
+_entries: dict[str, dict[str, _Entry]] = {kind: {} for kind in KINDS}
+
+
+def register(kind: str, name: str) -> Callable[[Thing], Thing]:
+    """Make a decorator that registers a class or a function (a value's maker, too) and returns it as it is.
+
+    Args:
+        kind: One of `KINDS`.
+        name: Letters, digits, ``_`` and ``-``. A package may replace what it registered itself.
+
+    Raises:
+        InputError: If the kind is not known, the name is not such a word, or another package holds the name.
+    """
+    _check_kind(kind)
+    if re.fullmatch(r"[A-Za-z0-9_-]+", name) is None:
+        raise InputError(f"{kind} '{name}' is no name; take letters, digits, _ and - only")
+
+    def keep(thing: Thing) -> Thing:
+        if not callable(thing) or not hasattr(thing, "__qualname__"):
+            raise InputError(f"{kind} '{name}' is neither a class nor a function; register what makes it")
+        _keep(kind, name, thing, _origin_of_module(thing.__module__))
+        return thing
+
+    return keep
+
+
+def names(kind: str) -> tuple[str, ...]:
+    """The names of a kind: what ships first, then those of others, sorted. Packages of others are not imported."""
+    _import_shipped(kind)
+    entries, modules = _entries[kind], SHIPPED[kind]
+    shipped = sorted(
+        (n for n in entries if entries[n].module in modules), key=lambda n: modules.index(entries[n].module)
+    )
+    return (*shipped, *sorted({*entries, *_entry_points(kind)} - set(shipped)))
+
+
+def get(kind: str, name: str, *, package: str = "", version: str = "", module: str = "") -> Any:
+    """A registered class or function; an installed package that offers it is imported.
+
+    Args:
+        kind: One of `KINDS`.
+        name: Its name.
+        package: The package that a saved file says the thing is of, as in `Origin`; "" asks for none in particular.
+        version: That package's version then.
+        module: The module that the file says, where the thing was of no package.
+
+    Raises:
+        InputError: If there is no such thing, its package cannot be imported, or it is not of the package or module
+            that the file says.
+    """
+    _import_shipped(kind)
+    if name not in _entries[kind]:
+        _load_entry_point(kind, name)
+    entry = _entries[kind].get(name)
+    if entry is None and not (package or module):
+        raise InputError(f"there is no {kind} '{name}'; give one of {', '.join(names(kind)) or 'none: there are none'}")
+    wanted = Origin(package, version, module)
+    if entry is not None and (not package or package == entry.origin.package):
+        return entry.thing
+    if entry is not None:
+        raise InputError(f"{kind} '{name}' comes from {wanted}, but here from {entry.origin}; install the former alone")
+    if not package:
+        raise InputError(f"{kind} '{name}' comes from {wanted}, which is of no package: import it first")
+    way = f"pip install {package}" if _version(package) is None else f"pip install {package}=={version}"
+    state = "is not installed" if _version(package) is None else "is installed in another version that lacks it"
+    raise InputError(f"{kind} '{name}' comes from {wanted}, which {state}: {way}")
+
+
+def origin(kind: str, name: str) -> Origin:
+    """Say which package, in which version, a registered thing comes from; the package is not imported.
+
+    Raises:
+        InputError: If there is no such thing.
+    """
+    _import_shipped(kind)
+    if name not in _entries[kind]:
+        offers = _entry_points(kind).get(name, ())
+        if len(offers) == 1:
+            return _origin_of_entry_point(offers[0])
+        get(kind, name)
+    return _entries[kind][name].origin
+
+
+def registered_as(thing: Any) -> tuple[str, str] | None:
+    """Say by which kind and name a class or function is registered, or an installed package offers it; None if not."""
+    for kind, entries in _entries.items():
+        for name, entry in entries.items():
+            if entry.thing is thing:
+                return kind, name
+    place = f"{thing.__module__}:{thing.__qualname__}"
+    points = (point for point in _installed(tuple(sys.path)) if point.value == place)
+    return next(((point.group.removeprefix("pickenv."), point.name) for point in points), None)
+
+
+def load_all(kind: str) -> dict[str, Any]:
+    """Everything of a kind by name; what another package cannot give is left aside with a warning."""
+    things = {}
+    for name in names(kind):
+        try:
+            things[name] = get(kind, name)
+        except InputError as error:
+            warnings.warn(str(error), stacklevel=2)
+    return things
+
+
+def packages() -> dict[str, str]:
+    """Name the packages of others that are installed or in use here, and their versions: results may depend on them."""
+    sources = {_origin_of_entry_point(point) for point in _installed(tuple(sys.path))}
+    sources |= {entry.origin for entries in _entries.values() for entry in entries.values()}
+    return {one.package: one.version for one in sorted(sources, key=str) if one.package not in ("", "pickenv")}
+
+
+def _check_kind(kind: str) -> None:
+    if kind not in KINDS:
+        raise InputError(f"there is no kind '{kind}' of extension; give one of {', '.join(KINDS)}")
+
+
+def _import_shipped(kind: str) -> None:
+    _check_kind(kind)
+    for module in SHIPPED[kind]:
+        import_module(module)
+
+
+def _keep(kind: str, name: str, thing: Any, source: Origin) -> None:
+    if source.package != "pickenv":
+        _import_shipped(kind)
+    holders = {_entries[kind][name].origin} if name in _entries[kind] else set()
+    if not holders and source.package != "pickenv":
+        holders = {_origin_of_entry_point(point) for point in _entry_points(kind).get(name, ())}
+    if any((holder.package, holder.module) != (source.package, source.module) for holder in holders):
+        raise InputError(f"{kind} '{name}' is held by {' and by '.join(map(str, holders))}; take another name")
+    _entries[kind][name] = _Entry(thing, thing.__module__, source)
+
+
+def _load_entry_point(kind: str, name: str) -> None:
+    offers = _entry_points(kind).get(name, ())
+    if not offers:
+        return
+    sources = [_origin_of_entry_point(point) for point in offers]
+    if len(offers) > 1:
+        raise InputError(f"{kind} '{name}' is offered by {' and by '.join(map(str, sources))}; keep one of them only")
+    try:
+        thing = offers[0].load()
+    except Exception as error:
+        cause = f"{type(error).__name__}: {error}"
+        raise InputError(f"{kind} '{name}' of {sources[0]} cannot be loaded ({cause}); mend or remove it") from error
+    if not hasattr(thing, "__qualname__"):
+        raise InputError(f"{kind} '{name}' of {sources[0]} is neither a class nor a function; mend its entry point")
+    _keep(kind, name, thing, sources[0])
+
+
+def _entry_points(kind: str) -> Mapping[str, tuple[metadata.EntryPoint, ...]]:
+    """The entry points of a kind by name, without those that bear a name of what ships."""
+    offers: dict[str, tuple[metadata.EntryPoint, ...]] = {}
+    for point in _installed(tuple(sys.path)):
+        entry = _entries[kind].get(point.name)
+        if point.group != f"pickenv.{kind}":
+            continue
+        if entry is not None and entry.origin.package == "pickenv":
+            source = _origin_of_entry_point(point)
+            warnings.warn(f"{kind} '{point.name}' of {source} is left aside: pickenv ships that name", stacklevel=3)
+        else:
+            offers[point.name] = (*offers.get(point.name, ()), point)
+    return offers
+
+
+@lru_cache(maxsize=4)
+def _installed(path: tuple[str, ...]) -> tuple[metadata.EntryPoint, ...]:
+    """All entry points of ours; ``path`` is where Python looks, and another one is another question."""
+    del path
+    points = metadata.entry_points()
+    return tuple(point for kind in KINDS for point in points.select(group=f"pickenv.{kind}"))
+
+
+def _origin_of_entry_point(point: metadata.EntryPoint) -> Origin:
+    return Origin(point.dist.name, point.dist.version) if point.dist is not None else Origin("", "", point.module)
+
+
+def _origin_of_module(module: str) -> Origin:
+    top = module.partition(".")[0]
+    if top == "pickenv":
+        return Origin("pickenv", import_module("pickenv").__version__)
+    for point in _installed(tuple(sys.path)):  # an editable install lists its entry points, but not its modules
+        if point.module.partition(".")[0] == top and point.dist is not None:
+            return _origin_of_entry_point(point)
+    packages = metadata.packages_distributions().get(top, ())
+    return Origin(packages[0], metadata.version(packages[0])) if packages else Origin("", "", module)
+
+
+def _version(package: str) -> str | None:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None

@@ -1,0 +1,186 @@
+"""Text files are read in one place: what a file is, which encoding it has, and all that a parser of it can raise.
+
+Readers of CSV, TOML, YAML, URDF and MJCF call `read_text` and `parsed`; each fault is one sentence that names the file
+and what to do. `shortened` keeps what a message quotes to a line, `decimal_number` says what a number is.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import stat
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from textwrap import wrap
+from typing import Any, TypeVar
+
+from pickenv.base.errors import InputError
+
+Thing = TypeVar("Thing")
+
+PIECE = 1 << 20
+"""Bytes read at once."""
+
+LARGEST = 1 << 30
+"""Bytes; no text file of ours comes near it."""
+
+MARKS = {
+    b"\xff\xfe\x00\x00": "UTF-32",
+    b"\x00\x00\xfe\xff": "UTF-32",
+    b"\xff\xfe": "UTF-16",
+    b"\xfe\xff": "UTF-16",
+    b"PK\x03\x04": "",
+}
+"""How files begin that are not UTF-8: byte order marks, longest first, and zip archives such as .xlsx."""
+
+
+def read_text(path: str | Path, kind: str) -> str:
+    """The text of a UTF-8 file, a pipe, or /dev/stdin; a byte order mark is left out, line ends stay as they are.
+
+    Args:
+        path: The file.
+        kind: What it should be, for messages: "a CSV file".
+
+    Raises:
+        InputError: If it is missing, a folder or a device, too large, or no UTF-8 text; names what it is.
+    """
+    what, data = "file", b""
+    try:
+        mode = Path(path).stat().st_mode
+        if stat.S_ISREG(mode) or stat.S_ISFIFO(mode):
+            with Path(path).open("rb") as file:
+                while len(data) <= LARGEST and (more := file.read(PIECE)):
+                    data += more
+        else:
+            what = "a folder" if stat.S_ISDIR(mode) else "a device"
+    except FileNotFoundError as error:
+        raise InputError(f"{_name(path)} does not exist; give a path to {kind}") from error
+    except (OSError, ValueError) as error:  # a path of 300 characters, or with a zero byte in it
+        raise InputError(f"cannot read {_name(path)}: {_reason(error)}; give a path to {kind}") from error
+    if what != "file":
+        raise InputError(f"{_name(path)} is {what}, not a file; give a path to {kind}")
+    if len(data) > LARGEST:
+        raise InputError(f"{path} holds more than {LARGEST >> 20} MiB; give a path to {kind}")
+    return _decoded(data, path, kind)
+
+
+def _decoded(data: bytes, path: str | Path, kind: str) -> str:
+    for mark, encoding in MARKS.items():
+        if data.startswith(mark):
+            if not encoding:
+                raise InputError(f"{path} is a zip archive, such as a spreadsheet; export it as {kind}")
+            raise InputError(f"{path} is written in {encoding}; save it as UTF-8")
+    if b"\0" in data:
+        raise InputError(f"cannot read {path}: it holds zero bytes, so it is UTF-16 or no text; give {kind} in UTF-8")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = data.count(b"\n", 0, error.start) + 1
+        raise InputError(
+            f"cannot read {path}: byte 0x{data[error.start]:02x} in line {line} is not UTF-8, so it is Latin-1 "
+            f"(Windows-1252) or no text; give {kind} in UTF-8"
+        ) from error
+
+
+def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
+    """The result of ``parse()``, or one sentence that ``path`` is not valid ``kind`` ("TOML"), and why."""
+    try:
+        return parse()
+    except RecursionError as error:
+        raise InputError(f"{path} is not valid {kind}: it is nested too deeply; give tables of a few levels") from error
+    except Exception as error:
+        raise InputError(f"{path} is not valid {kind}: {_reason(error)}") from error
+
+
+def yaml_content(text: str, path: str | Path) -> Any:
+    """What a YAML text holds: mappings, lists, numbers and words; aliases and tags of Python are refused.
+
+    Raises:
+        InputError: If it is no YAML; the message names ``path``.
+    """
+    import yaml  # late: most files are none
+
+    class Plain(yaml.SafeLoader):
+        """Without aliases, through which a few lines can stand for endless ones."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.check_event(yaml.AliasEvent):
+                raise ValueError("it uses an alias (*name); write the values out")
+            return super().compose_node(parent, index)
+
+    return parsed(lambda: yaml.load(text, Plain), path, "YAML")  # a safe loader
+
+
+def decimal_number(text: str) -> float | None:
+    """The number that ``text`` spells in ASCII digits, which may be nan or infinite; None where it spells none."""
+    if not text.isascii() or "_" in text:  # Python would take 1_000, and the digits of any script
+        return None
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def one_line(text: str) -> str:
+    """A text without line ends and other characters that names and comments cannot hold."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
+def shortened(value: object, length: int = 60) -> str:
+    """``value`` as a message quotes it: on one line, and no longer than ``length``."""
+    try:
+        text = str(value) if not isinstance(value, str) else value
+    except ValueError:  # an integer of more than 4300 digits
+        return "a number of thousands of digits"
+    text = one_line(text[: 4 * length])
+    return text if len(text) <= length else f"{text[: length - 2].rstrip()} …"
+
+
+def screen_width(otherwise: int) -> int:
+    """Characters of a line of the terminal, or of what COLUMNS says; ``otherwise`` where neither is known."""
+    return shutil.get_terminal_size((otherwise, 24)).columns
+
+
+def folded(text: str, width: int) -> list[str]:
+    """A sentence in lines of a terminal; the second and later ones are set in."""
+    return wrap(text, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False) or [""]
+
+
+def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[int]]:
+    """Numbers of the columns of each table that fits ``width``: one, or several that all begin with the first columns.
+
+    Args:
+        sizes: Characters that each column takes, with what is between them.
+        repeated: So many columns come first in every table.
+        width: Characters of a line.
+    """
+    first = list(range(repeated))
+    tables = [first.copy()]
+    for column in range(repeated, len(sizes)):
+        if len(tables[-1]) > repeated and sum(sizes[i] for i in (*tables[-1], column)) > width:
+            tables.append(first.copy())
+        tables[-1].append(column)
+    return tables
+
+
+def listed(names: Iterable[str], length: int = 600) -> str:
+    """Names with commas between them, as a message lists what a file has."""
+    return shortened(", ".join(shortened(name) for name in names), length)
+
+
+def is_file(path: str | Path) -> bool:
+    """Whether a file stands there; a path that no file can have (too long, a zero byte) is none."""
+    try:
+        return Path(path).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _name(path: str | Path) -> str:
+    return shortened(path, 300)
+
+
+def _reason(error: Exception) -> str:
+    """An error's own words on one line, without Python's advice to programmers."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return shortened(re.sub(r"\s+", " ", re.sub(r"; use sys\.set_int_max_str_digits\(\).*", "", text)), 200)

@@ -1,0 +1,441 @@
+"""TOML files are read in one place: a frozen dataclass says which keys a table has, its annotations say in which units.
+
+`toml_table` makes the dataclass. A field annotated with a `Unit` has the unit at the end of its key and is kept in SI:
+``length: Annotated[float, MM.positive]`` stands in the file as ``length_mm``, in the object in m. `read_toml` gives the
+object or one sentence with file, line, key, table, value and what to give. Pydantic checks; the first file loads it.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_args, get_origin, get_type_hints
+
+from pickenv.base.errors import InputError
+from pickenv.base.texts import is_file, parsed, read_text, shortened
+from pickenv.base.toml_faults import lacks, sentence
+
+Thing = TypeVar("Thing")
+Class = TypeVar("Class", bound=type)
+
+INTEGERS = 1 << 63
+"""TOML's integers lie within this size."""
+
+
+def fault(wanted: str, kind: str = "wanted", **said: Any) -> Exception:
+    """What a check of a value raises: the sentence ends with "give" and ``wanted``."""
+    from pydantic_core import PydanticCustomError
+
+    return PydanticCustomError(cast(Any, kind), "{wanted}", {"wanted": f"give {wanted}", **said})
+
+
+@dataclass(frozen=True)
+class Check:
+    """Annotates what is tested as it stands in the file, and what to give where it fails."""
+
+    test: Callable[[Any], bool]
+    wanted: str
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """The annotated type's schema behind the test."""
+        from pydantic_core import core_schema as core
+
+        return core.no_info_before_validator_function(self.checked, handler(source))
+
+    def checked(self, value: Any) -> Any:
+        """The value, or the fault."""
+        if not self.test(value):
+            raise fault(self.wanted)
+        return value
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Annotates a number, or tuples of numbers: the unit that ends its key, what turns it into SI, and its bounds.
+
+    Attributes:
+        name: Ending of the key; empty for numbers without a unit.
+        scale: SI units per unit.
+        per: Units per SI unit, to divide by instead, which rounds to the nearest number.
+        most: Largest size, in the file's unit; beyond it stands a slip of the pen or a wrong unit.
+        least: Smallest value; None for minus ``most``.
+        above: Whether ``least`` itself is refused.
+        whole: Whether it is a whole number.
+        why: Reason for the bounds, for messages, which then name both.
+    """
+
+    name: str = ""
+    scale: float = 1.0
+    per: float = 1.0
+    most: float = math.inf
+    least: float | None = None
+    above: bool = False
+    whole: bool = False
+    why: str | None = None
+
+    @property
+    def positive(self) -> Unit:
+        """The same above zero."""
+        return replace(self, least=0.0, above=True)
+
+    @property
+    def not_negative(self) -> Unit:
+        """The same from zero."""
+        return replace(self, least=0.0)
+
+    def at_least(self, least: float) -> Unit:
+        """The same from a smallest value, which is allowed."""
+        return replace(self, least=least)
+
+    def within(self, least: float, most: float, why: str = "") -> Unit:
+        """The same between two bounds, which are allowed."""
+        return replace(self, least=least, most=most, why=why)
+
+    @property
+    def wanted(self) -> str:
+        """What to give, for messages."""
+        number = "a whole number" if self.whole else "a number" if self.least is not None else "a finite number"
+        unit, why = f" {self.name}" if self.name else "", f": {self.why}" if self.why else ""
+        if self.why is not None and not self.above:
+            return f"{number} from {self.least:.15g} to {self.most:.15g}{unit}{why}"
+        low = " above zero" if self.above else "" if self.least is None else f" of at least {self.least:g}"
+        zero = " that is not negative" if self.least == 0 and not self.above else low
+        return f"{number}{zero}" + (f", at most {self.most:g}{unit}{why}" if self.most < math.inf else "")
+
+    def holds(self, value: float) -> bool:
+        """Whether a number in SI is within the bounds."""
+        low, high = ((-self.most if self.least is None else self.least), self.most)
+        low, high = low * self.scale / self.per, high * self.scale / self.per
+        return math.isfinite(value) and (low < value if self.above else low <= value) and value <= high
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """Schema of a number, or of tuples of it, as deep as they are annotated."""
+        from pydantic_core import core_schema as core
+
+        if get_origin(source) is tuple:
+            parts = tuple(part if part is Ellipsis else Annotated[part, self] for part in get_args(source))
+            count = 0 if Ellipsis in parts else len(parts)
+            wanted = f"{count} numbers" if count else "a list of numbers"
+            check = Check(lambda value: isinstance(value, list) and len(value) == (count or len(value)), wanted)
+            schema = handler.generate_schema(tuple[parts])  # type: ignore[valid-type]
+            return core.no_info_before_validator_function(check.checked, schema)
+        number = int if self.whole else float
+        bounds: Any = {"gt" if self.above else "ge": -self.most if self.least is None else self.least, "le": self.most}
+        bounds = {key: number(bound) for key, bound in bounds.items() if math.isfinite(bound)}
+        schema = (
+            core.int_schema(strict=True, **bounds)
+            if self.whole
+            else core.float_schema(strict=True, allow_inf_nan=False, **bounds)
+        )
+        if self.whole:
+            schema = core.no_info_before_validator_function(
+                lambda value: int(value) if isinstance(value, float) and value.is_integer() else value, schema
+            )
+        schema = core.custom_error_schema(schema, "wanted", custom_error_message=f"give {self.wanted}")
+        if self.scale == self.per == 1.0:
+            return schema
+        return core.no_info_after_validator_function(lambda value: value * self.scale / self.per, schema)
+
+
+@dataclass(frozen=True)
+class Then:
+    """Annotates what is made of a sound value and the reader's context; ``source``: what the file holds, if another."""
+
+    make: Callable[[Any, Any], Any]
+    source: Any = None
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """The schema of what the file holds, then what is made of it."""
+        from pydantic_core import core_schema as core
+
+        schema = handler(source) if self.source is None else handler.generate_schema(self.source)
+        return core.with_info_after_validator_function(lambda found, info: self.make(found, info.context), schema)
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """Annotates a union of tables; ``tell`` says from the keys of one which of the classes it is."""
+
+    tell: Callable[[Mapping[str, Any]], Any]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """A union whose tag, in angle brackets, is the class's name."""
+        from pydantic_core import core_schema as core
+
+        kinds = {f"<{kind.__name__}>": handler.generate_schema(kind) for kind in get_args(source)}
+        return core.tagged_union_schema(
+            kinds, lambda value: f"<{self.tell(value if isinstance(value, Mapping) else {}).__name__}>"
+        )
+
+
+@dataclass(frozen=True)
+class Key:
+    """Annotates a field whose key in the file is not its name and unit, or which stands in a section of its own."""
+
+    name: str = ""
+    section: str = ""
+
+
+GRAVITY = 9.80665
+"""Standard acceleration of gravity, m/s^2 (ISO 80000-3)."""
+
+NUMBER, WHOLE = Unit(), Unit(whole=True)
+SHARE = NUMBER.within(0.0, 1.0)
+MM, UM, M = Unit("mm", 1e-3, most=1e5), Unit("um", 1e-6, most=1e8), Unit("m", most=100.0)
+DEG, RAD = Unit("deg", math.pi / 180.0, most=3600.0), Unit("rad", most=20.0 * math.pi)
+ARCMIN = Unit("arcmin", math.radians(1 / 60), most=2.16e5)
+ARCSEC = Unit("arcsec", math.radians(1 / 3600), most=1.296e7)
+MM_PER_S, DEG_PER_S = Unit("mm_per_s", 1e-3, most=1e5), Unit("deg_per_s", math.pi / 180.0, most=36000.0)
+M_PER_S, RAD_PER_S = Unit("m_per_s", most=100.0), Unit("rad_per_s", most=200.0 * math.pi)
+KG, KG_PER_M, KELVIN = Unit("kg", most=1e4), Unit("kg_per_m", most=1e4), Unit("K", most=1e3)
+NEWTON, NEWTON_METRE = Unit("N", most=1e7), Unit("N_m", most=1e7)
+SECONDS, MILLISECONDS, HOURS = Unit("s"), Unit("ms", 1e-3), Unit("h", 3600.0)
+PX, WHOLE_PX, LX = Unit("px"), Unit("px", whole=True), Unit("lx")
+
+TO_SI = {unit.name: unit.scale for unit in (DEG, RAD, MM, M)}
+"""SI units per unit of a joint or a coordinate."""
+
+
+def _once(values: Any, _context: Any) -> Any:
+    if not values or len(set(values)) < len(values):
+        raise fault("a list of at least one entry, each entry once")
+    return values
+
+
+ONCE = Then(_once)
+"""A list that is not empty and has no entry twice."""
+
+LINE = Check(lambda value: isinstance(value, str) and value.isprintable(), "a text of one line")
+
+REQUIRED = "required"
+"""Annotates a field that a file must give although its class has a default."""
+
+FILLED_IN = ("name", "source")
+"""Fields that a file may leave out although their class has no default."""
+
+
+@dataclass_transform(frozen_default=True)
+def toml_table(kind: Class) -> Class:
+    """A frozen dataclass that a TOML table holds: its keys and no others, each that has no default."""
+    made: Any = kind if "__dataclass_fields__" in vars(kind) else dataclass(frozen=True)(kind)
+    made.__pydantic_config__ = {"alias_generator": lambda name: _keys(made)[name][0], "extra": "forbid"}
+    made.__get_pydantic_core_schema__ = staticmethod(_schema)
+    made.__get_pydantic_json_schema__ = staticmethod(partial(_json, made))
+    return cast(Class, made)
+
+
+def _schema(kind: Any, handler: Any) -> Any:
+    """The class's own schema; unknown keys are told before wrong values, and these before missing keys."""
+    from pydantic import ValidationError
+    from pydantic_core import core_schema as core
+
+    def check(value: Any, inner: Any) -> Any:
+        if not isinstance(value, Mapping):
+            raise fault("a table", "no table")
+        keys, thing = dict(_keys(kind).values()), None
+        for key in value:
+            if key not in keys:
+                raise fault("", "unknown", key=str(key), known=sorted(keys))
+        try:
+            thing = inner(value)
+        except ValidationError as error:
+            if not all(lacks(one) for one in error.errors(include_url=False)):
+                raise
+        for key, wanted in keys.items():
+            if wanted and key not in value:
+                raise fault(wanted, "missing", key=key)
+        return thing
+
+    return core.no_info_wrap_validator_function(check, handler(kind))
+
+
+def _json(kind: Any, schema: Any, handler: Any) -> Any:
+    """The JSON schema of a table, with the keys that a file must give, and without defaults, which are in SI."""
+    found = handler(schema)
+    own = handler.resolve_ref_schema(found)
+    own["required"] = [key for key, wanted in _keys(kind).values() if wanted]
+    for part in own["properties"].values():
+        part.pop("default", None)
+        part.pop("title", None)
+    return found
+
+
+def _marks(hint: Any) -> Iterator[Any]:
+    """What annotates a type, or a member of a union, or what a file holds for it."""
+    for part in (hint, *get_args(hint)):
+        for mark in getattr(part, "__metadata__", ()):
+            yield from (mark, *(_marks(mark.source) if isinstance(mark, Then) else ()))
+
+
+@cache
+def units_of(kind: Any) -> dict[str, Unit]:
+    """The units of the fields that have one."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: mark for name, hint in hints.items() for mark in _marks(hint) if isinstance(mark, Unit)}
+
+
+@cache
+def _keys(kind: Any) -> dict[str, tuple[str, str]]:
+    """By field: its key in the file, and what to give where it is missing, empty where it may be."""
+    found, hints = {}, get_type_hints(kind, include_extras=True)
+    for one in fields(kind):
+        marks = list(_marks(hints[one.name]))
+        unit = units_of(kind).get(one.name, NUMBER).name
+        plain = f"{one.name}_{unit}" if unit else one.name
+        key = next((mark.name for mark in marks if isinstance(mark, Key) and mark.name), plain)
+        usual = "this table" if is_dataclass(hints[one.name]) else "it"
+        wanted = next((mark.wanted for mark in marks if isinstance(mark, Unit | Check)), usual)
+        optional = one.name in FILLED_IN or one.default is not MISSING or one.default_factory is not MISSING
+        found[one.name] = (key, "" if optional and REQUIRED not in marks else wanted)
+    return found
+
+
+@cache
+def _file_of(kind: Any) -> Any:
+    """The type of a file that holds ``kind``: some of its fields may stand in sections (`Key`)."""
+    groups: dict[str, list[Any]] = {}
+    for one in fields(kind) if is_dataclass(kind) else ():
+        hint = get_type_hints(kind, include_extras=True)[one.name]
+        section = next((mark.section for mark in _marks(hint) if isinstance(mark, Key)), "")
+        default = field(default=one.default, default_factory=one.default_factory, kw_only=True)
+        groups.setdefault(section, []).append((one.name, hint, default))
+    if set(groups) <= {""}:
+        return kind
+    whole = groups.pop("", [])
+    for section, members in groups.items():
+        part = toml_table(make_dataclass(section, members, frozen=True))
+        optional = not any(wanted for _, wanted in _keys(part).values())
+        whole.append((section, part, field(default_factory=part, kw_only=True) if optional else field(kw_only=True)))
+
+    named = {one.name for one in fields(kind)}
+    if "source" not in named:  # every file may say where its numbers come from
+        whole.append(("source", str, field(default="", kw_only=True)))
+
+    def flat(found: Any, _context: Any) -> Any:
+        own = {name: value for name, value in vars(found).items() if name in named - groups.keys()}
+        return kind(
+            **own, **{name: value for section in groups for name, value in vars(getattr(found, section)).items()}
+        )
+
+    return Annotated[kind, Then(flat, toml_table(make_dataclass("File", whole, frozen=True)))]
+
+
+@cache
+def _adapter(kind: Any) -> Any:
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(_file_of(kind))
+
+
+def json_schema(kind: Any) -> dict[str, Any]:
+    """JSON schema of the files that ``kind`` reads, for editors."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_adapter(kind).json_schema()}
+
+
+def read_toml(kind: type[Thing], path: str | Path, *, section: str = "", context: Any = None) -> Thing:
+    """The object that a TOML file holds.
+
+    Args:
+        kind: A class made by `toml_table`.
+        path: The file; its stem is the object's ``name`` where the file gives none.
+        section: The table of the file that is meant; the whole file when left out.
+        context: What `Then` sees.
+
+    Raises:
+        InputError: If the file cannot be read or a key is unknown, missing or impossible.
+    """
+    content, text = toml_of(path)
+    if section not in content and section:
+        raise InputError(f"{path}: section [{section}] is missing")
+    return made(kind, content, str(path), text=text, section=section, context=context)
+
+
+def shipped_in(folder: Path) -> list[str]:
+    """Names of the TOML files of a folder that comes with pickenv."""
+    return sorted(path.stem for path in folder.glob("*.toml"))
+
+
+def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml") -> Path:
+    """The TOML file of ``folder`` that has this name, or the one whose path is given.
+
+    Args:
+        kind: What it holds, for messages.
+        name: A name of `shipped_in`, or a path ending in .toml.
+        folder: Where the shipped files lie.
+        endings: Endings of files that may be given instead, for messages.
+
+    Raises:
+        InputError: If there is no such file.
+    """
+    given = Path(name).suffix == ".toml"
+    path = Path(name) if given else folder / f"{name}.toml"
+    if is_file(path):
+        return path
+    fault = f"{kind} file {shortened(path, 300)} does not exist" if given else f"unknown {kind} '{shortened(name)}'"
+    raise InputError(f"{fault}; give one of {shipped_in(folder)} or a path to a file ({endings})")
+
+
+def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:
+    """What a TOML file holds, unchecked, and its text; or one sentence why it cannot be read."""
+    text = read_text(path, "a TOML file")
+
+    def content() -> dict[str, Any]:
+        found = tomllib.loads(text)
+        _refuse_huge(found, "")
+        return found
+
+    return parsed(content, path, "TOML"), text
+
+
+def _refuse_huge(value: Any, key: str) -> None:
+    """TOML's integers have 64 bits; Python's have no end, and arithmetic fails on them far from the file."""
+    if isinstance(value, Mapping):
+        for name, part in value.items():
+            _refuse_huge(part, str(name))
+    elif isinstance(value, list):
+        for part in value:
+            _refuse_huge(part, key)
+    elif isinstance(value, int) and not -INTEGERS <= value < INTEGERS:
+        raise ValueError(f"{key} is an integer of more than 64 bits")
+
+
+def made(
+    kind: type[Thing],
+    content: Mapping[str, Any],
+    where: str,
+    *,
+    text: str = "",
+    name: str = "",
+    section: str = "",
+    context: Any = None,
+) -> Thing:
+    """The object that a file's content makes.
+
+    Args:
+        kind: A class made by `toml_table`.
+        content: The content, as `tomllib` gives it.
+        where: The file, for messages.
+        text: Its text, so that messages can name lines.
+        name: What the object is called, where it is not named like the file.
+        section: The key of the content that is meant; all of it when left out.
+        context: What `Then` sees.
+
+    Raises:
+        InputError: If a key is unknown, missing or impossible.
+    """
+    from pydantic import ValidationError
+
+    found = content[section] if section else content
+    if isinstance(found, Mapping):
+        filled = {"name": name or Path(where).stem, "source": ""}
+        found = {**{key: filled[key] for key in FILLED_IN if key in _keys(cast(Any, kind))}, **found}
+    try:
+        return cast(Thing, _adapter(cast(Any, kind)).validate_python(found, context=context))
+    except ValidationError as error:
+        first: Any = min(error.errors(include_url=False), key=lacks)
+        first["loc"] = [*([section] if section else []), *first["loc"]]
+        raise InputError(sentence(first, content, where, text, name and repr(name))) from error

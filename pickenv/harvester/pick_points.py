@@ -1,0 +1,184 @@
+"""Where the master stands while its slaves pick a zone: eqs (7) to (12) as printed, corrected, and a search.
+
+The printed equations put frame 3 at polar angle theta2 although theta2 is the arm's heading, and ignore a2; eq (7) also
+swaps the border fruit at negative y. "Master moves much, slaves little": the search takes, among the points from which
+most fruit is reached, the one with the least motion of the slaves. Units: m, rad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm import Array
+from pickenv.base import DEG, MM, NUMBER, WHOLE, InputError, read_toml, toml_table
+from pickenv.harvester.machine import Machine
+from pickenv.harvester.zones import SHIPPED
+
+METHODS = ("as_printed", "equations", "corrected", "search")
+
+
+@dataclass(frozen=True, eq=False)
+class PickPoint:
+    """Where the master stands.
+
+    Attributes:
+        master: Master joints, (3,).
+        position: Origin of frame 3 in the base frame, m, (3,).
+        reached: Which slave reaches which fruit, (arms, n).
+    """
+
+    master: Array
+    position: Array
+    reached: NDArray[np.bool_]
+
+    @property
+    def count(self) -> int:
+        """Number of fruit that at least one slave reaches."""
+        return int(self.reached.any(axis=0).sum())
+
+
+def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
+    """Left-most fruit P3 and right-most fruit P4 seen from the base: eq (7).
+
+    As printed, arctan(X/Y) is largest on the left; that holds for Y > 0 only, and Li's trees stand at Y < 0.
+    """
+    if printed:
+        angle = np.arctan(fruit[:, 0] / fruit[:, 1])
+        return int(angle.argmax()), int(angle.argmin())
+    bearing = np.arctan2(fruit[:, 0], -fruit[:, 1])
+    return int(bearing.argmax()), int(bearing.argmin())
+
+
+def pick_heading(fruit: Array, spacing: float, printed: bool = False) -> float:
+    """theta2 of eqs (10) and (11), rad."""
+    left, right = border_indices(fruit, printed)
+    (x3, y3), (x4, y4) = fruit[left, :2], fruit[right, :2]
+    for x, y in ((x3, y3), (x4, y4)):
+        if np.hypot(x, y) <= spacing:
+            raise InputError(f"a border fruit at ({x:.3f}, {y:.3f}) m is nearer to the axis than the arms are apart")
+    beta = np.arctan(x4 / abs(y4)) + np.arcsin(spacing / np.hypot(x4, y4))
+    angle = np.arctan(abs(y3) / x3) if printed else np.arctan2(abs(y3), x3)
+    gamma = angle + np.arcsin(spacing / np.hypot(x3, y3))
+    return float((beta - gamma) / 2 - np.pi / 4)
+
+
+def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> PickPoint:
+    """The pick point of a zone's fruit.
+
+    Args:
+        machine: The machine.
+        fruit: Positions in the base frame, (n, 3), m.
+        method: "as_printed": eqs (7)-(12) to the letter; "equations": the same with the border fruit of eq (7) on the
+            right sides; "corrected": theta2 is the heading theta1; "search": most fruit, least motion of the slaves.
+
+    Raises:
+        InputError: If there is no fruit, the method is unknown, or the master cannot stand at the point.
+    """
+    fruit = np.asarray(fruit, dtype=float)
+    if fruit.ndim != 2 or fruit.shape[-1] != 3 or not len(fruit) or not np.isfinite(fruit).all():
+        raise InputError("a pick point needs at least one fruit, each with three finite coordinates")
+    if method not in METHODS:
+        raise InputError(f"unknown pick point method '{method}'; give one of {', '.join(METHODS)}")
+    if method == "search":
+        master = searched(machine, fruit)
+    else:
+        printed = method == "as_printed"
+        span = float(machine.offsets[-1]) if machine.arms > 1 else 0.0  # the paper's k0: middle to side arm
+        heading = pick_heading(fruit, span, printed)
+        nearest = np.hypot(fruit[:, 0], fruit[:, 1]).min()
+        reach = float(nearest - machine.a4 - machine.slave_home[2])  # eq (9)
+        stroke = float(machine.slave.upper[0] - machine.slave.lower[0])
+        height = float(fruit[:, 2].min()) + stroke / 2  # eq (8)
+        if method == "corrected":
+            master = np.array([heading, height - machine.d1, reach])
+        else:
+            point = [reach * np.cos(heading), reach * np.sin(heading), height]  # eq (12)
+            master = machine.master_inverse(point)
+    if not np.isfinite(master).all():
+        raise InputError("the pick point is nearer to the axis than frame 3 can come; choose another zone")
+    return PickPoint(master, machine.frame3(master), machine.reach(master, fruit))
+
+
+def searched(machine: Machine, fruit: Array) -> Array:
+    """Master joints from which most fruit is reached; of those, where the slaves move least.
+
+    Height is apart from heading and reach: every slave reaches the same heights. So a grid of headings and reaches,
+    made finer once around the best, meets the few heights at which a fruit enters the window of the vertical slide.
+    """
+    settings = _search()
+    low, high = machine.master.nominal.lower, machine.master.nominal.upper
+    farthest = high[2] + machine.a4 + machine.slave.upper[2] + machine.a2 + np.abs(machine.offsets).max()
+    near = np.hypot(fruit[:, 0], fruit[:, 1]) <= farthest
+    if near.any():  # fruit that no arm could ever reach must not pull the pick point away
+        fruit = fruit[near]
+    heights = _heights(machine, fruit)
+    window = np.abs(fruit[:, 2] - machine.d1 - heights[:, None] - _slide_middle(machine))  # (k, n)
+    inside = window <= (machine.slave.upper[0] - machine.slave.lower[0]) / 2 + 1e-9
+    most = inside[int(inside.sum(axis=1).argmax())]
+    middle = fruit[most if most.any() else slice(None), :2].mean(axis=0)
+    distance = float(np.hypot(*middle))
+    ahead = distance - machine.a4 - float(machine.slave.lower[2] + machine.slave.upper[2]) / 2
+    heading = np.arctan2(middle[1], middle[0]) + np.arcsin(min(machine.a2 / distance, 1.0))
+    best = np.clip([heading, 0.0, ahead], low, high)
+    width = np.array([settings.heading, settings.reach])
+    for _ in range(2):
+        axes = [np.linspace(-w, w, settings.steps) for w in width]
+        turn, reach = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+        candidates = np.clip(best + np.stack([turn, np.zeros_like(turn), reach], axis=-1), low, high)
+        cost = _point_costs(machine, candidates, fruit, inside)
+        which, at = np.unravel_index(int(np.argmin(cost)), cost.shape)
+        best = candidates[which].copy()
+        best[1] = heights[at]
+        width = width * settings.keep_share
+    return np.asarray(best)
+
+
+def _slide_middle(machine: Machine) -> float:
+    return float(machine.slave.upper[0] + machine.slave.lower[0]) / 2
+
+
+def _heights(machine: Machine, fruit: Array) -> Array:
+    """Heights d2 worth trying: the middle of the fruit, and where a fruit is at an end of the slide; (k,)."""
+    z = np.unique(fruit[:, 2]) - machine.d1
+    centre = (z[0] + z[-1]) / 2 - _slide_middle(machine)
+    found = np.concatenate([[centre], z - machine.slave.lower[0], z - machine.slave.upper[0]])
+    return np.asarray(np.clip(found, machine.master.nominal.lower[1], machine.master.nominal.upper[1]))
+
+
+def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray[np.bool_]) -> Array:
+    """Cost (m, k) of headings and reaches (m, 3) at heights whose slide reaches ``inside`` (k, n).
+
+    A fruit out of reach costs one; turning and stretching of the slaves, and arms without work, cost less than that.
+    """
+    joints = machine.slave_inverse(masters, fruit)[..., 1:]  # (m, arms, n, 2): height is judged by ``inside``
+    low, high = machine.slave.lower[1:], machine.slave.upper[1:]
+    reached = ((joints >= low - 1e-9) & (joints <= high + 1e-9)).all(axis=-1)
+    motion = (np.abs(joints - machine.slave_home[1:]) / (high - low)).sum(axis=-1)
+    easiest = np.where(reached, motion, np.inf).min(axis=1)  # (m, n)
+    found = np.isfinite(easiest)
+    easiest = np.where(found, easiest, 0.0)
+    within = inside.T.astype(float)  # (n, k)
+    gained = found @ within
+    load = (reached @ within).min(axis=1)  # (m, k): fruit in reach of the arm that has fewest
+    share = np.minimum(load / max(len(fruit) / machine.arms, 1.0), 1.0)
+    return np.asarray(-gained + 0.3 * (easiest @ within) / (1.5 * len(fruit)) - 0.3 * share)
+
+
+@toml_table
+class Search:
+    """[search] of a strategy file: half-widths of the first round, rad and m, its steps, and how much is kept."""
+
+    heading: Annotated[float, DEG.not_negative]
+    reach: Annotated[float, MM.not_negative]
+    steps: Annotated[int, WHOLE.positive]
+    keep_share: Annotated[float, NUMBER.positive]
+
+
+@lru_cache(maxsize=1)
+def _search() -> Search:
+    return read_toml(Search, SHIPPED, section="search")

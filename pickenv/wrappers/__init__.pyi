@@ -1,0 +1,15 @@
+from .compensation import (
+    Compensate as Compensate,
+    CompensationVectorWrapper as CompensationVectorWrapper,
+    CompensationWrapper as CompensationWrapper,
+)
+from .gap import (
+    GapScaling as GapScaling,
+    GapScalingVector as GapScalingVector,
+    scaled_reach as scaled_reach,
+    scaled_reach_vector as scaled_reach_vector,
+)
+from .mujoco_arm import Miscalibrate as Miscalibrate, geometry_in_mujoco as geometry_in_mujoco
+from .same_arm import PickMemory as PickMemory, SameArm as SameArm, SameArmVector as SameArmVector
+from .sb3 import Sb3Vec as Sb3Vec, make_sb3_vec as make_sb3_vec
+from .tool_steps import ToolStepping as ToolStepping, ToolSteppingVector as ToolSteppingVector
