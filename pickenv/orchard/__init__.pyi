@@ -88,19 +88,17 @@ from .render import (
 from .sight import (
     DETECTORS as DETECTORS,
     VISIONS as VISIONS,
+    Chances as Chances,
     Eyes as Eyes,
     Sight as Sight,
+    SightErrors as SightErrors,
     Viewpoint as Viewpoint,
+    draw_chances as draw_chances,
     foliage as foliage,
     load_eyes as load_eyes,
-    see as see,
-)
-from .sight_errors import (
-    Chances as Chances,
-    SightErrors as SightErrors,
-    draw_chances as draw_chances,
     load_sight_errors as load_sight_errors,
     next_picture as next_picture,
+    see as see,
     sighted as sighted,
 )
 from .vision import (
