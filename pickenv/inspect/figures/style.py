@@ -6,7 +6,7 @@ No global state of matplotlib is used, so figures can be made anywhere, also wit
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
@@ -40,14 +40,6 @@ THEME: dict[str, str] = {INK: "--ink", SOFT: "--soft", RULE: "--rule", PAPER: "-
     for colour, variable in ((BLUE, "--after"), (GREEN, "--best"), (RED, "--bad"))
 }
 """Colours of figures that a page's style sheet replaces, by its variable; all others are seen on both backgrounds."""
-DARK: dict[str, str] = dict(
-    zip(THEME, ("#e8eaed", "#a4adb8", "#343a41", "#14171a", "#56b4e9", "#35c99b", "#ff7b7f"), strict=True)
-)
-"""What a dark page puts in their place."""
-
-BEFORE_SAVING: list[Callable[[Figure, str], None]] = []
-"""Told of every figure, with its name, before it is written or set into a page, such as by `figure_lint.linting`."""
-
 STYLE: dict[str, Any] = {
     "font.size": 8.0,
     "axes.titlesize": 9.0,
@@ -83,15 +75,8 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     check_format(path.suffix.lstrip("."), path)
     undated = {".png": {"Software": None}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     metadata: Any = undated.get(path.suffix.lower())
-    announce(figure, path.stem)
     with style():
         return write_whole(path, lambda temporary: figure.savefig(temporary, dpi=PIXELS_PER_INCH, metadata=metadata))
-
-
-def announce(figure: Figure, name: str) -> None:
-    """Tell `BEFORE_SAVING` that a figure is about to be written under a name."""
-    for told in BEFORE_SAVING:
-        told(figure, name)
 
 
 def check_format(suffix: str, path: str | Path) -> None:
