@@ -4,7 +4,7 @@ from .figures.run_drawings import (
     write_drawings as write_drawings,
 )
 from .figures.style import save_figure as save_figure
-from .films.make_film import film as film
+from .films.film import film as film
 from .recordings.comparison_recording import record_comparison as record_comparison
 from .recordings.harvest_recording import inspect_harvest as inspect_harvest
 from .recordings.inspections import inspect_calibration as inspect_calibration, inspect_evaluation as inspect_evaluation

@@ -57,7 +57,7 @@ def _leaves(places: Array, rng: np.random.Generator) -> Mesh:
 
 @lru_cache(maxsize=8)
 def row_of_trees(
-    low: tuple[float, float, float], high: tuple[float, float, float], leaf_area_per_volume: float, ground: float
+    low: tuple[float, ...], high: tuple[float, ...], leaf_area_per_volume: float, ground: float
 ) -> tuple[Mesh, ...]:
     """Trunks, level branches and leaves in a box of the world frame; the same objects for the same box."""
     rng = np.random.default_rng(0)
