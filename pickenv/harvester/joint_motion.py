@@ -39,33 +39,6 @@ def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
     return np.asarray(travel_time(distance, machine.master.speed, machine.master_acceleration).max(axis=-1))
 
 
-def joint_curves(machine: Machine, start: ArrayLike, end: ArrayLike, count: int = 101) -> tuple[Array, Array]:
-    """Displacement of all joints over time, master first and then the slaves together, as in Fig. 9.
-
-    Args:
-        machine: The machine.
-        start: Joints of the whole machine, (3 + 3 arms,).
-        end: Joints at the end.
-        count: Number of times.
-
-    Returns:
-        Times (count,), s, and displacements from the start (count, 3 + 3 arms), rad or m.
-    """
-    start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
-    distance = end - start
-    acceleration = np.concatenate([machine.master_acceleration, *[machine.slave_acceleration] * machine.arms])
-    times = travel_time(distance, machine.speed, acceleration)
-    begin = np.concatenate([np.zeros(3), np.full(machine.joints - 3, times[:3].max())])
-    t = np.linspace(0.0, float((begin + times).max()), count)
-    return t, profile(t[:, None] - begin, distance, machine.speed, acceleration)
-
-
-def workspace(machine: Machine, count: int, rng: np.random.Generator) -> Array:
-    """Cups of all slaves at joints drawn evenly within the limits: Fig. 8, (count, arms, 3)."""
-    joints = rng.uniform(machine.lower, machine.upper, (count, machine.joints))
-    return machine.tips(joints[:, :3], joints[:, 3:].reshape(count, machine.arms, 3))
-
-
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
     """Where Li 2016, Fig. 8, finds the cloud of reached points dense: ranges of x, y and z in the base frame, m."""
     workspace = read_toml(MachineFile, SHIPPED).workspace

@@ -214,13 +214,3 @@ def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) 
     arm = replace(arm, true=arm.true.displaced(delta))
     assert arm.true is not None
     return replace(plant, arm=arm, geometry=arm.true)
-
-
-def tip_errors(true: TrueMachine, controller: Controller, masters: Sequence[ArrayLike] | Array, slaves: Array) -> Array:
-    """Errors of frame 3 and all cups, (poses, 1 + arms, 3) m, for nominal joints (poses, 3) and (poses, arms, 3)."""
-    masters = np.asarray(masters, dtype=float)
-    joints = np.concatenate([masters, slaves.reshape(len(masters), -1)], axis=-1)
-    commands = controller(joints)
-    cups = true.tips(commands[:, :3], commands[:, 3:].reshape(slaves.shape)) - true.machine.tips(masters, slaves)
-    frame = true.frame3(commands[:, :3]).position - true.machine.frame3(masters)
-    return np.concatenate([frame[:, None], cups], axis=1)

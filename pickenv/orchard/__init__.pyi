@@ -4,7 +4,6 @@ from .branch import (
     load_branch as load_branch,
     natural_frequencies as natural_frequencies,
     pushed as pushed,
-    settling_time as settling_time,
     swing as swing,
 )
 from .camera import (
@@ -41,12 +40,10 @@ from .circles import (
     locate_circles as locate_circles,
 )
 from .fruit import (
-    Clumping as Clumping,
     Detachment as Detachment,
     FruitMap as FruitMap,
     FruitSize as FruitSize,
     Strength as Strength,
-    clumping as clumping,
     detached as detached,
     detachment_probability as detachment_probability,
     fit_fruit_map as fit_fruit_map,
@@ -57,7 +54,6 @@ from .fruit import (
     sample_counts as sample_counts,
     sample_diameters as sample_diameters,
     sample_strength as sample_strength,
-    stem_ends as stem_ends,
 )
 from .gripper import (
     CompliantHand as CompliantHand,

@@ -97,33 +97,6 @@ def swing(
     )
 
 
-def settling_time(branch: Branch, displacement: ArrayLike, mass: ArrayLike, within: float) -> Array:
-    """Time after which fruit released at rest stays within a distance of where it hangs.
-
-    Args:
-        branch: What the fruit hangs from.
-        displacement: At release, m, shape (..., 3).
-        mass: Fruit masses, kg, shape (...).
-        within: m.
-
-    Returns:
-        Seconds, shape (...), from the envelope of each axis, so never too short; infinite without damping.
-    """
-    checks.positive("the settling distance (m)", within)
-    far = np.abs(checks.points("the displacement of fruit", displacement))
-    omega, zeta = natural_frequencies(branch, mass), branch.damping_ratio
-    if zeta < 1.0:
-        rate, amplitude = zeta * omega, far / np.sqrt(1.0 - zeta**2)
-    else:  # the slow exponential leads; at critical damping (1 + ωt) exp(−ωt) < 2 exp(−ωt/2)
-        root = np.sqrt(zeta**2 - 1.0)
-        rate = omega * (0.5 if root < 1e-3 else zeta - root)
-        amplitude = far * (2.0 if root < 1e-3 else (zeta + root) / (2 * root))
-    share = within / np.sqrt(3.0)  # of the distance, for each of three axes
-    with np.errstate(divide="ignore", invalid="ignore"):
-        longest = np.where(amplitude > share, np.log(np.maximum(amplitude, share) / share) / rate, 0.0)
-    return np.asarray(np.where(np.linalg.norm(far, axis=-1) <= 0, 0.0, longest.max(axis=-1)))
-
-
 def coupling(branch: Branch, distance: ArrayLike) -> Array:
     """Share of a push on one fruit that reaches another at ``distance`` m: 1 at the fruit itself, falling off by e."""
     return np.asarray(np.exp(-checks.numbers("the distance between fruit (m)", distance, lowest=0.0) / branch.coupling))

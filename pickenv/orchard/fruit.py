@@ -81,14 +81,6 @@ def detachment_probability(detachment: Detachment, pull: ArrayLike = 0.0, twist:
         return np.asarray(ndtr(QUANTILE_95 + np.log(load) / detachment.spread))
 
 
-def stem_ends(detachment: Detachment, positions: ArrayLike, diameters: ArrayLike) -> Array:
-    """Where the stems of hanging fruit meet the wood, m, shape (n, 3): straight above the fruit."""
-    positions, diameters = checks.fruit_arrays(positions, diameters)
-    ends = positions.copy()
-    ends[:, 2] += diameters / 2 + detachment.stem
-    return ends
-
-
 @toml_table
 class FruitMap:
     """A model of apples per block along a row of trees.
@@ -134,46 +126,6 @@ class FruitMap:
         return replace(self, row_means=tuple(float(mean) for mean in shares))
 
 
-@dataclass(frozen=True, eq=False)
-class Clumping:
-    """Statistics of apple counts; each has the leading shape of the counts.
-
-    Attributes:
-        density: Apples per metre of row.
-        variance_ratio: Variance/mean over all blocks.
-        k: Moment estimate of the negative binomial's dispersion, mean²/(variance − mean).
-        empty_share: Share of blocks without an apple.
-        row_shares: Share of the apples in each row of blocks, top to bottom, shape (..., rows).
-    """
-
-    density: Array
-    variance_ratio: Array
-    k: Array
-    empty_share: Array
-    row_shares: Array
-
-
-def clumping(counts: ArrayLike, block: float = 0.3) -> Clumping:
-    """How clumped apple counts are.
-
-    Args:
-        counts: Apples per block, shape (..., rows, columns), rows from top to bottom.
-        block: Edge of a block, m.
-    """
-    checks.positive("the block of a fruit map (m)", block)
-    counts = _counts(counts)
-    mean, variance = counts.mean(axis=(-2, -1)), counts.var(axis=(-2, -1))
-    total = counts.sum(axis=(-2, -1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return Clumping(
-            density=np.asarray(total / (counts.shape[-1] * block)),
-            variance_ratio=np.asarray(variance / mean),
-            k=np.asarray(mean**2 / (variance - mean)),
-            empty_share=np.asarray((counts == 0).mean(axis=(-2, -1))),
-            row_shares=np.asarray(counts.sum(axis=-1) / total[..., None]),
-        )
-
-
 def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | None = None) -> FruitMap:
     """Fit a fruit map to apple counts by maximum likelihood.
 
@@ -190,9 +142,11 @@ def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | Non
     from scipy.optimize import minimize_scalar
     from scipy.stats import nbinom
 
-    counts = _counts(matrix)
-    if counts.ndim != 2:
-        raise InputError(f"a fruit map is a matrix of counts by row and column; this one has shape {counts.shape}")
+    counts = checks.numbers("the counts of a fruit map", matrix, lowest=0.0)
+    if counts.ndim != 2 or not counts.size:
+        raise InputError(f"the counts of a fruit map need rows and columns; they have shape {counts.shape}")
+    if (counts != np.round(counts)).any():
+        raise InputError("the counts of a fruit map must be whole apples; at least one is a fraction")
     if not counts.any():
         raise InputError("the fruit map has no apples in any block; there is nothing to fit")
     rows, columns = np.flatnonzero(counts.any(axis=1)), np.flatnonzero(counts.any(axis=0))
@@ -203,11 +157,12 @@ def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | Non
         raise InputError(f"a cluster size of {cluster_size} does not divide every count of the fruit map")
     clusters = counts / cluster_size
     means = clusters.mean(axis=1, keepdims=True)
-    lived, means = clusters[means[:, 0] > 0], means[means[:, 0] > 0]
+    fruiting = means[:, 0] > 0
+    clusters, means = clusters[fruiting], means[fruiting]
 
     def cost(log_excess: float) -> float:
         excess = np.exp(log_excess)  # variance/mean - 1
-        return -float(np.sum(nbinom.logpmf(lived, means / excess, 1.0 / (1.0 + excess))))
+        return -float(np.sum(nbinom.logpmf(clusters, means / excess, 1.0 / (1.0 + excess))))
 
     best = minimize_scalar(cost, bounds=(np.log(1e-6), np.log(1e3)), method="bounded", options={"xatol": 1e-6})
     excess = float(np.exp(best.x))
@@ -288,12 +243,3 @@ def load_fruit_map(name: str | Path) -> FruitMap:
 def load_fruit_size(name: str | Path) -> FruitSize:
     """Read fruit diameters and density by name (`shipped("fruit_size")`) or from a path to a TOML file."""
     return preset_files.load("fruit_size", name, FruitSize)
-
-
-def _counts(counts: ArrayLike) -> Array:
-    array = checks.numbers("the counts of a fruit map", counts, lowest=0.0)
-    if array.ndim < 2 or not array.size:
-        raise InputError(f"the counts of a fruit map need rows and columns; they have shape {array.shape}")
-    if (array != np.round(array)).any():
-        raise InputError("the counts of a fruit map must be whole apples; at least one is a fraction")
-    return array

@@ -16,8 +16,6 @@ from pickenv.orchard import (
     natural_frequencies,
     pushed,
     sample_strength,
-    settling_time,
-    stem_ends,
     swing,
 )
 
@@ -86,22 +84,6 @@ def test_a_steady_push_ends_at_force_over_stiffness(b: Branch, force: tuple) -> 
     assert there == pytest.approx(np.array(force) / stiffness, abs=1e-9)
 
 
-@quick
-@given(branches, vectors, st.floats(0.0, 1.0))
-def test_after_the_settling_time_fruit_stays_close(b: Branch, x: tuple, later: float) -> None:
-    time = settling_time(b, x, MASS, within=2e-3)
-    if np.isinf(time):
-        assert b.damping_ratio == 0.0
-        return
-    there, _ = swing(b, x, REST, MASS, time + later)
-    assert np.linalg.norm(there) <= 2e-3 * (1 + 1e-9)
-
-
-def test_a_push_of_three_centimetres_takes_seconds_to_settle() -> None:
-    time = settling_time(load_branch("apple"), [0.03, 0.0, 0.0], MASS, within=1e-3)
-    assert 2.0 < time < 4.0
-
-
 def test_neighbours_are_pushed_less_the_farther_they_hang() -> None:
     branch = load_branch("apple")
     row = np.array([[0.0, 0, 0], [0.08, 0, 0], [0.15, 0, 0], [1.0, 0, 0]])
@@ -142,8 +124,3 @@ def test_what_a_pull_or_twist_detaches_both_together_detach(pull: float, twist: 
     assert (both == (detached(strength, pull) | detached(strength, twist=twist))).all()
     likeliest = max(detachment_probability(limits, pull), detachment_probability(limits, twist=twist))
     assert detachment_probability(limits, pull, twist) == pytest.approx(likeliest)
-
-
-def test_stems_end_above_their_fruit() -> None:
-    ends = stem_ends(load_detachment("apple"), [[0.1, 0.2, 1.5]], 0.08)
-    assert ends == pytest.approx(np.array([[0.1, 0.2, 1.565]]))
