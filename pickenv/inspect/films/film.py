@@ -33,8 +33,7 @@ from pickenv.pictures.arm_shapes import (
     hand_solids,
     joined_solids,
 )
-from pickenv.pictures.drawers import painted
-from pickenv.pictures.lettering import strip
+from pickenv.pictures.drawers import painted, strip
 from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words, fitted_eye
 from pickenv.pictures.tree_shapes import (
     MISSED_FRUIT,
