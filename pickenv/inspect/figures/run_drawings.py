@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from pickenv.arm import Array
 from pickenv.base import clustered_share_interval
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
-from pickenv.inspect.figures import plot_calibration, plot_errors, plot_pixels, plot_policies
+from pickenv.inspect.figures import field_figure, plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.plot_errors import error_slices
 from pickenv.inspect.figures.style import check_format, save_figure
@@ -189,8 +189,8 @@ def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
     if not views:
         return []
     return [
-        captioned("corner_errors", lambda: plot_pixels.corner_errors(views)),
-        captioned("view_errors", lambda: plot_pixels.view_errors(views)),
+        captioned("corner_errors", lambda: field_figure.corner_errors(views)),
+        captioned("view_errors", lambda: field_figure.view_errors(views)),
     ]
 
 

@@ -6,7 +6,7 @@ No global state of matplotlib is used, so figures can be made anywhere, also wit
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
@@ -175,10 +175,15 @@ def plain_decades(axis: Any) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def shades(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
+    """The colour of each policy or method, by its key or label."""
+    names = list(names)
+    return dict(zip(names, rgb(policy_colours(names)), strict=True))
+
+
 def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float, float, float]]]:
     """Label, values and colour of each series, by the policy or method that it belongs to."""
-    colours = rgb(policy_colours(list(series)))
-    return [(label, values, colour) for (label, values), colour in zip(series.items(), colours, strict=True)]
+    return [(label, series[label], colour) for label, colour in shades(series).items()]
 
 
 def whisker(

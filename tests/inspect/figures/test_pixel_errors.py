@@ -21,7 +21,7 @@ from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_pos
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.inspect import trace_drawings
 from pickenv.inspect.colours import viridis
-from pickenv.inspect.figures.plot_pixels import (
+from pickenv.inspect.figures.field_figure import (
     MOST_VIEWS,
     corner_errors,
     faint_picture,
