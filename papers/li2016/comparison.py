@@ -37,8 +37,8 @@ from pickenv.harvester import (
 )
 from pickenv.harvester.arm_paths import ultrasonic_hold
 from pickenv.harvester.harvest_summary import funnel_shares
-from pickenv.harvester.joint_motion import profile, travel_time
-from pickenv.harvester.rules import lower_bound
+from pickenv.harvester.machine import profile, travel_time
+from pickenv.harvester.optimiser import lower_bound
 from pickenv.harvester.trees import sample_image
 from pickenv.inspect.reports.report_page import PageTable
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, picked_tree

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
 from pickenv.harvester.interference import arm_distances, plan
-from pickenv.harvester.joint_motion import profile, travel_time
-from pickenv.harvester.machine import Machine
+from pickenv.harvester.machine import Machine, profile, travel_time
 from pickenv.harvester.work import Hold, Timetable, Work
 
 ALONG = np.linspace(0.0, 1.0, 25)

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
 from pickenv.harvester.interference import excursion_distances
-from pickenv.harvester.joint_motion import travel_time
-from pickenv.harvester.machine import Machine
+from pickenv.harvester.machine import Machine, travel_time
 
 Plan = tuple[tuple[int, ...], ...]
 """For each arm the fruit it picks, in order."""

@@ -21,9 +21,17 @@ from pickenv.orchard import checks, preset_files
 from pickenv.orchard.camera import camera_axes, camera_frame, orchard_frame
 from pickenv.orchard.canopy import Canopy, face
 from pickenv.orchard.checks import MM, Array, Flags
-from pickenv.orchard.circles import CircleSearch, load_circle_search, locate_circles
 from pickenv.orchard.render import Leaves, Look, StereoPair, load_look, render_stereo, sample_leaves, turned_leaves
-from pickenv.orchard.vision import Detections, StereoCamera, load_stereo_camera, locate, match_detections
+from pickenv.orchard.vision import (
+    CircleSearch,
+    Detections,
+    StereoCamera,
+    load_circle_search,
+    load_stereo_camera,
+    locate,
+    locate_circles,
+    match_detections,
+)
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """Axes of the three correlations of an error."""

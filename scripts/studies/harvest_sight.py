@@ -26,7 +26,7 @@ from pickenv.harvester import (
     load_true_machine,
     work_trees,
 )
-from pickenv.harvester.strategies import Strategy
+from pickenv.harvester.harvest_run import Strategy
 
 
 @cache

@@ -8,7 +8,7 @@ import pytest
 
 from pickenv.harvester import pick_point, timetable, zone_work
 from pickenv.harvester.arm_paths import echoes, slave_joints_at, ultrasonic_hold
-from pickenv.harvester.rules import li_rule
+from pickenv.harvester.optimiser import li_rule
 
 MIDDLE = 1
 RADIUS = 0.04

@@ -10,9 +10,8 @@ import pytest
 from pickenv.base import InputError
 from pickenv.harvester import assign, load_machine, pick_point, timetable, zone_work
 from pickenv.harvester.arm_paths import ultrasonic_hold
-from pickenv.harvester.joint_motion import travel_time
-from pickenv.harvester.optimiser import _changed
-from pickenv.harvester.rules import li_rule, lower_bound
+from pickenv.harvester.machine import travel_time
+from pickenv.harvester.optimiser import _changed, li_rule, lower_bound
 from pickenv.harvester.work import Work
 
 

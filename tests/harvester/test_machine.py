@@ -10,7 +10,7 @@ from pickenv.arm import forward, load_arm
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
 from pickenv.base import InputError
 from pickenv.harvester import load_machine
-from pickenv.harvester.joint_motion import profile, travel_time
+from pickenv.harvester.machine import profile, travel_time
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
 PICK_POINT = np.array([-80, -660, 1220]) * 1e-3

@@ -20,9 +20,8 @@ from pickenv.harvester import (
     rules,
     timetable,
 )
-from pickenv.harvester.optimiser import _ticks, cp_sat, local_search
+from pickenv.harvester.optimiser import _ticks, cp_sat, local_search, lower_bound
 from pickenv.harvester.pick_points import Search, _heights, _point_costs, _search, pick_heading, searched
-from pickenv.harvester.rules import lower_bound
 from pickenv.harvester.true_machine import Nominal
 from pickenv.harvester.work import Work
 from pickenv.harvester.zones import AHEAD, Zone

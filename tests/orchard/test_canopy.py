@@ -15,7 +15,7 @@ from pickenv.orchard import (
     occlusion,
     shipped,
 )
-from pickenv.orchard.occlusions import disc_cover
+from pickenv.orchard.canopy import disc_cover
 
 quick = settings(deadline=None, derandomize=True)
 

@@ -17,7 +17,7 @@ from pickenv.orchard import (
     render_stereo,
     triangulate,
 )
-from pickenv.orchard.circles import _Edges, _edges, _fitted, _taken, _voted, summit
+from pickenv.orchard.vision import _Edges, _edges, _fitted, _taken, _voted, summit
 
 CAMERA, SEARCH = load_stereo_camera("li2016"), load_circle_search("li2016")
 PLACES = np.array([[-0.2, 0.0, 1.1], [0.2, 0.1, 1.2]])

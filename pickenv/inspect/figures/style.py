@@ -81,9 +81,9 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
 def check_format(suffix: str, path: str | Path) -> None:
     """Refuse a picture format that matplotlib does not know; ``path`` is what could not be written."""
-    known = sorted(FigureCanvasBase.get_supported_filetypes())
-    if suffix.lower() not in known:
-        raise InputError(f"cannot write {path}: '{suffix}' is no picture format; give one of {', '.join(known)}")
+    formats = sorted(FigureCanvasBase.get_supported_filetypes())
+    if suffix.lower() not in formats:
+        raise InputError(f"cannot write {path}: '{suffix}' is no picture format; give one of {', '.join(formats)}")
 
 
 @contextmanager
@@ -128,8 +128,8 @@ def headline(axes: Any, message: str, pad: float | None = None, beside: float = 
 
 def change(series: Mapping[str, float], unit: str) -> str:
     """The first and the last of some figures, as a title says them: raw 1.92, LS 0.5 mm."""
-    shown = list(series.items())
-    ends = shown if len(shown) < 3 else [shown[0], shown[-1]]
+    ends = list(series.items())
+    ends = ends if len(ends) < 3 else [ends[0], ends[-1]]
     return ", ".join(f"{label} {short(value)}" for label, value in ends) + f" {unit}"
 
 
