@@ -27,13 +27,13 @@ def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
     pivot, cup = plan(machine, slaves)
     eye, height = cup[..., arm, :], slaves[..., arm, 0]
     nearest = np.full(height.shape, np.inf)
-    for other in range(1, machine.arms, 2):
-        if other == arm:
+    for neighbour in range(1, machine.arms, 2):
+        if neighbour == arm:
             continue
-        line = pivot[..., other, None, :] + ALONG[:, None] * (cup - pivot)[..., other, None, :]
+        line = pivot[..., neighbour, None, :] + ALONG[:, None] * (cup - pivot)[..., neighbour, None, :]
         away = line - eye[..., None, :]
-        side = away[..., 0] * np.sign(other - arm)  # how far beside, on the flank that faces this neighbour
-        off = np.hypot(away[..., 1], (slaves[..., other, 0] - height)[..., None])
+        side = away[..., 0] * np.sign(neighbour - arm)  # how far beside, on the flank that faces this neighbour
+        off = np.hypot(away[..., 1], (slaves[..., neighbour, 0] - height)[..., None])
         heard = (side > 0) & (np.maximum(off - machine.body.radius, 0.0) <= side * np.tan(ranger.beam))
         gap = np.maximum(np.hypot(side, off) - 2 * machine.body.radius, 0.0)
         nearest = np.minimum(nearest, np.where(heard & (gap <= ranger.farthest), gap, np.inf).min(axis=-1))

@@ -89,20 +89,14 @@ class Round:
 
 
 @dataclass(eq=False)
-class _TreeSight:
-    """What lasts from picture to picture of a tree: its leaves, or what chance decides; draws of its own."""
-
-    rng: np.random.Generator
-    leaves: Leaves | None
-    chances: Chances | None = None
-
-
-@dataclass(eq=False)
 class Harvest:
     """A tree being worked, and in the end what was done; stages are per fruit, (n,).
 
     Attributes:
         tree: The tree.
+        rng: Source of what happens to it.
+        looking: Source of what its pictures show.
+        leaves: Its leaves, where pictures are drawn.
         seen: Fruit of which an image showed anything.
         located: Fruit whose place was found in one.
         reachable: Fruit that an arm could reach from a pick point.
@@ -116,11 +110,13 @@ class Harvest:
         phases: Seconds by phase: move, image, pick, unload.
         repicks: Attempts at fruit that was missed before.
         misled: Attempts where no fruit hung.
+        chances: What chance decided about its fruit in the last picture, where errors are measured ones.
     """
 
     tree: Tree
     rng: np.random.Generator
-    sight: _TreeSight
+    looking: np.random.Generator
+    leaves: Leaves | None
     seen: Flags
     located: Flags
     reachable: Flags
@@ -136,6 +132,7 @@ class Harvest:
     phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
     repicks: int = 0
     misled: int = 0
+    chances: Chances | None = None
 
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""
@@ -203,19 +200,19 @@ def _begin(machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -
     none: dict[str, Any] = {stage: np.zeros(len(tree), dtype=bool) for stage in stages}
     load, start = np.zeros(machine.arms, dtype=np.int64), machine.master_start.copy()
     looking = rng.spawn(1)[0]  # so that the same luck befalls a tree however it is seen
-    sight = _TreeSight(looking, tree_leaves(machine, eyes, looking))
-    return Harvest(tree, rng, sight, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
+    leaves = tree_leaves(machine, eyes, looking)
+    return Harvest(tree, rng, looking, leaves, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
 
 
 def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> _Task | None:
     """Image, pick point and plan of a zone; None where the image shows nothing to pick."""
     state.spend("image", machine.cycle.image)
-    numbers, believed = _seen_in(eyes, state, zone, look)
+    numbers, places = _seen_in(eyes, state, zone, look)
     if not numbers.size:
         return None
-    point = pick_point(machine, believed, strategy.pick_point)
+    point = pick_point(machine, places, strategy.pick_point)
     master = np.clip(point.master, machine.master.nominal.lower, machine.master.nominal.upper)
-    work = zone_work(machine, master, believed)
+    work = zone_work(machine, master, places)
     can, fruit = work.reachable, numbers >= 0
     state.reachable[numbers[can & fruit]] = True
     skipped = tuple(numbers[~can & fruit].tolist())
@@ -225,28 +222,28 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
     state.master = master
     plan = assign(work, strategy.assignment, state.rng)
     times = timetable(work, plan, hold=ultrasonic_hold(machine, work, state.rng) if strategy.guard else None)
-    return _Task(zone, master, numbers, believed, work, times, skipped)
+    return _Task(zone, master, numbers, places, work, times, skipped)
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
     """Tree numbers (m,) of what an image finds in a zone, -1 where no fruit is, and where it is believed, (m, 3)."""
-    tree, sight = state.tree, state.sight
+    tree, rng = state.tree, state.looking
     hanging = np.flatnonzero(~state.detached)
     chances = None
     if eyes.errors is not None:
-        if look == 0 or sight.chances is None:
-            chances = sight.chances = draw_chances(sight.rng, len(tree))
+        if look == 0 or state.chances is None:
+            chances = state.chances = draw_chances(rng, len(tree))
         else:
-            chances = next_picture(eyes.errors, sight.chances, sight.rng)
+            chances = next_picture(eyes.errors, state.chances, rng)
         chances = Chances(chances.place[hanging], chances.normal[hanging])
     fruit, diameters = tree.fruit[hanging], tree.diameters[hanging]
-    seen = see(eyes, zone.view, fruit, diameters, sight.rng, leaves=sight.leaves, chances=chances)
-    wanted = seen.located & zone.holds(seen.believed)
-    state.seen[hanging[seen.in_sight & (zone.holds(fruit) | wanted)]] = True
-    state.located[hanging[wanted]] = True
-    phantoms = seen.false[zone.holds(seen.false)]
-    numbers = np.concatenate([hanging[wanted], np.full(len(phantoms), -1)]).astype(np.int64)
-    return numbers, np.concatenate([seen.believed[wanted], phantoms])
+    sighting = see(eyes, zone.view, fruit, diameters, rng, leaves=state.leaves, chances=chances)
+    in_zone = sighting.located & zone.holds(sighting.believed)
+    state.seen[hanging[sighting.in_sight & (zone.holds(fruit) | in_zone)]] = True
+    state.located[hanging[in_zone]] = True
+    phantoms = sighting.false[zone.holds(sighting.false)]
+    numbers = np.concatenate([hanging[in_zone], np.full(len(phantoms), -1)]).astype(np.int64)
+    return numbers, np.concatenate([sighting.believed[in_zone], phantoms])
 
 
 def _execute(
@@ -274,15 +271,15 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     numbers = task.numbers[local]
     tips = tips + rng.normal(size=(len(arm), 2, 3)).sum(axis=1) * true.repeatability
     outcome = _outcome(model, state, numbers, tips, task.times.start + task.work.out[arm, local])
-    there = numbers >= 0
-    fruit = numbers[there]
+    hung = numbers >= 0
+    fruit = numbers[hung]
     state.repicks += int(state.attempted[fruit].sum())
-    state.misled += int((~there).sum())
+    state.misled += int((~hung).sum())
     state.attempted[fruit] = True
-    state.attached[fruit] |= outcome.attached[there]
-    state.detached[fruit] = outcome.detached[there]  # only what hangs is picked
-    state.collected[fruit] = outcome.collected[there]
-    state.by_arm[fruit] = arm[there]
+    state.attached[fruit] |= outcome.attached[hung]
+    state.detached[fruit] = outcome.detached[hung]  # only what hangs is picked
+    state.collected[fruit] = outcome.collected[hung]
+    state.by_arm[fruit] = arm[hung]
     np.add.at(state.load, arm[outcome.collected], 1)
     closest, aimed = closest_approach(machine, task.work, task.times), task.work.joints[arm, local]
     done = task.zone, state.seconds, task.master, numbers, task.work, task.times, aimed, outcome, closest, task.skipped
@@ -300,20 +297,20 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
     """
     tree, luck = state.tree, draw_luck(state.rng, len(numbers))
     order = np.argsort(entry, kind="stable")
-    there = numbers >= 0
-    places = np.where(there[:, None], tree.fruit[numbers], tips) if len(tree) else tips
-    masses = np.where(there, tree.masses[numbers], tree.masses.mean()) if len(tree) else np.ones(len(numbers))
-    moved = displacements(model, places[order], masses[order], entry[order], luck)
-    real = np.flatnonzero(there[order])
+    hung = numbers >= 0
+    places = np.where(hung[:, None], tree.fruit[numbers], tips) if len(tree) else tips
+    masses = np.where(hung, tree.masses[numbers], tree.masses.mean()) if len(tree) else np.ones(len(numbers))
+    shifts = displacements(model, places[order], masses[order], entry[order], luck)
+    real = np.flatnonzero(hung[order])
     mine = order[real]
     hanging = ~state.detached
     hanging[numbers[mine]] = False
-    chosen = Luck(*(values[real] for values in luck))
+    real_luck = Luck(*(values[real] for values in luck))
     diameters = tree.diameters[numbers[mine]]
-    done = attempt(model, tips[mine], places[mine], moved[real], diameters, tree.fruit[hanging], chosen)
+    done = attempt(model, tips[mine], places[mine], shifts[real], diameters, tree.fruit[hanging], real_luck)
     empty = Outcome(
         lateral=np.full(len(numbers), np.inf),
-        displaced=np.linalg.norm(moved, axis=-1)[np.argsort(order)],
+        displaced=np.linalg.norm(shifts, axis=-1)[np.argsort(order)],
         **{name: np.zeros(len(numbers), dtype=bool) for name in ("attached", "detached", "collected", "crowded")},
     )
     for mine_too, values in zip(leaves(empty), leaves(done), strict=True):
@@ -346,9 +343,9 @@ def _some_trees(
     vision: str,
     seeds: Sequence[np.random.SeedSequence],
 ) -> list[Harvest]:
-    drawn, happening = _generators(seeds)
-    trees = [sample_tree(true.machine, orchard, rng) for rng in drawn]
-    return harvest(true, strategy, model, trees, happening, grid, load_eyes(vision, orchard.canopy, strategy.detector))
+    tree_rngs, rngs = _generators(seeds)
+    trees = [sample_tree(true.machine, orchard, rng) for rng in tree_rngs]
+    return harvest(true, strategy, model, trees, rngs, grid, load_eyes(vision, orchard.canopy, strategy.detector))
 
 
 def work_trees(
@@ -401,7 +398,7 @@ def work_images(
     vision: str = "measured_errors",
 ) -> list[Harvest]:
     """Li's experiment: ``count`` images of seven fruit in reach of the *paper's* pick point, each picked once."""
-    drawn, happening = _generators(np.random.SeedSequence(seed).spawn(count))
-    images: list[Tree] = [sample_image(true.machine, rng) for rng in drawn]
+    tree_rngs, rngs = _generators(np.random.SeedSequence(seed).spawn(count))
+    images: list[Tree] = [sample_image(true.machine, rng) for rng in tree_rngs]
     eyes = load_eyes(vision, load_canopy(load_lab().canopy), strategy.detector)
-    return harvest(true, strategy, model, images, happening, Grid(1, 1, 1e-6), eyes)
+    return harvest(true, strategy, model, images, rngs, Grid(1, 1, 1e-6), eyes)

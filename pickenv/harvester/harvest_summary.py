@@ -29,8 +29,8 @@ class Measure:
     high: float | None = None
 
     def __str__(self) -> str:
-        said = f"{self.value:.4g}"
-        return said if self.low is None or self.high is None else f"{said} [{self.low:.4g}, {self.high:.4g}]"
+        text = f"{self.value:.4g}"
+        return text if self.low is None or self.high is None else f"{text} [{self.low:.4g}, {self.high:.4g}]"
 
 
 def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
@@ -81,19 +81,19 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
         **{name: np.array([sum(x[name] for x in r) for r in rounds]) for name in ROUND_NUMBERS},
     }
     names = list(table)
-    whole = np.stack(list(table.values()), axis=1)
+    sums = np.stack(list(table.values()), axis=1)
 
     def ratio(part: str, of: str, scale: float = 1.0, *, rest: bool = False) -> Measure:
         """A ratio of sums over trees, or one minus it."""
         over, under = names.index(part), names.index(of)
 
         def make(rows: Array) -> float:
-            found = scale * float(rows[:, over].sum()) / max(float(rows[:, under].sum()), 1e-12)
-            return 1.0 - found if rest else found
+            measures = scale * float(rows[:, over].sum()) / max(float(rows[:, under].sum()), 1e-12)
+            return 1.0 - measures if rest else measures
 
-        return _measure(make(whole), statistic_interval(whole, make))
+        return _measure(make(sums), statistic_interval(sums, make))
 
-    found = {
+    measures = {
         "recovery": _share(table["collected"], table["reachable"]),
         "harvested": _share(table["collected"], table["present"]),
         "picks_per_hour": ratio("collected", "seconds", 3600.0),
@@ -110,8 +110,8 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
     }
     closest = [min((r.closest for r in h.rounds), default=np.inf) for h in harvests]
     if np.isfinite(min(closest)):
-        found["closest"] = Measure(min(closest))
-    return found
+        measures["closest"] = Measure(min(closest))
+    return measures
 
 
 def _measure(value: float, interval: Ends | None) -> Measure:

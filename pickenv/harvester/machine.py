@@ -169,10 +169,10 @@ class Machine:
         master = np.asarray(master, dtype=float)
         theta1, d2, d3 = (master[..., i] for i in range(3))
         sin, cos = np.sin(theta1), np.cos(theta1)
-        found = np.empty(master.shape)
-        found[..., 0], found[..., 1] = d3 * cos + self.a2 * sin, d3 * sin - self.a2 * cos
-        found[..., 2] = d2 + self.d1
-        return found
+        position = np.empty(master.shape)
+        position[..., 0], position[..., 1] = d3 * cos + self.a2 * sin, d3 * sin - self.a2 * cos
+        position[..., 2] = d2 + self.d1
+        return position
 
     def master_inverse(self, position: ArrayLike) -> Array:
         """Master joints that bring frame 3 to ``position`` (..., 3): eq (5), corrected for y > 0.
@@ -200,10 +200,10 @@ class Machine:
         side, ahead = self.a2 + self.offsets, self.a4 + d3
         sin, cos, turn = np.sin(theta1), np.cos(theta1), theta1 + swing
         x = d6 * np.cos(turn) + ahead * cos + side * sin
-        found = np.empty((*x.shape, 3))
-        found[..., 0], found[..., 1] = x, d6 * np.sin(turn) + ahead * sin - side * cos
-        found[..., 2] = d4 + d2 + self.d1
-        return found
+        positions = np.empty((*x.shape, 3))
+        positions[..., 0], positions[..., 1] = x, d6 * np.sin(turn) + ahead * sin - side * cos
+        positions[..., 2] = d4 + d2 + self.d1
+        return positions
 
     def slave_inverse(self, master: ArrayLike, targets: ArrayLike) -> Array:
         """Joints of every slave for every target: eq (6) with theta5 = -theta1 - atan2(A, B), wrapped.
@@ -360,12 +360,12 @@ def refuse_touching_arms(machine: Machine) -> None:
         InputError: If that is less than two radii and the margin.
     """
     swing = float(max(-machine.slave.lower[1], machine.slave.upper[1]))
-    left = machine.spacing * np.cos(swing) - machine.slave_home[2] * np.sin(swing)
-    if machine.arms > 1 and left < machine.body.clearance:
+    distance = machine.spacing * np.cos(swing) - machine.slave_home[2] * np.sin(swing)
+    if machine.arms > 1 and distance < machine.body.clearance:
         least = (machine.body.clearance + machine.slave_home[2] * np.sin(swing)) / np.cos(swing)
         raise InputError(
             f"slave arms {machine.spacing * 1e3:g} mm apart meet at rest: a swinging neighbour comes within "
-            f"{max(left, 0.0) * 1e3:.0f} mm and {machine.body.clearance * 1e3:.0f} mm are needed; "
+            f"{max(distance, 0.0) * 1e3:.0f} mm and {machine.body.clearance * 1e3:.0f} mm are needed; "
             f"give a spacing of at least {np.ceil(least * 1e3):g} mm"
         )
 

@@ -32,39 +32,39 @@ def static_columns(work: Work) -> Plan:
 
 def nearest_neighbour(work: Work) -> Plan:
     """The arm that is free first takes the fruit that it can finish first."""
-    left = set(np.flatnonzero(work.reachable).tolist())
+    remaining = set(np.flatnonzero(work.reachable).tolist())
     plan: list[list[int]] = [[] for _ in range(work.arms)]
     free = np.zeros(work.arms)
-    while left:
+    while remaining:
         for arm in np.argsort(free, kind="stable").tolist():
-            mine = [j for j in left if work.reached[arm, j]]
+            mine = [j for j in remaining if work.reached[arm, j]]
             if mine:
                 way = work.travel[plan[arm][-1]] if plan[arm] else work.first
                 fruit = min(mine, key=lambda j: (way[j] + work.duration[arm, j], j))
                 free[arm] += way[fruit] + work.duration[arm, fruit]
                 plan[arm].append(fruit)
-                left.remove(fruit)
+                remaining.remove(fruit)
                 break
     return tuple(tuple(fruit) for fruit in plan)
 
 
 def hungarian_waves(work: Work) -> Plan:
     """Wave after wave, at most one fruit an arm, at the least sum of times."""
-    left = np.flatnonzero(work.reachable).tolist()
+    remaining = np.flatnonzero(work.reachable).tolist()
     plan: list[list[int]] = [[] for _ in range(work.arms)]
     never = 1e6
-    while left:
-        cost = np.full((work.arms, len(left)), never)
+    while remaining:
+        cost = np.full((work.arms, len(remaining)), never)
         for arm in range(work.arms):
             way = work.travel[plan[arm][-1]] if plan[arm] else work.first
-            mine = work.reached[arm, left]
-            cost[arm, mine] = (way[left] + work.duration[arm, left])[mine]
+            mine = work.reached[arm, remaining]
+            cost[arm, mine] = (way[remaining] + work.duration[arm, remaining])[mine]
         rows, columns = linear_sum_assignment(cost)
-        taken = [(a, left[c]) for a, c in zip(rows.tolist(), columns.tolist(), strict=True) if cost[a, c] < never]
+        taken = [(a, remaining[c]) for a, c in zip(rows.tolist(), columns.tolist(), strict=True) if cost[a, c] < never]
         for arm, fruit in taken:
             plan[arm].append(fruit)
         gone = {fruit for _, fruit in taken}
-        left = [fruit for fruit in left if fruit not in gone]
+        remaining = [fruit for fruit in remaining if fruit not in gone]
     return tuple(tuple(fruit) for fruit in plan)
 
 
@@ -95,15 +95,15 @@ def lower_bound(work: Work, *, integral: bool = True) -> float:
     upper = np.concatenate([reached.ravel().astype(float), [np.inf]])
     cost = np.zeros(arms * n + 1)
     cost[-1] = 1.0
-    whole = np.concatenate([np.full(arms * n, float(integral)), [0.0]])
-    found = milp(
+    integrality = np.concatenate([np.full(arms * n, float(integral)), [0.0]])
+    solution = milp(
         cost,
         constraints=[LinearConstraint(above, -np.inf, 0.0), LinearConstraint(equal, 1.0, 1.0)],
         bounds=Bounds(np.zeros(arms * n + 1), upper),
-        integrality=whole,
+        integrality=integrality,
         options={"time_limit": 0.2, "mip_rel_gap": 0.005},
     )
-    bound = found.mip_dual_bound if integral else found.fun
+    bound = solution.mip_dual_bound if integral else solution.fun
     return float(max(bound if bound is not None else 0.0, single))
 
 
@@ -148,7 +148,7 @@ def local_search(
         return tuple(tuple(fruit) for fruit in best)
     limit = lower_bound(work, integral=False) if bound is None else bound
     reached = work.reached.tolist()
-    current, here = [list(fruit) for fruit in best], value
+    current, current_cost = [list(fruit) for fruit in best], value
     rounds = int(_effort().rounds * patience) * count
     last = 0
     for step in range(rounds):
@@ -160,8 +160,8 @@ def local_search(
         length, arm = last_arm(lists, tried)
         cost = length + 1e-3 * sum(_loads(lists, tried)) / len(tried)
         heat = 0.03 * value * (1 - step / rounds)
-        if cost < here or rng.random() < np.exp(-(cost - here) / max(heat, 1e-9)):
-            current, here, last = tried, cost, arm
+        if cost < current_cost or rng.random() < np.exp(-(cost - current_cost) / max(heat, 1e-9)):
+            current, current_cost, last = tried, cost, arm
             if length < value - 1e-9:
                 best, value = [list(fruit) for fruit in tried], length
     return tuple(tuple(fruit) for fruit in best)
@@ -194,11 +194,11 @@ def _changed(
     target = int(rng.integers(len(new)))
     fruit = new[source].pop(place)
     if rng.random() < 0.5 and new[target]:
-        other = int(rng.integers(len(new[target])))
-        swapped = new[target][other]
+        position = int(rng.integers(len(new[target])))
+        swapped = new[target][position]
         if not (reached[target][fruit] and reached[source][swapped]):
             return None
-        new[target][other] = fruit
+        new[target][position] = fruit
         new[source].insert(place, swapped)
         return new
     if not reached[target][fruit]:
@@ -265,9 +265,9 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     for j in np.flatnonzero(work.reachable).tolist():
         model.add_exactly_one(present[arm, j] for arm in range(work.arms) if work.reached[arm, j])
     for arm, j in intervals:
-        for other, k in intervals:
-            if arm < other and j != k and work.conflict[arm, j, other, k]:
-                model.add_no_overlap([intervals[arm, j], intervals[other, k]])
+        for second, k in intervals:
+            if arm < second and j != k and work.conflict[arm, j, second, k]:
+                model.add_no_overlap([intervals[arm, j], intervals[second, k]])
     for key, literal in present.items():
         model.add_hint(literal, key[1] in start[key[0]])
     model.minimize(span)
@@ -277,12 +277,12 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     solver.parameters.random_seed = 0
     if solver.solve(model) not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return start
-    chosen: list[list[tuple[int, int]]] = [[] for _ in range(work.arms)]
+    starts: list[list[tuple[int, int]]] = [[] for _ in range(work.arms)]
     for (arm, j), literal in present.items():
         if solver.value(literal):
-            chosen[arm].append((solver.value(begin[arm, j]), j))
-    found = tuple(tuple(j for _, j in sorted(fruit)) for fruit in chosen)
-    return found if makespan_of(lists, found) < value else start
+            starts[arm].append((solver.value(begin[arm, j]), j))
+    plan = tuple(tuple(j for _, j in sorted(fruit)) for fruit in starts)
+    return plan if makespan_of(lists, plan) < value else start
 
 
 def _ticks(seconds: float) -> int:

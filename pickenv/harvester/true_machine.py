@@ -124,11 +124,11 @@ class Controller:
         joints = np.asarray(joints, dtype=float)
         master = self.master_command(joints[..., :3])
         base = self._master().predict(master)
-        wanted = self.machine.tips(joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], -1, 3))
+        targets = self.machine.tips(joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], -1, 3))
         commands = [master]
         for i in range(self.machine.arms):
-            given = joints[..., 3 + 3 * i : 6 + 3 * i]
-            commands.append(self._slave_command(i, base, wanted[..., i, :], given))
+            nominal = joints[..., 3 + 3 * i : 6 + 3 * i]
+            commands.append(self._slave_command(i, base, targets[..., i, :], nominal))
         return np.concatenate(commands, axis=-1)
 
     def master_command(self, master: ArrayLike) -> Array:
@@ -136,10 +136,10 @@ class Controller:
         machine, nominal = self.machine, np.asarray(master, dtype=float)
         if self.master is None:
             return nominal
-        wanted, aim = machine.frame3(nominal), machine.frame3(nominal)
+        target, aim = machine.frame3(nominal), machine.frame3(nominal)
         command = nominal
         for _ in range(ROUNDS):
-            aim = aim + wanted - self.master.predict(command).position
+            aim = aim + target - self.master.predict(command).position
             command = machine.master_inverse(aim).clip(machine.master.nominal.lower, machine.master.nominal.upper)
         return np.asarray(command)
 
@@ -169,11 +169,11 @@ class Controller:
 
 def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]) -> Array:
     """What ``each`` gives for the picks of every slave (picks, 3), frame 3 at ``base``."""
-    found = np.empty((len(arm), 3))
+    rows = np.empty((len(arm), 3))
     for i in np.unique(arm).tolist():
         mine = np.flatnonzero(arm == i)
-        found[mine] = each(i, Pose(base.position[mine], base.rotation[mine]), mine)
-    return found
+        rows[mine] = each(i, Pose(base.position[mine], base.rotation[mine]), mine)
+    return rows
 
 
 def _local_inverse(slave: Geometry, local: Array) -> Array:

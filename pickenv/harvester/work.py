@@ -68,16 +68,16 @@ def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
     joints = machine.slave_inverse(master, fruit)
     reached = machine.within_limits(joints)
     low, high = machine.slave.lower, machine.slave.upper
-    held = np.clip(joints, low, high)
-    height = held[0, :, 0]
+    clipped = np.clip(joints, low, high)
+    height = clipped[0, :, 0]
     approach = np.minimum(machine.cycle.approach, height - low[0])
     speed, acceleration = machine.slaves[0].speed, machine.slave_acceleration
-    moves = np.abs(held - machine.slave_home)
+    moves = np.abs(clipped - machine.slave_home)
     stretch = travel_time(moves[..., 1:], speed[1:], acceleration[1:]).max(axis=-1)
     rise = travel_time(approach, speed[0], acceleration[0])
     fixed = machine.cycle.sense + machine.cycle.cut
     start = height - approach
-    distances = excursion_distances(machine, held, approach)
+    distances = excursion_distances(machine, clipped, approach)
     return Work(
         joints=joints,
         reached=reached,
@@ -165,15 +165,15 @@ def _schedule(
             if at[a] == len(plan[a]):
                 continue
             fruit, start = plan[a][at[a]], ready[a]
-            moved = True
-            while moved:  # until no excursion already fixed is in the way; all of these have begun before ``start``
-                moved = False
-                for b, other, _, end, _ in done:
-                    if b != a and start < end and lists.barred[a][fruit][b][other]:
-                        start, moved = end, True
-                if hold is not None and not moved:
-                    held = hold(a, fruit, start, _table(done, late))
-                    start, moved = held, held > start
+            delayed = True
+            while delayed:  # until no excursion already fixed is in the way; all of these have begun before ``start``
+                delayed = False
+                for b, picked, _, end, _ in done:
+                    if b != a and start < end and lists.barred[a][fruit][b][picked]:
+                        start, delayed = end, True
+                if hold is not None and not delayed:
+                    later = hold(a, fruit, start, _table(done, late))
+                    start, delayed = later, later > start
             key = (start, 0 if hold is not None and a % 2 else 1, a)
             if best is None or key < best:
                 best = key

@@ -118,10 +118,10 @@ def _apart(upright: Array, low: Array, high: Array, diameters: Array, canopy: Ca
             return np.asarray(leaning)
         push = 0.5 * (np.maximum(overlap, 0.0) + OVERLAP / 2) * (overlap > 0)
         step = push[:, None] * apart / np.maximum(distance, 1e-9)[:, None]
-        moved = np.zeros_like(leaning)
-        np.add.at(moved, first, -step)
-        np.add.at(moved, second, step)
-        leaning = leaning + moved
+        shifts = np.zeros_like(leaning)
+        np.add.at(shifts, first, -step)
+        np.add.at(shifts, second, step)
+        leaning = leaning + shifts
         upright = leaning - face(canopy, leaning[:, 2])[:, None] * lean
     raise _too_full(canopy, len(upright))
 

@@ -189,8 +189,8 @@ def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, s
         clusters = rng.poisson(np.broadcast_to(means, size))
     else:
         bearing = np.broadcast_to(means, size) > 0
-        drawn = rng.negative_binomial(np.where(bearing, means / excess, 1.0), 1.0 / (1.0 + excess))
-        clusters = np.where(bearing, drawn, 0)
+        sampled = rng.negative_binomial(np.where(bearing, means / excess, 1.0), 1.0 / (1.0 + excess))
+        clusters = np.where(bearing, sampled, 0)
     return np.asarray(clusters * fruit_map.cluster_size, dtype=np.int64)
 
 
@@ -230,8 +230,8 @@ def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> A
     if size.std < 1e-9 * size.mean:
         return np.full(count, size.mean)
     low, high = ndtr((np.array([size.smallest, size.largest]) - size.mean) / size.std)
-    drawn = size.mean + size.std * ndtri(low + uniform * (high - low))
-    return np.asarray(np.clip(drawn, size.smallest, size.largest))
+    diameters = size.mean + size.std * ndtri(low + uniform * (high - low))
+    return np.asarray(np.clip(diameters, size.smallest, size.largest))
 
 
 def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
@@ -309,8 +309,8 @@ def swing(
     speed = checks.points("the velocity of fruit", velocity)
     time = checks.numbers("the time step (s)", dt, lowest=0.0)[..., None]
     omega = natural_frequencies(branch, mass)
-    rest = checks.points("the force on fruit", force) / (_moving_mass(branch, mass)[..., None] * omega**2)
-    zeta, x = branch.damping_ratio, start - rest
+    balance = checks.points("the force on fruit", force) / (_moving_mass(branch, mass)[..., None] * omega**2)
+    zeta, x = branch.damping_ratio, start - balance
     if zeta < 1.0:
         damped = omega * np.sqrt(1.0 - zeta**2)
         decay = np.exp(-zeta * omega * time)
@@ -324,7 +324,7 @@ def swing(
         even, odd = (slow + fast) / 2, (slow - fast) / (2 * omega * root)
     drag = zeta * omega
     return (
-        np.asarray(rest + (even + drag * odd) * x + odd * speed),
+        np.asarray(balance + (even + drag * odd) * x + odd * speed),
         np.asarray((even - drag * odd) * speed - omega**2 * odd * x),
     )
 

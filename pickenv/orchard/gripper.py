@@ -41,7 +41,7 @@ class Gripper(Protocol):
 
     @property
     def tolerance(self) -> float:
-        """How far aside of the tool's axis a fruit may lie, m."""
+        """How far aside of the tool's axis a fruit may lie, m: always taken by a cup, one time in two by a hand."""
         ...
 
 
@@ -136,9 +136,9 @@ def misalignment(offset: ArrayLike, tool_axis: ArrayLike, wanted_axis: ArrayLike
     lateral = np.linalg.norm(offset - axial[..., None] * axis, axis=-1)
     if wanted_axis is None:
         return Misalignment(lateral, axial, np.zeros_like(axial))
-    wanted = checks.directions("the wanted axis", wanted_axis)
-    sine = np.linalg.norm(np.cross(axis, wanted), axis=-1)
-    angle = np.arctan2(sine, np.einsum("...i,...i->...", axis, wanted))
+    ideal = checks.directions("the wanted axis", wanted_axis)
+    sine = np.linalg.norm(np.cross(axis, ideal), axis=-1)
+    angle = np.arctan2(sine, np.einsum("...i,...i->...", axis, ideal))
     return Misalignment(
         lateral, axial, np.asarray(np.broadcast_to(angle, np.broadcast_shapes(angle.shape, axial.shape)))
     )
@@ -163,11 +163,6 @@ def capture_probability(
     z = np.abs(checks.numbers("the axial misalignment (m)", axial))
     phi = np.abs(checks.numbers("the angular misalignment (rad)", angle))
     return gripper.probability(x, z, phi, diameter)
-
-
-def lateral_tolerance(gripper: Gripper) -> float:
-    """How far aside of the tool's axis a fruit may lie, m: always taken by a cup, one time in two by a hand."""
-    return gripper.tolerance
 
 
 def load_gripper(name: str | Path) -> Gripper:

@@ -317,15 +317,15 @@ def located_fruit(
         Whether each fruit is located (n,), its place in the camera frame, m, (n, 3), the true one where it is not
         located, and places of detections that are no fruit, m, (k, 3).
     """
-    located, believed = np.zeros(len(places), dtype=bool), places.copy()
+    located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)
     if not len(visible):
-        return located, believed, detections.positions
+        return located, positions, detections.positions
     matched = match_detections(detections, places[visible], SAME * float(np.max(diameters)))
     true = matched.fruit >= 0
     fruit = visible[matched.fruit[true]]
-    located[fruit], believed[fruit] = True, matched.positions[true]
-    return located, believed, matched.positions[~true]
+    located[fruit], positions[fruit] = True, matched.positions[true]
+    return located, positions, matched.positions[~true]
 
 
 def see(
@@ -359,14 +359,15 @@ def see(
     places = camera_frame(fruit, eye, view.looking)
     if eyes.vision == "rendered":
         pair = picture(eyes, view, fruit, diameters, leaves, rng, looks)
-        located, believed, false = located_fruit(pair, read_picture(eyes, pair), places, diameters)
+        located, positions, false = located_fruit(pair, read_picture(eyes, pair), places, diameters)
         in_sight = pair.visible > 0
     else:
         assert eyes.errors is not None
         chances = draw_chances(rng, len(fruit)) if chances is None else chances
         in_sight, located, error = sighted(eyes.errors, places[:, 2], chances, looks)
-        believed, false = places + error, _phantoms(eyes, eyes.errors.false_per_picture, rng)
-    return Sight(in_sight, located, orchard_frame(believed, eye, view.looking), orchard_frame(false, eye, view.looking))
+        positions, false = places + error, _phantoms(eyes, eyes.errors.false_per_picture, rng)
+    positions, false = (orchard_frame(local, eye, view.looking) for local in (positions, false))
+    return Sight(in_sight, located, positions, false)
 
 
 def _phantoms(eyes: Eyes, mean_count: float, rng: np.random.Generator) -> Array:

@@ -66,10 +66,10 @@ def match_detections(detections: Detections, positions: ArrayLike, within: float
     checks.positive("the matching distance (m)", within)
     truth = checks.points("true fruit positions", positions).reshape(-1, 3)
     distance = np.linalg.norm(detections.positions[:, None] - truth[None], axis=-1)
-    seen, fruit = linear_sum_assignment(np.minimum(distance, 2 * within * max(len(detections), len(truth), 1)))
-    near = distance[seen, fruit] <= within
+    rows, fruit = linear_sum_assignment(np.minimum(distance, 2 * within * max(len(detections), len(truth), 1)))
+    near = distance[rows, fruit] <= within
     index = np.full(len(detections), -1, dtype=np.int64)
-    index[seen[near]] = fruit[near]
+    index[rows[near]] = fruit[near]
     return replace(detections, fruit=index)
 
 
@@ -208,11 +208,11 @@ def fruit_regions(camera: StereoCamera, image: ArrayLike) -> Regions:
     from skimage.measure import label, regionprops
 
     mask = fruit_mask(camera, image)
-    found = regionprops(label(mask, connectivity=2))  # type: ignore[no-untyped-call]
+    regions = regionprops(label(mask, connectivity=2))  # type: ignore[no-untyped-call]
     return Regions(
-        centroids=np.array([region.centroid[::-1] for region in found], dtype=float).reshape(-1, 2),
-        areas=np.array([region.area for region in found], dtype=np.int64),
-        boxes=np.array([region.bbox for region in found], dtype=np.int64).reshape(-1, 4),
+        centroids=np.array([region.centroid[::-1] for region in regions], dtype=float).reshape(-1, 2),
+        areas=np.array([region.area for region in regions], dtype=np.int64),
+        boxes=np.array([region.bbox for region in regions], dtype=np.int64).reshape(-1, 4),
         mask=mask,
     )
 
@@ -244,11 +244,11 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
     """
     matched_sizes(camera, left, right)
     regions, first, second = fruit_regions(camera, left), red_minus_green(left), red_minus_green(right)
-    found = [
+    matches = [
         (*centroid, *_disparity(camera, first, second, box))
         for centroid, box in zip(regions.centroids, regions.boxes, strict=True)
     ]
-    pixels = np.array(found, dtype=float).reshape(-1, 4)
+    pixels = np.array(matches, dtype=float).reshape(-1, 4)
     pixels = pixels[pixels[:, 3] >= camera.least_correlation]
     positions = triangulate(camera, pixels[:, :3]) if len(pixels) else np.zeros((0, 3))
     return Detections(positions, np.full(len(pixels), -1, dtype=np.int64), np.clip(pixels[:, 3], 0.0, 1.0))
@@ -349,17 +349,17 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> Circles:
     require("skimage")
     difference = red_minus_green(image)
     mask = np.asarray(ndimage.gaussian_filter(difference, search.blur) > fruit_threshold(difference))
-    found: list[tuple[float, float, float]] = []
+    circles: list[tuple[float, float, float]] = []
     if mask.any():
         edges = _edges(search, difference, mask)
         for column, row, radius in _voted(search, edges, (mask.shape[0], mask.shape[1])):
-            if _taken(found, column, row, radius):
+            if _taken(circles, column, row, radius):
                 continue
             circle = _fitted(search, edges, column, row, radius)
-            sound = search.smallest - STEP < circle[2] < search.largest + STEP and not _taken(found, *circle)
+            sound = search.smallest - STEP < circle[2] < search.largest + STEP and not _taken(circles, *circle)
             if sound and _filled(mask, *circle) >= search.least_fruit:
-                found.append(circle)
-    table = np.array(found, dtype=float).reshape(-1, 3)
+                circles.append(circle)
+    table = np.array(circles, dtype=float).reshape(-1, 3)
     return Circles(table[:, :2], table[:, 2], mask)
 
 
@@ -376,8 +376,8 @@ def _edges(search: CircleSearch, difference: Array, mask: Flags) -> _Edges:
     along = [[rows + o * slopes[:, 1], columns + o * slopes[:, 0]] for o in offsets]
     height = np.stack([ndimage.map_coordinates(steep, at, order=1, mode="nearest") for at in along])
     top = np.clip(height.argmax(axis=0), 1, len(offsets) - 2)
-    each = np.arange(len(top))
-    peak = offsets[top] + 0.5 * summit(height[top - 1, each], height[top, each], height[top + 1, each])
+    edges = np.arange(len(top))
+    peak = offsets[top] + 0.5 * summit(height[top - 1, edges], height[top, edges], height[top + 1, edges])
     return _Edges(np.stack([columns, rows], axis=-1) + peak[:, None] * slopes, slopes)
 
 
@@ -409,8 +409,8 @@ def _voted(search: CircleSearch, edges: _Edges, shape: tuple[int, int]) -> list[
     return [(float(column), float(row), float(radii[best[row, column]])) for row, column in peaks.tolist()]
 
 
-def _taken(found: list[tuple[float, float, float]], column: float, row: float, radius: float) -> bool:
-    return any(np.hypot(column - c, row - r) < APART * max(radius, size) for c, r, size in found)
+def _taken(circles: list[tuple[float, float, float]], column: float, row: float, radius: float) -> bool:
+    return any(np.hypot(column - c, row - r) < APART * max(radius, size) for c, r, size in circles)
 
 
 def _fitted(search: CircleSearch, edges: _Edges, column: float, row: float, voted: float) -> tuple[float, float, float]:
@@ -458,11 +458,11 @@ def locate_circles(
     matched_sizes(camera, left, right)
     circles = fruit_circles(search, left)
     first, second = red_minus_green(left), red_minus_green(right)
-    found = [
+    matches = [
         (*centre, *_matched(camera, search, first, second, circles.mask, (*centre, radius)))
         for centre, radius in zip(circles.centres.tolist(), circles.radii.tolist(), strict=True)
     ]
-    pixels = np.array(found, dtype=float).reshape(-1, 4)
+    pixels = np.array(matches, dtype=float).reshape(-1, 4)
     pixels = pixels[pixels[:, 3] >= camera.least_correlation]
     return Detections(triangulate(camera, pixels[:, :3]), np.full(len(pixels), -1), np.minimum(pixels[:, 3], 1.0))
 
@@ -482,8 +482,8 @@ def _matched(
     down, across, distance = _window(mask.shape, column, row, radius + search.surroundings)
     fruit = mask[down, across] & (distance < radius)
     around = ndimage.binary_dilation(fruit, iterations=2) & (distance > radius - 1)
-    chosen = fruit | (around & (distance < radius + search.surroundings))
-    rows, columns = down[chosen], across[chosen]
+    patch = fruit | (around & (distance < radius + search.surroundings))
+    rows, columns = down[patch], across[patch]
     reach = camera.focal_length * camera.baseline
     tried = np.arange(int(reach / camera.farthest), int(np.ceil(reach / camera.nearest)) + 1)
     tried = tried[tried <= (columns.min() if columns.size else -1)]

@@ -78,9 +78,9 @@ def ball_triangles(balls: Balls) -> Triangles:
 
 def _joined(corners: Array, normals: Array, colour: Colours, faces: NDArray[np.intp]) -> Triangles:
     """N copies of a template, (N, V, 3), as one set of triangles."""
-    count, each = corners.shape[:2]
-    shifted = (faces + each * np.arange(count)[:, None, None]).reshape(-1, 3)
-    return Triangles(corners.reshape(-1, 3), normals.reshape(-1, 3), np.repeat(colour, each, axis=0), shifted)
+    count, corners_each = corners.shape[:2]
+    shifted = (faces + corners_each * np.arange(count)[:, None, None]).reshape(-1, 3)
+    return Triangles(corners.reshape(-1, 3), normals.reshape(-1, 3), np.repeat(colour, corners_each, axis=0), shifted)
 
 
 def mesh_triangles(surface: Mesh) -> Triangles:

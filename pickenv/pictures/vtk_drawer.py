@@ -90,8 +90,8 @@ class VtkDrawer:
                 self.renderer.AddActor(body.actor)
                 self.kept[id(surface)] = surface, body
             self.kept[id(surface)][1].actor.VisibilityOn()
-        shown = {id(surface) for surface in still}
-        for key in [key for key in self.kept if key not in shown][: max(len(self.kept) - MOST_KEPT, 0)]:
+        visible = {id(surface) for surface in still}
+        for key in [key for key in self.kept if key not in visible][: max(len(self.kept) - MOST_KEPT, 0)]:
             self.renderer.RemoveActor(self.kept.pop(key)[1].actor)
 
 
@@ -147,8 +147,8 @@ def _look(camera: vtkCamera, eye: Eye) -> None:
 
 def _some(part: Triangles, opaque: bool) -> Triangles:
     """The opaque triangles of a set, or the others."""
-    chosen = (part.colour[part.triangles[:, 0], 3] == 255) == opaque
-    return part if chosen.all() else part._replace(triangles=part.triangles[chosen])
+    mask = (part.colour[part.triangles[:, 0], 3] == 255) == opaque
+    return part if mask.all() else part._replace(triangles=part.triangles[mask])
 
 
 if __name__ == "__main__":  # try it out: where VTK cannot draw, it ends the program

@@ -286,7 +286,7 @@ class FilmSet:
             for policy, attempts in zip(self.policies, self.attempts, strict=True):
                 track = policy.fruit_position[episode]
                 for place in [track[0], *(track[attempt.begin] for attempt in attempts[episode])]:
-                    if all(np.linalg.norm(place - other) > SAME_FRUIT for other in places):
+                    if all(np.linalg.norm(place - neighbour) > SAME_FRUIT for neighbour in places):
                         places.append(place)
             fruit[episode] = np.array(places)
         return fruit
