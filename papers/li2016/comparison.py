@@ -23,23 +23,24 @@ from pickenv.harvester import (
     TrueMachine,
     assign,
     funnel,
+    funnel_shares,
     load_grid,
     load_machine,
     load_orchard,
     load_picking,
     load_true_machine,
+    lower_bound,
     pick_point,
+    profile,
+    sample_image,
     summary,
     timetable,
+    travel_time,
+    ultrasonic_hold,
     work_images,
     work_trees,
     zone_work,
 )
-from pickenv.harvester.arm_paths import ultrasonic_hold
-from pickenv.harvester.harvest_summary import funnel_shares
-from pickenv.harvester.machine import profile, travel_time
-from pickenv.harvester.optimiser import lower_bound
-from pickenv.harvester.trees import sample_image
 from pickenv.inspect.reports.report_page import PageTable
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, picked_tree
 

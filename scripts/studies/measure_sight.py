@@ -21,9 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
 from pickenv.base import InputError, clustered_share_interval, statistic_interval, write_text
-from pickenv.harvester import load_grid, load_machine, load_orchard
-from pickenv.harvester.trees import sample_tree, tree_leaves
-from pickenv.harvester.zones import cut
+from pickenv.harvester import cut, load_grid, load_machine, load_orchard, sample_tree, tree_leaves
 from pickenv.orchard import DETECTORS, Eyes, Leaves, Viewpoint, camera_frame, load_eyes, load_stereo_camera
 from pickenv.orchard.sight import PAIRS, located_fruit, picture, read_picture
 

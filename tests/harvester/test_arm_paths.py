@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.harvester import pick_point, timetable, zone_work
-from pickenv.harvester.arm_paths import echoes, slave_joints_at, ultrasonic_hold
+from pickenv.harvester import pick_point, slave_joints_at, timetable, ultrasonic_hold, zone_work
+from pickenv.harvester.arm_paths import echoes
 from pickenv.harvester.optimiser import li_rule
 
 MIDDLE = 1

@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 
 from pickenv.base import InputError
-from pickenv.harvester import assign, load_machine, pick_point, timetable, zone_work
-from pickenv.harvester.arm_paths import ultrasonic_hold
-from pickenv.harvester.machine import travel_time
-from pickenv.harvester.optimiser import _changed, li_rule, lower_bound
-from pickenv.harvester.work import Work
+from pickenv.harvester import (
+    Work,
+    assign,
+    load_machine,
+    lower_bound,
+    pick_point,
+    timetable,
+    travel_time,
+    ultrasonic_hold,
+    zone_work,
+)
+from pickenv.harvester.optimiser import _changed, li_rule
 
 
 def hold_of(machine, work):

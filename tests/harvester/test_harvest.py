@@ -11,6 +11,7 @@ from pickenv.base import InputError
 from pickenv.harvester import (
     Controller,
     Grid,
+    Nominal,
     Strategy,
     Tree,
     funnel,
@@ -25,7 +26,6 @@ from pickenv.harvester import (
     work_trees,
 )
 from pickenv.harvester.harvest_summary import STAGES
-from pickenv.harvester.true_machine import Nominal
 from pickenv.orchard import load_canopy, load_eyes, load_sight_errors
 
 MODEL, EYES = load_picking(), load_eyes("ideal", load_canopy("li2016"))

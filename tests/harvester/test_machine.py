@@ -9,8 +9,7 @@ from papers.li2016.comparison import joint_curves, workspace
 from pickenv.arm import forward, load_arm
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
 from pickenv.base import InputError
-from pickenv.harvester import load_machine
-from pickenv.harvester.machine import profile, travel_time
+from pickenv.harvester import load_machine, profile, travel_time
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
 PICK_POINT = np.array([-80, -660, 1220]) * 1e-3

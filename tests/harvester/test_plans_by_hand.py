@@ -10,11 +10,9 @@ import pytest
 from scipy.optimize import milp
 
 from pickenv.base import InputError
-from pickenv.harvester import Grid, assign, optimiser, pick_point, timetable
-from pickenv.harvester.optimiser import cp_sat, local_search, lower_bound
+from pickenv.harvester import Grid, Work, assign, cut, lower_bound, optimiser, pick_point, timetable
+from pickenv.harvester.optimiser import cp_sat, local_search
 from pickenv.harvester.pick_points import _heights, _point_costs, border_indices, pick_heading
-from pickenv.harvester.work import Work
-from pickenv.harvester.zones import cut
 
 
 def made_up(rng, arms, count, reach=0.8, conflict=0.0):

@@ -16,9 +16,9 @@ from pickenv.commands.calibrate import write_run
 from pickenv.experiments import PolicySettings, load_study, run_policies, run_study, write_outputs
 from pickenv.experiments.policy_tables import evaluation_drawings
 from pickenv.experiments.robots import SETS, learnable
-from pickenv.inspect import Run, drawings_of, read_run
+from pickenv.inspect import Drawing, Run, drawings_of, read_run
 from pickenv.inspect.figures import plot_calibration, style
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings
+from pickenv.inspect.figures.run_drawings import Drawings
 from pickenv.inspect.reports import report_svg
 from tests.experiments.conftest import SMALL
 from tests.experiments.synthetic import FRUIT, rows_of

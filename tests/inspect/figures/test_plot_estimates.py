@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pickenv.base import Estimate
-from pickenv.inspect.figures.plot_estimates import estimates_figure
+from pickenv.inspect import estimates_figure
 from tests.inspect.figures.figure_lint import figure_faults
 
 ROWS = [
