@@ -1,4 +1,4 @@
-"""Where the arms are at any time of a timetable, how near they come, and what a side arm's ultrasonic ranger hears.
+"""The arms at any time of a timetable, their least distances, and the echoes of a side arm's ultrasonic ranger.
 
 The ranger sits on both flanks of the side arm's cup and looks sideways, level, at the neighbour: it measures the
 surface that is nearest in its cone, as far as its echo carries. It knows no timetable. Units: m, rad, s.

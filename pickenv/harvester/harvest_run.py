@@ -36,7 +36,7 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """How a machine works a tree.
+    """The way a machine works a tree.
 
     Attributes:
         name: As reports print it.
@@ -291,7 +291,7 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
 
 
 def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: Array, entry: Array) -> Outcome:
-    """What becomes of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
+    """Outcome of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
 
     A cup that was sent where no fruit is comes back empty, but pushes the foliage all the same.
     """

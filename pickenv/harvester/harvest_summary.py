@@ -1,4 +1,4 @@
-"""What a harvest was worth: rates, picks per hour, makespans, idle share, distances; 95 % intervals are over trees.
+"""The worth of a harvest: rates, picks per hour, makespans, idle share, distances; 95 % intervals are over trees.
 
 Fruit of one tree share their machine stops, so a tree counts as one. With fewer than ten trees there is no interval,
 nor is there one of a count of rare events or of an extreme. Units: s, m.
@@ -68,28 +68,17 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
     """
     if not harvests:
         raise InputError("there is no harvest to sum up; work at least one tree")
-    rounds = [[_round_numbers(machine, r) for r in h.rounds] for h in harvests]
-    table = {
-        "collected": np.array([float(h.collected.sum()) for h in harvests]),
-        "reachable": np.array([float(h.reachable.sum()) for h in harvests]),
-        "present": np.array([float(len(h.tree)) for h in harvests]),
-        "seconds": np.array([h.seconds for h in harvests]),
-        "repicks": np.array([float(h.repicks) for h in harvests]),
-        "misled": np.array([float(h.misled) for h in harvests]),
-        "trees": np.ones(len(harvests)),
-        "zones": np.array([float(len(r)) for r in rounds]),
-        **{name: np.array([sum(x[name] for x in r) for r in rounds]) for name in ROUND_NUMBERS},
-    }
-    names = list(table)
-    sums = np.stack(list(table.values()), axis=1)
+    rows = [_tree_numbers(machine, h) for h in harvests]
+    names, sums = list(rows[0]), np.array([list(row.values()) for row in rows])
+    table = dict(zip(names, sums.T, strict=True))
 
     def ratio(part: str, of: str, scale: float = 1.0, *, rest: bool = False) -> Measure:
         """A ratio of sums over trees, or one minus it."""
         over, under = names.index(part), names.index(of)
 
         def make(rows: Array) -> float:
-            measures = scale * float(rows[:, over].sum()) / max(float(rows[:, under].sum()), 1e-12)
-            return 1.0 - measures if rest else measures
+            value = scale * float(rows[:, over].sum()) / max(float(rows[:, under].sum()), 1e-12)
+            return 1.0 - value if rest else value
 
         return _measure(make(sums), statistic_interval(sums, make))
 
@@ -116,6 +105,20 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
 
 def _measure(value: float, interval: Ends | None) -> Measure:
     return Measure(value, *(interval or (None, None)))
+
+
+def _tree_numbers(machine: Machine, harvest: Harvest) -> dict[str, float]:
+    """Sums of one tree."""
+    rounds = [_round_numbers(machine, r) for r in harvest.rounds]
+    return {
+        **{stage: float(_at_stage(harvest, stage)) for stage in ("collected", "reachable", "present")},
+        "seconds": harvest.seconds,
+        "repicks": float(harvest.repicks),
+        "misled": float(harvest.misled),
+        "trees": 1.0,
+        "zones": float(len(rounds)),
+        **{name: float(sum(numbers[name] for numbers in rounds)) for name in ROUND_NUMBERS},
+    }
 
 
 def _round_numbers(machine: Machine, r: Round) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Where arms may meet: distances between capsules, and which picks must not happen at the same time.
+"""Arms that may meet: distances between capsules, and which picks must not happen at the same time.
 
 Slaves are level, so two of them are as far apart as their plan distance and their height difference say. At rest an arm
 points straight ahead and is short; there it is safe from every neighbour (`machine.refuse_touching_arms`), and there

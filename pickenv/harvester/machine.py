@@ -234,7 +234,7 @@ class Machine:
         return _inside(self.master.nominal, master_joints)
 
     def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
-        """Which slave reaches which target (..., n, 3) from master joints (..., 3): (..., arms, n)."""
+        """Flags of the slaves that reach targets (..., n, 3) from master joints (..., 3): (..., arms, n)."""
         return self.within_limits(self.slave_inverse(master, targets))
 
 
@@ -296,7 +296,7 @@ class WorkspaceTable:
 
 @toml_table
 class MachineFile:
-    """What a machine file holds."""
+    """The tables of a machine file."""
 
     machine: MachineTable
     body: Body
@@ -419,7 +419,7 @@ def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
-    """Where Li 2016, Fig. 8, finds the cloud of reached points dense: ranges of x, y and z in the base frame, m."""
+    """Ranges of x, y and z in the base frame, m, where Li 2016, Fig. 8, finds the cloud of reached points dense."""
     workspace = read_toml(MachineFile, SHIPPED).workspace
     assert workspace is not None, SHIPPED
     return workspace.dense_x, workspace.dense_y, workspace.dense_z

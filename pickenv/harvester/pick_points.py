@@ -1,4 +1,4 @@
-"""Where the master stands while its slaves pick a zone: eqs (7) to (12) as printed, corrected, and a search.
+"""Pick points, at which the master stands while its slaves pick: eqs (7) to (12) as printed, corrected, and a search.
 
 The printed equations put frame 3 at polar angle theta2 although theta2 is the arm's heading, and ignore a2; eq (7) also
 swaps the border fruit at negative y. "Master moves much, slaves little": the search takes, among the points from which
@@ -24,7 +24,7 @@ METHODS = ("as_printed", "equations", "corrected", "search")
 
 @dataclass(frozen=True, eq=False)
 class PickPoint:
-    """Where the master stands.
+    """The place at which the master stands.
 
     Attributes:
         master: Master joints, (3,).

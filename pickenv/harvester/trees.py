@@ -56,7 +56,7 @@ class Tree:
 
 @dataclass(frozen=True, eq=False)
 class Orchard:
-    """What trees are drawn from."""
+    """The canopy, fruit map and fruit size that trees are drawn from."""
 
     canopy: Canopy
     fruit_map: FruitMap

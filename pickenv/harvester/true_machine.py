@@ -27,7 +27,7 @@ ROUNDS = 3
 
 
 class Belief(Protocol):
-    """What a controller knows of one arm; a calibration's compensator is one."""
+    """A controller's knowledge of one arm; a calibration's compensator is one."""
 
     def predict(self, joints: ArrayLike, /) -> Pose:
         """Pose of the arm's last frame at joint commands (..., 3)."""
@@ -168,7 +168,7 @@ class Controller:
 
 
 def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]) -> Array:
-    """What ``each`` gives for the picks of every slave (picks, 3), frame 3 at ``base``."""
+    """The rows (picks, 3) that ``each`` gives for the picks of every slave, frame 3 at ``base``."""
     rows = np.empty((len(arm), 3))
     for i in np.unique(arm).tolist():
         mine = np.flatnonzero(arm == i)

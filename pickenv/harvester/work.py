@@ -92,7 +92,7 @@ def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """When each pick happens.
+    """The times of picks.
 
     Attributes:
         arm: Arm of each pick, (picks,).
@@ -116,7 +116,7 @@ Hold = Callable[[int, int, float, Timetable], float]
 
 
 def timetable(work: Work, plan: Plan, *, hold: Hold | None = None, late: ArrayLike | None = None) -> Timetable:
-    """When the picks of a plan happen, each as early as its arm is ready and no excursion that it would meet is out.
+    """The times of a plan's picks, each as early as its arm is ready and no excursion that it would meet is out.
 
     Args:
         work: The zone.

@@ -99,13 +99,13 @@ def _own_colour(key: str) -> Rgb:
 
 
 def policy_rank(name: str) -> int:
-    """Where a policy stands among others, given its key or label: 1 for raw, 2 for LS, 3 for LS+BPNN, 4 for others."""
+    """The rank of a policy among others, given its key or label: 1 for raw, 2 for LS, 3 for LS+BPNN, 4 for others."""
     key = policy_key(name)
     return next((i for i, keys in enumerate(ORDER, start=1) if key in keys), len(ORDER) + 1)
 
 
 def policy_label(key: str) -> str:
-    """What people call a policy with a key that has no label of its own: LS+BPNN for ls_bpnn, ``my policy``."""
+    """The name that people use for a policy's key: LS+BPNN for ls_bpnn, ``my policy``."""
     return NAMES.get(key, key.replace("_", " "))
 
 

@@ -1,4 +1,4 @@
-"""Where a stereo or RGB-D camera believes fruit to be.
+"""Fruit as a stereo or RGB-D camera measures it: an error model.
 
 Along the line of sight: bias(d, light) and noise σ_z = sqrt(floor² + (a d²)²), for stereo a = σ_disparity/(f_px b);
 across it: pixel noise × d/f_px, and where fruit is partly hidden its centroid is pulled to the visible side by up to
@@ -106,7 +106,7 @@ class PairedCamera(Camera):
 
 
 def camera_kind(table: Mapping[str, Any]) -> type[Camera]:
-    """Which camera a table of a file is."""
+    """The class of camera that a table of a file describes."""
     return PairedCamera if "baseline_mm" in table else Camera
 
 
@@ -161,7 +161,7 @@ def measured_positions(
     diameters: ArrayLike = 0.0,
     visible_side: ArrayLike | None = None,
 ) -> Array:
-    """Where the camera believes fruit to be, given that it reports it.
+    """Positions that the camera measures of fruit that it reports.
 
     Args:
         camera: Error model.

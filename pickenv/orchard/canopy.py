@@ -181,7 +181,7 @@ def load_canopy(name: str | Path) -> Canopy:
 
 
 def face(canopy: Canopy, height: ArrayLike) -> Array:
-    """Where the canopy's face stands at a height: y in m, for heights in m of any shape."""
+    """The canopy's face at a height: y in m, for heights in m of any shape."""
     return np.asarray((np.asarray(height, dtype=float) - canopy.bottom) * np.tan(canopy.lean))
 
 
@@ -189,16 +189,6 @@ def depth_behind_face(canopy: Canopy, positions: ArrayLike) -> Array:
     """Horizontal distance behind the face, m, for positions (..., 3); negative is in the aisle."""
     positions = checks.points("positions", positions)
     return np.asarray(positions[..., 1] - face(canopy, positions[..., 2]))
-
-
-def in_canopy(canopy: Canopy, positions: ArrayLike) -> Flags:
-    """Whether positions (..., 3) lie in the volume that one stop serves."""
-    positions = checks.points("positions", positions)
-    behind = depth_behind_face(canopy, positions)
-    middle = np.array([0.0, canopy.depth / 2, (canopy.bottom + canopy.top) / 2])
-    half = np.array([canopy.width, canopy.depth, canopy.top - canopy.bottom]) / 2 + ROUNDING
-    upright = np.stack([positions[..., 0], behind, positions[..., 2]], axis=-1)
-    return np.asarray((np.abs(upright - middle) <= half).all(axis=-1))
 
 
 def foliage_path(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
@@ -236,7 +226,7 @@ def approach_direction(canopy: Canopy, positions: ArrayLike) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Occlusion:
-    """How much of each fruit a viewpoint sees, in expectation; leading dimensions are those of the viewpoints.
+    """Share of each fruit that a viewpoint sees, in expectation; leading dimensions are those of the viewpoints.
 
     Attributes:
         foliage: Share not hidden by leaves, shape (..., n).
@@ -307,7 +297,7 @@ def disc_cover(radius: ArrayLike, other: ArrayLike, apart: ArrayLike) -> Array:
 def approach_clear(
     positions: ArrayLike, diameters: ArrayLike, direction: ArrayLike, tool_radius: float, buffer: float = 0.1
 ) -> Flags:
-    """Which fruit a round tool can come up to without touching another fruit.
+    """Flags of fruit that a round tool can come up to without touching another fruit.
 
     Args:
         positions: Fruit centres, m, shape (n, 3).

@@ -1,4 +1,4 @@
-"""How many fruit hang where, how big they are, what detaches them, and how they swing on their branch.
+"""Fruit: its numbers along a row, sizes, the loads that detach it, and its swing on the branch.
 
 Fruit is clumped, and a uniform sampler is wrong. Clusters per block of the fruiting wall follow a negative binomial
 whose mean depends on the row of blocks and whose variance/mean is common to all rows; each cluster holds
@@ -71,18 +71,6 @@ def detached(strength: Strength, pull: ArrayLike = 0.0, twist: ArrayLike = 0.0) 
     """Whether fruit comes off under a pull (N) or a twist (N·m), shapes (...)."""
     pulled = np.abs(checks.numbers("the pull (N)", pull)) >= strength.pull
     return np.asarray(pulled | (np.abs(checks.numbers("the twist (N·m)", twist)) >= strength.twist))
-
-
-def detachment_probability(detachment: Detachment, pull: ArrayLike = 0.0, twist: ArrayLike = 0.0) -> Array:
-    """Share of fruit that comes off under a pull (N) and a twist (N·m)."""
-    from scipy.special import ndtr
-
-    load = np.maximum(
-        np.abs(checks.numbers("the pull (N)", pull)) / detachment.pull_95,
-        np.abs(checks.numbers("the twist (N·m)", twist)) / detachment.twist_95,
-    )
-    with np.errstate(divide="ignore"):
-        return np.asarray(ndtr(QUANTILE_95 + np.log(load) / detachment.spread))
 
 
 @toml_table
@@ -251,7 +239,7 @@ def load_fruit_size(name: str | Path) -> FruitSize:
 
 @toml_table
 class Branch(checks.Preset):
-    """What fruit hangs from.
+    """The branch that fruit hangs from.
 
     Attributes:
         pendulum: Length of the pendulum, m.
@@ -335,7 +323,7 @@ def coupling(branch: Branch, distance: ArrayLike) -> Array:
 
 
 def pushed(branch: Branch, positions: ArrayLike, contact: ArrayLike, push: ArrayLike) -> Array:
-    """How far a push displaces each fruit, neighbours of the touched one included.
+    """Displacement of each fruit by a push, neighbours of the touched one included.
 
     Args:
         branch: What the fruit hangs from.

@@ -169,7 +169,7 @@ def render_stereo(
 
 
 def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Which pixels a unit sphere covers, and their colours."""
+    """Flags of the pixels that a unit sphere covers, and their colours."""
     square = np.asarray(u**2 + v**2, dtype=np.float64)
     ahead = np.sqrt(np.clip(1.0 - square, 0.0, None))
     sun = np.array(look.sun) / np.linalg.norm(look.sun)

@@ -1,4 +1,4 @@
-"""What a machine's stereo pair makes of fruit: pictures that are drawn and read, or errors measured on such pictures.
+"""Fruit as a machine's stereo pair sees it: pictures that are drawn and read, or errors measured on such pictures.
 
 ``rendered`` draws both pictures and reads them (exact, and a tenth of a second each); ``measured_errors`` draws errors
 from tables made that way, one for each canopy and detector, by range; ``ideal`` sees all fruit where it is. Errors are
@@ -117,7 +117,7 @@ def load_sight_errors(name: str | Path) -> SightErrors:
 
 @dataclass(frozen=True, eq=False)
 class Chances:
-    """What chance decides about fruit before a camera.
+    """Draws that decide about fruit before a camera.
 
     Attributes:
         place: Uniform: how well it is seen, among located fruit of its range, (n,).
@@ -141,7 +141,7 @@ def next_picture(errors: SightErrors, before: Chances, rng: np.random.Generator)
 
 
 def sighted(errors: SightErrors, depth: ArrayLike, chances: Chances, looks: int = 1) -> tuple[Flags, Flags, Array]:
-    """What a table says of fruit.
+    """Fruit as a table of errors has it.
 
     Args:
         errors: The table.
@@ -185,7 +185,7 @@ SAME = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Eyes:
-    """How fruit is seen in one canopy.
+    """The way fruit is seen in one canopy.
 
     Attributes:
         vision: One of `VISIONS`.
@@ -234,13 +234,13 @@ def _errors_in(canopy: Canopy, detector: str) -> SightErrors:
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """Where the middle of the stereo pair stands, m, and which way it looks, (3,) each, in any frame with z up."""
+    """The middle of the stereo pair, m, and its direction of view, (3,) each, in any frame with z up."""
 
     middle: Array
     looking: Array
 
     def left_eye(self, camera: StereoCamera) -> Array:
-        """Where the left camera stands."""
+        """The place of the left camera, m."""
         return np.asarray(self.middle - camera.baseline / 2 * camera_axes(self.looking)[0])
 
 

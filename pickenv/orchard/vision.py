@@ -287,7 +287,7 @@ LEANING = 3.0  # weight of the voted radius, in edge pixels
 
 @toml_table
 class CircleSearch(checks.Preset):
-    """How circles are looked for; see circles.toml.
+    """Numbers of the search for circles; see circles.toml.
 
     Attributes:
         smallest: Least radius, px.
@@ -364,7 +364,7 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> Circles:
 
 
 def _edges(search: CircleSearch, difference: Array, mask: Flags) -> _Edges:
-    """Where the slope of the colour is steepest, near the rim of the mask."""
+    """The steepest slopes of the colour, near the rim of the mask."""
     from scipy import ndimage
 
     down, right = (ndimage.gaussian_filter(difference, search.blur, order) for order in ((1, 0), (0, 1)))
@@ -382,7 +382,7 @@ def _edges(search: CircleSearch, difference: Array, mask: Flags) -> _Edges:
 
 
 def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
-    """Where a parabola through three equidistant values has its extreme, in steps from the middle one, −1 to 1."""
+    """The extreme of a parabola through three equidistant values, in steps from the middle one, −1 to 1."""
     before, at, after = (np.asarray(v, dtype=float) for v in (before, at, after))
     bend = before - 2 * at + after
     flat = np.abs(bend) < 1e-12

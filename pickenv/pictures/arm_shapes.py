@@ -44,7 +44,7 @@ class Solids(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ArmLook:
-    """How one arm is drawn.
+    """The look of one arm.
 
     Attributes:
         parts: Which parts of its polyline are drawn: numbers of their first points.

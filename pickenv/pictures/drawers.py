@@ -64,12 +64,12 @@ def painted(stage: Stage) -> Pixels:
 
 @lru_cache(maxsize=1)
 def drawer_name() -> str:
-    """Which drawer pictures are made by here: ``vtk`` or ``plain``; found out once."""
+    """The drawer that makes pictures here: ``vtk`` or ``plain``; found out once."""
     return "vtk" if why_plain() is None else "plain"
 
 
 def why_plain() -> str | None:
-    """Why pictures are drawn plainly, as one sentence; None where VTK draws them."""
+    """The reason why pictures are drawn plainly, as one sentence; None where VTK draws them."""
     require("matplotlib")
     if os.environ.get(PLAIN):
         return f"Pictures are drawn plainly, as {PLAIN} asks."

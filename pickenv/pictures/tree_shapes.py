@@ -1,4 +1,4 @@
-"""What stands around an arm: fruit on stems, leaves and branches of a row of trees, ground, a crate. Units: m.
+"""The surroundings of an arm: fruit on stems, leaves and branches of a row of trees, ground, a crate. Units: m.
 
 A row stands along x. Leaves are drawn as dense as a canopy's preset says; they are not those that hide fruit from a
 camera, which environments draw anew in every episode.
@@ -87,7 +87,7 @@ def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
 
 @lru_cache(maxsize=8)
 def pedestal(x: float, y: float, ground: float, top: float, radius: float) -> Mesh:
-    """What an arm's base stands on."""
+    """The column that an arm's base stands on."""
     high = top - ground
     outline = [
         [2.2 * radius, 0.0],
@@ -101,7 +101,7 @@ def pedestal(x: float, y: float, ground: float, top: float, radius: float) -> Me
 
 
 def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: float) -> Solids:
-    """What was picked so far: ``count`` fruit in a crate on legs, in the lower left of what the eye sees."""
+    """A crate on legs with the ``count`` fruit that are picked, in the lower left of what the eye sees."""
     distance = float(np.linalg.norm(eye.target - eye.position))
     corner = eye.point_at((CRATE[0] * size[0], CRATE[1] * size[1]), distance, size)
     wide, along = 5, diameter * 1.05

@@ -112,7 +112,7 @@ def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np
 
 
 def field_gain(step: float, top_mm: float) -> float:
-    """How much longer than true size one field's arrows are drawn, in every figure of it: a round number.
+    """Factor by which one field's arrows are longer than true, in every figure of it: a round number.
 
     That of recordings where the longest arrow then takes a quarter of a cell or more and no more than one and a half;
     elsewhere so that arrows nearly touch.
@@ -155,7 +155,7 @@ class _View:
         return np.asarray((points - self.centre) @ self.plane)
 
     def depth(self, points: Array) -> Array:
-        """How near the eye points ``(..., 3)`` are ``(...)``."""
+        """Nearness to the eye ``(...)`` of points ``(..., 3)``."""
         return np.asarray((points - self.centre) @ self.eye)
 
 
@@ -314,7 +314,7 @@ def _size(views: Sequence[ViewErrors]) -> tuple[int, int]:
 
 
 def _scale(views: Sequence[ViewErrors]) -> tuple[float, float]:
-    """How much longer than true the arrows are drawn, and the longest error, px."""
+    """Factor by which the arrows are longer than true, and the longest error, px."""
     width, _ = _size(views)
     top = max(float(np.linalg.norm(view.errors, axis=1).max(initial=0.0)) for view in views)
     return round_down(LONGEST * width / max(top, 1e-9)), max(top, 1e-9)

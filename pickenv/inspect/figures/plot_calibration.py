@@ -79,7 +79,7 @@ def parameter_spectrum(
     names: Sequence[str] | None = None,
     threshold: float | None = None,
 ) -> Figure:
-    """What the poses can tell about each parameter: the diagonal of R of a pivoted QR, or singular values.
+    """Identifiability of each parameter from the poses: the diagonal of R of a pivoted QR, or singular values.
 
     Args:
         magnitudes: |R_ii| of a pivoted QR, or singular values ``(P,)``, all in one (scaled) unit.
@@ -124,7 +124,7 @@ def parameter_spectrum(
 
 
 def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
-    """Where poses lie within the joint limits: a line per joint, and a mark on it for each pose.
+    """Places of poses within the joint limits: a line per joint, and a mark on it for each pose.
 
     Args:
         geometry: Gives the joints' names, kinds and limits.
@@ -178,7 +178,7 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
 
 
 def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
-    """How pose sets fill the ranges that were measured: each joint's distribution, and each pair of joints.
+    """Coverage of the measured joint ranges by pose sets: each joint's distribution, and each pair of joints.
 
     Args:
         geometry: Gives the joints' names, kinds and limits; the title says what share of those was measured.

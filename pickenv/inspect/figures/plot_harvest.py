@@ -116,14 +116,14 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
 
 
 def _throughput_words(throughput: Mapping[str, Mapping[int, Measure]]) -> str:
-    """What the last density's picks per hour grow to with the arms."""
+    """The growth of the last density's picks per hour with the arms."""
     label, measures = list(throughput.items())[-1]
     ends = [f"{measures[n].value:.0f}/h with {n}" for n in dict.fromkeys((min(measures), max(measures)))]
     return f"{label}: {', '.join(ends)} arm{'s' * (max(measures) > 1)}"
 
 
 def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]] = ()) -> Figure:
-    """Where the cups get to, from above and from the side.
+    """The cups' workspace, from above and from the side.
 
     Args:
         cloud: Cups at joints drawn evenly within the limits ``(N, arms, 3)``, m.

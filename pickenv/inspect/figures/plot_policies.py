@@ -73,7 +73,7 @@ def misses_by_fruit(episodes: RecordedEpisodes) -> Figure:
 
 
 def difference_map(comparison: Comparison) -> Figure:
-    """Where the last policy misses less than the first: layers of the workspace seen from above."""
+    """Map of the places where the last policy misses less than the first: layers of the workspace seen from above."""
     first, last = comparison.policies[0], comparison.policies[-1]
     change, points = field_mm(last) - field_mm(first), comparison.field_points
     top = float(np.percentile(np.abs(change), SCALE_PERCENTILE)) or 1.0
@@ -109,7 +109,7 @@ Estimated = tuple[float, tuple[float | None, float | None] | None]
 
 @dataclass(frozen=True, eq=False)
 class CycleCurve:
-    """How the error falls over a cycle.
+    """The error over a cycle.
 
     Attributes:
         policy: Gives the line's pattern.
@@ -162,7 +162,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
 
 
 def _worth(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> str:
-    """What the compensations do for the first policy in each scene, by the first statistic."""
+    """The effect of the compensations on the first policy in each scene, by the first statistic."""
     sentences = []
     for scene, statistics in panels.items():
         name, policies = next(iter(statistics.items()))

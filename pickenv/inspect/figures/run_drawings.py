@@ -1,4 +1,4 @@
-"""Which figures a run's numbers allow, each with a caption, and which are left out and why."""
+"""The figures that a run's numbers allow, each with a caption, and those that are left out, with the reason."""
 
 from __future__ import annotations
 

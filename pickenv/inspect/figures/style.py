@@ -1,4 +1,4 @@
-"""How figures look, and how they are written: for papers and reports, readable at column width, by anyone's eyes.
+"""The look of figures, and their files: for papers and reports, readable at column width, by anyone's eyes.
 
 No global state of matplotlib is used, so figures can be made anywhere, also without a screen. Axes name their units.
 """

@@ -101,7 +101,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class FilmCaption:
-    """What a frame states of one policy.
+    """The statement of a frame on one policy.
 
     Attributes:
         label: Name of the policy.
@@ -248,7 +248,7 @@ def grasp_offset(policy: RecordedPolicy, episode: int, attempt: Attempt) -> Arra
 
 @dataclass(frozen=True, eq=False)
 class FilmSet:
-    """What stays the same throughout a film.
+    """The parts that stay the same throughout a film.
 
     Attributes:
         episodes: The run's episodes.
@@ -404,7 +404,7 @@ def _fruit(film_set: FilmSet, side: int, episode: int, now: int, picked: int) ->
 
 
 def _missed(film_set: FilmSet, side: int, episode: int, now: int) -> Iterator[Words]:
-    """How far off the gripper was, at each fruit that it has missed."""
+    """The length of each miss, in words at its fruit."""
     policy = film_set.policies[side]
     for attempt in film_set.attempts[side][episode]:
         if not attempt.taken and attempt.close <= now:
@@ -430,7 +430,7 @@ def seen_along(axis: Array, offset: Array, eye: Eye) -> Array:
 
 @dataclass(frozen=True)
 class Film:
-    """What was written.
+    """A film that was written.
 
     Attributes:
         path: The file.
