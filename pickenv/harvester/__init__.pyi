@@ -1,17 +1,15 @@
 from .arm_paths import slave_joints_at as slave_joints_at, ultrasonic_hold as ultrasonic_hold
 from .harvest_run import (
     Harvest as Harvest,
+    Measure as Measure,
     Round as Round,
     Strategy as Strategy,
-    harvest as harvest,
-    work_images as work_images,
-    work_trees as work_trees,
-)
-from .harvest_summary import (
-    Measure as Measure,
     funnel as funnel,
     funnel_shares as funnel_shares,
+    harvest as harvest,
     summary as summary,
+    work_images as work_images,
+    work_trees as work_trees,
 )
 from .interference import arm_distances as arm_distances, pairs_of as pairs_of
 from .machine import (

@@ -16,7 +16,7 @@ from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
 from pickenv.arm import Array
 from pickenv.base import NUMBER, InputError, read_toml, require, toml_table
-from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain_lists
+from pickenv.harvester.work import Plan, Work, last_arm, makespan_of, plain_lists
 from pickenv.harvester.zones import SHIPPED
 
 
@@ -158,7 +158,8 @@ def local_search(
         if tried is None:
             continue
         length, arm = last_arm(lists, tried)
-        cost = length + 1e-3 * sum(_loads(lists, tried)) / len(tried)
+        loads = [sum(lists.duration[a][j] for j in fruit) for a, fruit in enumerate(tried)]
+        cost = length + 1e-3 * sum(loads) / len(tried)
         heat = 0.03 * value * (1 - step / rounds)
         if cost < current_cost or rng.random() < np.exp(-(cost - current_cost) / max(heat, 1e-9)):
             current, current_cost, last = tried, cost, arm
@@ -177,10 +178,6 @@ def _by_height(work: Work) -> Plan:
         load[arm] += work.duration[arm, j]
         parts[arm].append(j)
     return tuple(tuple(sorted(part, key=lambda j: (work.joints[0, j, 0], j))) for part in parts)
-
-
-def _loads(lists: Lists, plan: list[list[int]]) -> list[float]:
-    return [sum(lists.duration[arm][j] for j in fruit) for arm, fruit in enumerate(plan)]
 
 
 def _changed(

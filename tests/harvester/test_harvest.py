@@ -25,7 +25,7 @@ from pickenv.harvester import (
     work_images,
     work_trees,
 )
-from pickenv.harvester.harvest_summary import STAGES
+from pickenv.harvester.harvest_run import STAGES
 from pickenv.orchard import load_canopy, load_eyes, load_sight_errors
 
 MODEL, EYES = load_picking(), load_eyes("ideal", load_canopy("li2016"))

@@ -454,7 +454,7 @@ def film(
     """Write a film of a comparison: the same fruit, one policy beside the other.
 
     Args:
-        run: Folder that `pickenv compare --out` wrote.
+        run: Folder of a run of `pickenv compare`.
         out: The film; its ending says what it is, .gif or .mp4.
         policies: Labels of the policies to show, left first; the run's first and last where none are named.
         seconds: Length of the film.
@@ -472,7 +472,7 @@ def film(
         raise InputError(f"{path} is no name of a film; let it end in {' or '.join(KINDS)}")
     record = read_run(Path(run))
     if record.kind != "comparison":
-        raise InputError(f"{run} is a run of kind '{record.kind}'; give a folder that `pickenv compare --out` wrote")
+        raise InputError(f"{run} is a run of kind '{record.kind}'; give the folder of a run of `pickenv compare`")
     episodes = load_part(record, RecordedEpisodes)
     plan = plan_film(episodes, policies, seconds, frames_per_second)
     path.parent.mkdir(parents=True, exist_ok=True)

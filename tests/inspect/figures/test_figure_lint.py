@@ -23,7 +23,6 @@ from pickenv.inspect.reports import report_svg
 from tests.experiments.conftest import SMALL
 from tests.experiments.synthetic import FRUIT, rows_of
 from tests.inspect.figures.figure_lint import DARK, contrast_of, figure_faults, heading_of, linting
-from tests.inspect.figures.test_figures import PLOTS
 
 CSS = Path(report_svg.__file__).parent / "templates/report.css"
 RAW, LS, GREY = "#e69f00", "#0072b2", "#96969e"
@@ -148,11 +147,6 @@ def test_the_dark_colours_are_those_of_pages() -> None:
     assert {style.THEME[colour]: shown for colour, shown in DARK.items()} == {
         name: variables[name] for name in style.THEME.values()
     }
-
-
-@pytest.mark.parametrize("name", [name for name in PLOTS if name != "box, attitude"])
-def test_every_kind_of_figure_is_sound(name: str) -> None:
-    assert faults({name: PLOTS[name][0]}) == []
 
 
 def test_the_figures_of_a_demonstration_are_sound(demo_run: Run) -> None:
