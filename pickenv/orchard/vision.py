@@ -13,6 +13,7 @@ large. Touching fruit are several circles. Units: m, px. Needs scikit-image.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -248,10 +249,14 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
         (*centroid, *_disparity(camera, first, second, box))
         for centroid, box in zip(regions.centroids, regions.boxes, strict=True)
     ]
+    return _detections(camera, matches)
+
+
+def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> Detections:
+    """Detections of column, row, disparity and agreement, of those that agree well enough."""
     pixels = np.array(matches, dtype=float).reshape(-1, 4)
     pixels = pixels[pixels[:, 3] >= camera.least_correlation]
-    positions = triangulate(camera, pixels[:, :3]) if len(pixels) else np.zeros((0, 3))
-    return Detections(positions, np.full(len(pixels), -1, dtype=np.int64), np.clip(pixels[:, 3], 0.0, 1.0))
+    return Detections(triangulate(camera, pixels[:, :3]), np.full(len(pixels), -1), np.minimum(pixels[:, 3], 1.0))
 
 
 def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers) -> tuple[float, float]:
@@ -270,10 +275,7 @@ def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers)
     strip, patch = second[top:bottom, low:high], first[top:bottom, start:end]
     score = np.asarray(match_template(strip, patch))[0]  # type: ignore[no-untyped-call]
     peak = int(np.argmax(score))
-    shift = 0.0
-    if 0 < peak < len(score) - 1:
-        before, at, after = score[peak - 1 : peak + 2]  # the first of the largest: what is before is smaller
-        shift = 0.5 * (before - after) / (before - 2 * at + after)
+    shift = float(summit(*score[peak - 1 : peak + 2])) if 0 < peak < len(score) - 1 else 0.0
     return float(start - low - peak - shift), float(score[peak])
 
 
@@ -462,9 +464,7 @@ def locate_circles(
         (*centre, *_matched(camera, search, first, second, circles.mask, (*centre, radius)))
         for centre, radius in zip(circles.centres.tolist(), circles.radii.tolist(), strict=True)
     ]
-    pixels = np.array(matches, dtype=float).reshape(-1, 4)
-    pixels = pixels[pixels[:, 3] >= camera.least_correlation]
-    return Detections(triangulate(camera, pixels[:, :3]), np.full(len(pixels), -1), np.minimum(pixels[:, 3], 1.0))
+    return _detections(camera, matches)
 
 
 def _matched(
