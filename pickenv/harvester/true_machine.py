@@ -121,15 +121,14 @@ class Controller:
 
     def __call__(self, joints: ArrayLike) -> Array:
         """Commands (..., 3 + 3 arms) for nominal joints of the same shape: the compensator of a whole machine."""
-        joints = np.asarray(joints, dtype=float)
+        joints = np.array(joints, dtype=float)
+        if self.master is None and not self.slaves:
+            return joints
         master = self.master_command(joints[..., :3])
         base = self._master().predict(master)
         targets = self.machine.tips(joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], -1, 3))
-        commands = [master]
-        for i in range(self.machine.arms):
-            nominal = joints[..., 3 + 3 * i : 6 + 3 * i]
-            commands.append(self._slave_command(i, base, targets[..., i, :], nominal))
-        return np.concatenate(commands, axis=-1)
+        slaves = [self._slave_command(i, base, targets[..., i, :]) for i in range(self.machine.arms)]
+        return np.concatenate([master, *slaves], axis=-1)
 
     def master_command(self, master: ArrayLike) -> Array:
         """Master commands (..., 3) that bring the believed frame 3 where the nominal one would be."""
@@ -151,11 +150,9 @@ class Controller:
     def _master(self) -> Belief:
         return self.master or Nominal(self.machine.master.nominal)
 
-    def _slave_command(self, i: int, base: Pose, targets: Array, given: Array | None = None) -> Array:
+    def _slave_command(self, i: int, base: Pose, targets: Array) -> Array:
         """Joints that bring the believed cup of slave ``i`` to targets in the base frame, frame 3 at ``base``."""
         geometry = self.machine.slaves[i].nominal
-        if given is not None and self.master is None and not self.slaves:
-            return given
         local = np.einsum("...ji,...j->...i", base.rotation, targets - base.position)
         aim = local
         command = _local_inverse(geometry, aim)
