@@ -14,22 +14,7 @@ from matplotlib.figure import Figure
 from pickenv.arm import Array
 from pickenv.base import clustered_share_interval
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
-from pickenv.inspect.figures.field_figure import corner_errors, error_fields, view_errors
-from pickenv.inspect.figures.plot_calibration import (
-    joint_coverage,
-    least_squares_convergence,
-    network_convergence,
-    parameter_spectrum,
-)
-from pickenv.inspect.figures.plot_errors import (
-    error_against,
-    error_by_method,
-    error_cumulative,
-    error_histogram,
-    error_per_pose,
-    error_slices,
-)
-from pickenv.inspect.figures.plot_policies import success_against_misalignment
+from pickenv.inspect.figures import field_figure, plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import Comparison
@@ -138,8 +123,8 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
     reaches: dict[str, Any] = {"counted": "reaches"}
     attitude = {"quantity": "attitude error", "unit": "deg", **reaches}
     drawings: list[Drawing | NotDrawn] = [
-        captioned("error_fields", error_fields, comparison),
-        captioned("error_slices", error_slices, comparison.field_points, fields, step=comparison.grid_step),
+        captioned("error_fields", field_figure.error_fields, comparison),
+        captioned("error_slices", plot_errors.error_slices, comparison.field_points, fields, step=comparison.grid_step),
     ]
     if not len(comparison.field_points):
         drawings = [NotDrawn("error_fields", "the comparison has no field points; take a finer grid")]
@@ -147,9 +132,11 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
         return [*drawings, NotDrawn("reach_errors", "the comparison has no reaches; run some")]
     return [
         *drawings,
-        captioned("position_error_by_policy", error_by_method, mm, **reaches),
-        captioned("attitude_error_by_policy", error_by_method, degrees, **attitude),
-        captioned("reach_errors_cumulative", error_cumulative, mm, tolerance=comparison.tolerance_mm, **reaches),
+        captioned("position_error_by_policy", plot_errors.error_by_method, mm, **reaches),
+        captioned("attitude_error_by_policy", plot_errors.error_by_method, degrees, **attitude),
+        captioned(
+            "reach_errors_cumulative", plot_errors.error_cumulative, mm, tolerance=comparison.tolerance_mm, **reaches
+        ),
         captioned("success_against_misalignment", _success, comparison),
     ]
 
@@ -162,7 +149,7 @@ def _success(comparison: Comparison) -> Figure:
         }
         for label, grips in gripped(comparison).items()
     }
-    return success_against_misalignment(gripper_curves(), points)
+    return plot_policies.success_against_misalignment(gripper_curves(), points)
 
 
 def trace_drawings(trace: CalibrationTrace) -> Drawings:
@@ -172,26 +159,28 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
     diagonal: dict[str, Any] = {"names": trace.names, "threshold": threshold}
     every = np.ones(len(trace.singular_values), dtype=bool)
     return [
-        captioned("error_per_test_pose", error_per_pose, mm),
-        captioned("error_by_stage", error_by_method, mm),
-        captioned("error_histogram", error_histogram, mm),
-        captioned("error_cumulative", error_cumulative, mm),
+        captioned("error_per_test_pose", plot_errors.error_per_pose, mm),
+        captioned("error_by_stage", plot_errors.error_by_method, mm),
+        captioned("error_histogram", plot_errors.error_histogram, mm),
+        captioned("error_cumulative", plot_errors.error_cumulative, mm),
         _against("extension", "m", trace.extension, mm),
         *(_against(name, unit, getattr(trace, name), mm) for name, unit in CONDITIONS.items()),
-        captioned("least_squares_convergence", least_squares_convergence, trace.position_rms * 1e3, attitude),
+        captioned(
+            "least_squares_convergence", plot_calibration.least_squares_convergence, trace.position_rms * 1e3, attitude
+        ),
         NotDrawn("network_convergence", "no network was trained")
         if trace.loss is None
-        else captioned("network_convergence", network_convergence, trace.loss),
-        captioned("parameter_spectrum", parameter_spectrum, trace.r_diagonal, trace.kept, **diagonal),
-        captioned("singular_values", parameter_spectrum, trace.singular_values, every),
-        captioned("joint_coverage", joint_coverage, trace.nominal, trace.sets),
+        else captioned("network_convergence", plot_calibration.network_convergence, trace.loss),
+        captioned("parameter_spectrum", plot_calibration.parameter_spectrum, trace.r_diagonal, trace.kept, **diagonal),
+        captioned("singular_values", plot_calibration.parameter_spectrum, trace.singular_values, every),
+        captioned("joint_coverage", plot_calibration.joint_coverage, trace.nominal, trace.sets),
         *view_drawings(trace.views),
     ]
 
 
 def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
     """Figures of views with their reprojection errors; none without views."""
-    figures = {"corner_errors": corner_errors, "view_errors": view_errors}
+    figures = {"corner_errors": field_figure.corner_errors, "view_errors": field_figure.view_errors}
     return [captioned(name, draw, views) for name, draw in figures.items()] if views else []
 
 
@@ -202,4 +191,4 @@ def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str,
         return NotDrawn(drawing, f"no {name} was recorded with the held-out poses; measure it with them")
     if name in CONDITIONS and not np.ptp(values) > 0.0:
         return NotDrawn(drawing, f"every held-out pose had the same {name}, {values[0]:g} {unit}; vary it")
-    return captioned(drawing, error_against, values, errors_mm, name=name, unit=unit)
+    return captioned(drawing, plot_errors.error_against, values, errors_mm, name=name, unit=unit)
