@@ -19,7 +19,7 @@ from pickenv.harvester import (
     ultrasonic_hold,
     zone_work,
 )
-from pickenv.harvester.optimiser import _changed, li_rule
+from pickenv.harvester.optimiser import _changed
 
 
 def hold_of(machine, work):
@@ -77,7 +77,7 @@ def test_one_arm_at_a_time_does_one_pick_at_a_time(machine):
 
 def test_li_picks_by_falling_height_in_the_middle_and_rising_height_beside(machine):
     work = zone(machine, np.random.default_rng(3), 15)
-    for arm, queue in enumerate(li_rule(work)):
+    for arm, queue in enumerate(assign(work, "li")):
         rising = np.diff(work.joints[0, list(queue), 0])
         assert (rising <= 0).all() if arm == 1 else (rising >= 0).all()
 

@@ -7,7 +7,6 @@ import pytest
 
 from papers.li2016.comparison import joint_curves, workspace
 from pickenv.arm import forward, load_arm
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
 from pickenv.base import InputError
 from pickenv.harvester import load_machine, profile, travel_time
 
@@ -24,7 +23,7 @@ def random_joints(machine, rng, count=500):
 def whole_arm(machine, i):
     """The serial chain of the master and slave ``i``: six joints from base to cup."""
     master, slave = machine.master.nominal, machine.slaves[i].nominal
-    tables = (*LINK_PARAMETERS, "lower", "upper")
+    tables = ("alpha", "a", "theta", "d", "beta", "lower", "upper")
     numbers = {name: np.concatenate([getattr(master, name), getattr(slave, name)]) for name in tables}
     names, kinds = master.joint_names + slave.joint_names, master.prismatic + slave.prismatic
     return replace(master, joint_names=names, prismatic=kinds, tool=slave.tool, **numbers)
