@@ -12,8 +12,9 @@ import pytest
 from pickenv.arm import forward, load_arm
 from pickenv.arm.kinematics.forward import nominal_points
 from pickenv.base import InputError
-from pickenv.inspect import film, film as film_module
+from pickenv.inspect import film
 from pickenv.inspect.colours import RED
+from pickenv.inspect.films import film as film_module
 from pickenv.inspect.films.film import (
     Attempt,
     FilmPlan,

@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.inspect import film, film as film_module
+from pickenv.inspect import film
+from pickenv.inspect.films import film as film_module
 from pickenv.inspect.films.film import FilmPlan, FilmSet, film_pictures, film_stage, plan_film
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 
