@@ -34,7 +34,6 @@ from pickenv.inspect.runs.recorded_episodes import (
 )
 from pickenv.inspect.runs.run_folder import RECORD, REPORT, load_comparison, recorded_run, save_part
 from pickenv.orchard import Gripper, capture_probability, load_gripper, misalignment
-from pickenv.orchard.gripper import lateral_tolerance
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 # A comparison of policies as a run folder: every episode, the table, one recording, one page, its figures.
@@ -188,7 +187,7 @@ def _run(
         env_id=env_id,
         plant="" if plant is None else plant.name,
         gripper=judge.name,
-        tolerance_mm=round(1e3 * lateral_tolerance(judge), 6),
+        tolerance_mm=round(1e3 * judge.tolerance, 6),
         seed=seed,
         seeds=seeds,
         period=1.0 / inner.metadata.get("render_fps", 10),
@@ -256,7 +255,7 @@ def _recorded_policy(
         elif "is_success" in info:
             taken = success[rows, ends]
         else:
-            taken = miss[rows, ends] <= 1e3 * lateral_tolerance(judge)
+            taken = miss[rows, ends] <= 1e3 * judge.tolerance
         picked[rows, ends] = taken
         for row, end in zip(rows, ends, strict=True):
             picked[row, end:] = picked[row, end]

@@ -45,8 +45,7 @@ from papers.li2016.segmentation import figure_5, segmentation
 from papers.pages import headline, print_tables, write_page
 from pickenv.arm import Array
 from pickenv.base import write_text
-from pickenv.harvester import Controller, Machine, Strategy, load_machine, load_true_machine
-from pickenv.harvester.trees import load_lab, sample_image
+from pickenv.harvester import Controller, Machine, Strategy, load_lab, load_machine, load_true_machine, sample_image
 from pickenv.inspect import inspect_harvest, write_drawings
 from pickenv.inspect.reports import harvest_report
 from pickenv.inspect.reports.report_page import Section

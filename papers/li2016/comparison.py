@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from papers.li2016.equations import ARMS, section_4_2
 from papers.pages import table
@@ -22,24 +23,24 @@ from pickenv.harvester import (
     TrueMachine,
     assign,
     funnel,
+    funnel_shares,
     load_grid,
     load_machine,
     load_orchard,
     load_picking,
     load_true_machine,
+    lower_bound,
     pick_point,
+    profile,
+    sample_image,
     summary,
     timetable,
+    travel_time,
+    ultrasonic_hold,
     work_images,
     work_trees,
     zone_work,
 )
-from pickenv.harvester.arm_paths import ultrasonic_hold
-from pickenv.harvester.harvest_summary import funnel_shares
-from pickenv.harvester.joint_motion import joint_curves, workspace
-from pickenv.harvester.rules import lower_bound
-from pickenv.harvester.trees import sample_image
-from pickenv.harvester.true_machine import tip_errors
 from pickenv.inspect.reports.report_page import PageTable
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, picked_tree
 
@@ -57,6 +58,33 @@ def displacements(spacing: float) -> dict[str, Array]:
     master, slaves = section_4_2(machine)
     moved = (slaves - machine.slave_home) * (1e3, 1, 1e3)
     return {"master": (master - machine.master_start) * (1, 1e3, 1e3), **dict(zip(ARMS, moved, strict=True))}
+
+
+def joint_curves(machine: Machine, start: ArrayLike, end: ArrayLike, count: int = 101) -> tuple[Array, Array]:
+    """Displacement of all joints over time, master first and then the slaves together, as in Fig. 9.
+
+    Args:
+        machine: The machine.
+        start: Joints of the whole machine, (3 + 3 arms,).
+        end: Joints at the end.
+        count: Number of times.
+
+    Returns:
+        Times (count,), s, and displacements from the start (count, 3 + 3 arms), rad or m.
+    """
+    start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
+    distance = end - start
+    acceleration = np.concatenate([machine.master_acceleration, *[machine.slave_acceleration] * machine.arms])
+    times = travel_time(distance, machine.speed, acceleration)
+    begin = np.concatenate([np.zeros(3), np.full(machine.joints - 3, times[:3].max())])
+    t = np.linspace(0.0, float((begin + times).max()), count)
+    return t, profile(t[:, None] - begin, distance, machine.speed, acceleration)
+
+
+def workspace(machine: Machine, count: int, rng: np.random.Generator) -> Array:
+    """Cups of all slaves at joints drawn evenly within the limits: Fig. 8, (count, arms, 3)."""
+    joints = rng.uniform(machine.lower, machine.upper, (count, machine.joints))
+    return machine.tips(joints[:, :3], joints[:, 3:].reshape(count, machine.arms, 3))
 
 
 def curves(machine: Machine) -> JointCurves:
@@ -79,6 +107,16 @@ def calibrated_controller(true: TrueMachine, rng: np.random.Generator, *, positi
         return fit(plant.arm, measured.positions_only() if positions_only else measured).calibration.compensator()
 
     return Controller(true.machine, believed(true.master), tuple(believed(plant) for plant in true.slaves))
+
+
+def tip_errors(true: TrueMachine, controller: Controller, masters: Sequence[ArrayLike] | Array, slaves: Array) -> Array:
+    """Errors of frame 3 and all cups, (poses, 1 + arms, 3) m, for nominal joints (poses, 3) and (poses, arms, 3)."""
+    masters = np.asarray(masters, dtype=float)
+    joints = np.concatenate([masters, slaves.reshape(len(masters), -1)], axis=-1)
+    commands = controller(joints)
+    cups = true.tips(commands[:, :3], commands[:, 3:].reshape(slaves.shape)) - true.machine.tips(masters, slaves)
+    frame = true.frame3(commands[:, :3]).position - true.machine.frame3(masters)
+    return np.concatenate([frame[:, None], cups], axis=1)
 
 
 def run_errors(true: TrueMachine, controller: Controller, runs: int, rng: np.random.Generator) -> Array:

@@ -15,9 +15,8 @@ from papers.li2016.segmentation import Segmentation
 from papers.pages import Columns, said, table, titled
 from pickenv.arm import Array
 from pickenv.harvester import Machine
-from pickenv.inspect import colours
-from pickenv.inspect.figures.run_drawings import Drawing
-from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, new_figure, rgb
+from pickenv.inspect import Drawing, colours, new_figure
+from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, rgb
 from pickenv.inspect.reports.report_page import PageTable, Section
 
 NOTES = (

@@ -15,8 +15,7 @@ from scipy.stats import spearmanr
 
 from papers.pages import judged
 from pickenv.arm import Array
-from pickenv.harvester import Picking, Strategy, TrueMachine, funnel, load_picking, work_images
-from pickenv.harvester.trees import load_lab
+from pickenv.harvester import Picking, Strategy, TrueMachine, funnel, load_lab, load_picking, work_images
 
 
 @dataclass(frozen=True)

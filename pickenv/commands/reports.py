@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -21,9 +20,8 @@ def figures(
     out: Annotated[Path | None, typer.Option(help="Folder for the figures; RUN/figures if left out.")] = None,
     formats: Annotated[str, typer.Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
 ) -> None:
-    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out or looks wrong."""
+    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out."""
     from pickenv.inspect import drawings_of, read_run, write_drawings
-    from pickenv.inspect.figures.figure_lint import linting
     from pickenv.inspect.figures.run_drawings import NotDrawn
     from pickenv.inspect.runs.run_folder import added_to
 
@@ -32,10 +30,8 @@ def figures(
     separate(
         {"RUN": _numbers(run)}, {"--out": [folder / f"{d.name}.{suffix}" for d in drawings for suffix in suffixes]}
     )
-    with added_to(found), linting() as faults:
+    with added_to(found):
         written = write_drawings(drawings, folder, suffixes)
-    for fault in faults:
-        print(f"warning: {fault}", file=sys.stderr)
     for path in written:
         print(f"wrote {path}")
     for drawing in drawings:

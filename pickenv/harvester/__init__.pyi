@@ -1,11 +1,50 @@
-from .harvest_run import Harvest as Harvest, Strategy as Strategy, harvest as harvest
-from .harvest_summary import Measure as Measure, funnel as funnel, summary as summary
-from .machine import Machine as Machine, load_machine as load_machine
-from .optimiser import assign as assign
+from .arm_paths import slave_joints_at as slave_joints_at, ultrasonic_hold as ultrasonic_hold
+from .harvest_run import (
+    Harvest as Harvest,
+    Measure as Measure,
+    Round as Round,
+    Strategy as Strategy,
+    funnel as funnel,
+    funnel_shares as funnel_shares,
+    harvest as harvest,
+    summary as summary,
+    work_images as work_images,
+    work_trees as work_trees,
+)
+from .interference import arm_distances as arm_distances, pairs_of as pairs_of
+from .machine import (
+    Machine as Machine,
+    dense_workspace as dense_workspace,
+    load_machine as load_machine,
+    master_time as master_time,
+    profile as profile,
+    travel_time as travel_time,
+)
+from .optimiser import assign as assign, lower_bound as lower_bound
 from .pick_points import pick_point as pick_point
-from .picking import Picking as Picking, load_picking as load_picking
-from .strategies import work_images as work_images, work_trees as work_trees
-from .trees import Orchard as Orchard, Tree as Tree, load_orchard as load_orchard
-from .true_machine import Controller as Controller, TrueMachine as TrueMachine, load_true_machine as load_true_machine
-from .work import timetable as timetable, zone_work as zone_work
-from .zones import Grid as Grid, load_grid as load_grid
+from .picking import (
+    Luck as Luck,
+    Picking as Picking,
+    attempt as attempt,
+    draw_luck as draw_luck,
+    load_picking as load_picking,
+    pushes as pushes,
+)
+from .trees import (
+    Orchard as Orchard,
+    Tree as Tree,
+    lab_zone as lab_zone,
+    load_lab as load_lab,
+    load_orchard as load_orchard,
+    sample_image as sample_image,
+    sample_tree as sample_tree,
+    tree_leaves as tree_leaves,
+)
+from .true_machine import (
+    Controller as Controller,
+    Nominal as Nominal,
+    TrueMachine as TrueMachine,
+    load_true_machine as load_true_machine,
+)
+from .work import Work as Work, timetable as timetable, zone_work as zone_work
+from .zones import Grid as Grid, Zone as Zone, cut as cut, load_grid as load_grid

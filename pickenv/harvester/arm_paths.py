@@ -1,4 +1,4 @@
-"""Where the arms are at any time of a timetable, how near they come, and what a side arm's ultrasonic ranger hears.
+"""The arms at any time of a timetable, their least distances, and the echoes of a side arm's ultrasonic ranger.
 
 The ranger sits on both flanks of the side arm's cup and looks sideways, level, at the neighbour: it measures the
 surface that is nearest in its cone, as far as its echo carries. It knows no timetable. Units: m, rad, s.
@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
 from pickenv.harvester.interference import arm_distances, plan
-from pickenv.harvester.joint_motion import profile, travel_time
-from pickenv.harvester.machine import Machine
+from pickenv.harvester.machine import Machine, profile, travel_time
 from pickenv.harvester.work import Hold, Timetable, Work
 
 ALONG = np.linspace(0.0, 1.0, 25)
@@ -28,13 +27,13 @@ def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
     pivot, cup = plan(machine, slaves)
     eye, height = cup[..., arm, :], slaves[..., arm, 0]
     nearest = np.full(height.shape, np.inf)
-    for other in range(1, machine.arms, 2):
-        if other == arm:
+    for neighbour in range(1, machine.arms, 2):
+        if neighbour == arm:
             continue
-        line = pivot[..., other, None, :] + ALONG[:, None] * (cup - pivot)[..., other, None, :]
+        line = pivot[..., neighbour, None, :] + ALONG[:, None] * (cup - pivot)[..., neighbour, None, :]
         away = line - eye[..., None, :]
-        side = away[..., 0] * np.sign(other - arm)  # how far beside, on the flank that faces this neighbour
-        off = np.hypot(away[..., 1], (slaves[..., other, 0] - height)[..., None])
+        side = away[..., 0] * np.sign(neighbour - arm)  # how far beside, on the flank that faces this neighbour
+        off = np.hypot(away[..., 1], (slaves[..., neighbour, 0] - height)[..., None])
         heard = (side > 0) & (np.maximum(off - machine.body.radius, 0.0) <= side * np.tan(ranger.beam))
         gap = np.maximum(np.hypot(side, off) - 2 * machine.body.radius, 0.0)
         nearest = np.minimum(nearest, np.where(heard & (gap <= ranger.farthest), gap, np.inf).min(axis=-1))

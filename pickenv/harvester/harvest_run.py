@@ -1,13 +1,21 @@
 """Whole trees: zone after zone, image, pick point, plan, picks, second looks, collective unloading, and the clock.
 
 Many trees go on in step, so that the true arms of a zone are computed for all of them at once. Each tree draws from a
-generator of its own, so results do not depend on which trees go together. Units: m, rad, s.
+generator of its own, so results do not depend on which trees go together. `work_trees` and `work_images` draw the same
+trees for every strategy from one seed, whatever the number of workers.
+
+`summary` says what the harvests were worth, with 95 % intervals over trees: fruit of one tree share their machine
+stops, so a tree counts as one. With fewer than ten trees there is no interval, nor is there one of a count of rare
+events or of an extreme. Units: m, rad, s.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -15,25 +23,24 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
-from pickenv.base import InputError
+from pickenv.base import Ends, InputError, clustered_share_interval, statistic_interval
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
-from pickenv.harvester.joint_motion import master_time
-from pickenv.harvester.machine import Machine
+from pickenv.harvester.machine import Machine, master_time
 from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_points import pick_point
 from pickenv.harvester.picking import Luck, Outcome, Picking, attempt, displacements, draw_luck
-from pickenv.harvester.trees import Tree, tree_leaves
+from pickenv.harvester.trees import Orchard, Tree, load_lab, sample_image, sample_tree, tree_leaves
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
 from pickenv.harvester.zones import Grid, Zone, cut
-from pickenv.orchard import Chances, Eyes, Leaves, draw_chances, next_picture, see
+from pickenv.orchard import Chances, Eyes, Leaves, draw_chances, load_canopy, load_eyes, next_picture, see
 
 Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """How a machine works a tree.
+    """The way a machine works a tree.
 
     Attributes:
         name: As reports print it.
@@ -86,20 +93,14 @@ class Round:
 
 
 @dataclass(eq=False)
-class _TreeSight:
-    """What lasts from picture to picture of a tree: its leaves, or what chance decides; draws of its own."""
-
-    rng: np.random.Generator
-    leaves: Leaves | None
-    chances: Chances | None = None
-
-
-@dataclass(eq=False)
 class Harvest:
     """A tree being worked, and in the end what was done; stages are per fruit, (n,).
 
     Attributes:
         tree: The tree.
+        rng: Source of what happens to it.
+        looking: Source of what its pictures show.
+        leaves: Its leaves, where pictures are drawn.
         seen: Fruit of which an image showed anything.
         located: Fruit whose place was found in one.
         reachable: Fruit that an arm could reach from a pick point.
@@ -113,11 +114,13 @@ class Harvest:
         phases: Seconds by phase: move, image, pick, unload.
         repicks: Attempts at fruit that was missed before.
         misled: Attempts where no fruit hung.
+        chances: What chance decided about its fruit in the last picture, where errors are measured ones.
     """
 
     tree: Tree
     rng: np.random.Generator
-    sight: _TreeSight
+    looking: np.random.Generator
+    leaves: Leaves | None
     seen: Flags
     located: Flags
     reachable: Flags
@@ -133,6 +136,7 @@ class Harvest:
     phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
     repicks: int = 0
     misled: int = 0
+    chances: Chances | None = None
 
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""
@@ -200,19 +204,19 @@ def _begin(machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -
     none: dict[str, Any] = {stage: np.zeros(len(tree), dtype=bool) for stage in stages}
     load, start = np.zeros(machine.arms, dtype=np.int64), machine.master_start.copy()
     looking = rng.spawn(1)[0]  # so that the same luck befalls a tree however it is seen
-    sight = _TreeSight(looking, tree_leaves(machine, eyes, looking))
-    return Harvest(tree, rng, sight, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
+    leaves = tree_leaves(machine, eyes, looking)
+    return Harvest(tree, rng, looking, leaves, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
 
 
 def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> _Task | None:
     """Image, pick point and plan of a zone; None where the image shows nothing to pick."""
     state.spend("image", machine.cycle.image)
-    numbers, believed = _seen_in(eyes, state, zone, look)
+    numbers, places = _seen_in(eyes, state, zone, look)
     if not numbers.size:
         return None
-    point = pick_point(machine, believed, strategy.pick_point)
+    point = pick_point(machine, places, strategy.pick_point)
     master = np.clip(point.master, machine.master.nominal.lower, machine.master.nominal.upper)
-    work = zone_work(machine, master, believed)
+    work = zone_work(machine, master, places)
     can, fruit = work.reachable, numbers >= 0
     state.reachable[numbers[can & fruit]] = True
     skipped = tuple(numbers[~can & fruit].tolist())
@@ -222,28 +226,28 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
     state.master = master
     plan = assign(work, strategy.assignment, state.rng)
     times = timetable(work, plan, hold=ultrasonic_hold(machine, work, state.rng) if strategy.guard else None)
-    return _Task(zone, master, numbers, believed, work, times, skipped)
+    return _Task(zone, master, numbers, places, work, times, skipped)
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
     """Tree numbers (m,) of what an image finds in a zone, -1 where no fruit is, and where it is believed, (m, 3)."""
-    tree, sight = state.tree, state.sight
+    tree, rng = state.tree, state.looking
     hanging = np.flatnonzero(~state.detached)
     chances = None
     if eyes.errors is not None:
-        if look == 0 or sight.chances is None:
-            chances = sight.chances = draw_chances(sight.rng, len(tree))
+        if look == 0 or state.chances is None:
+            chances = state.chances = draw_chances(rng, len(tree))
         else:
-            chances = next_picture(eyes.errors, sight.chances, sight.rng)
+            chances = next_picture(eyes.errors, state.chances, rng)
         chances = Chances(chances.place[hanging], chances.normal[hanging])
     fruit, diameters = tree.fruit[hanging], tree.diameters[hanging]
-    seen = see(eyes, zone.view, fruit, diameters, sight.rng, leaves=sight.leaves, chances=chances)
-    wanted = seen.located & zone.holds(seen.believed)
-    state.seen[hanging[seen.in_sight & (zone.holds(fruit) | wanted)]] = True
-    state.located[hanging[wanted]] = True
-    phantoms = seen.false[zone.holds(seen.false)]
-    numbers = np.concatenate([hanging[wanted], np.full(len(phantoms), -1)]).astype(np.int64)
-    return numbers, np.concatenate([seen.believed[wanted], phantoms])
+    sighting = see(eyes, zone.view, fruit, diameters, rng, leaves=state.leaves, chances=chances)
+    in_zone = sighting.located & zone.holds(sighting.believed)
+    state.seen[hanging[sighting.in_sight & (zone.holds(fruit) | in_zone)]] = True
+    state.located[hanging[in_zone]] = True
+    phantoms = sighting.false[zone.holds(sighting.false)]
+    numbers = np.concatenate([hanging[in_zone], np.full(len(phantoms), -1)]).astype(np.int64)
+    return numbers, np.concatenate([sighting.believed[in_zone], phantoms])
 
 
 def _execute(
@@ -271,15 +275,15 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     numbers = task.numbers[local]
     tips = tips + rng.normal(size=(len(arm), 2, 3)).sum(axis=1) * true.repeatability
     outcome = _outcome(model, state, numbers, tips, task.times.start + task.work.out[arm, local])
-    there = numbers >= 0
-    fruit = numbers[there]
+    hung = numbers >= 0
+    fruit = numbers[hung]
     state.repicks += int(state.attempted[fruit].sum())
-    state.misled += int((~there).sum())
+    state.misled += int((~hung).sum())
     state.attempted[fruit] = True
-    state.attached[fruit] |= outcome.attached[there]
-    state.detached[fruit] = outcome.detached[there]  # only what hangs is picked
-    state.collected[fruit] = outcome.collected[there]
-    state.by_arm[fruit] = arm[there]
+    state.attached[fruit] |= outcome.attached[hung]
+    state.detached[fruit] = outcome.detached[hung]  # only what hangs is picked
+    state.collected[fruit] = outcome.collected[hung]
+    state.by_arm[fruit] = arm[hung]
     np.add.at(state.load, arm[outcome.collected], 1)
     closest, aimed = closest_approach(machine, task.work, task.times), task.work.joints[arm, local]
     done = task.zone, state.seconds, task.master, numbers, task.work, task.times, aimed, outcome, closest, task.skipped
@@ -291,26 +295,26 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
 
 
 def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: Array, entry: Array) -> Outcome:
-    """What becomes of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
+    """Outcome of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
 
     A cup that was sent where no fruit is comes back empty, but pushes the foliage all the same.
     """
     tree, luck = state.tree, draw_luck(state.rng, len(numbers))
     order = np.argsort(entry, kind="stable")
-    there = numbers >= 0
-    places = np.where(there[:, None], tree.fruit[numbers], tips) if len(tree) else tips
-    masses = np.where(there, tree.masses[numbers], tree.masses.mean()) if len(tree) else np.ones(len(numbers))
-    moved = displacements(model, places[order], masses[order], entry[order], luck)
-    real = np.flatnonzero(there[order])
+    hung = numbers >= 0
+    places = np.where(hung[:, None], tree.fruit[numbers], tips) if len(tree) else tips
+    masses = np.where(hung, tree.masses[numbers], tree.masses.mean()) if len(tree) else np.ones(len(numbers))
+    shifts = displacements(model, places[order], masses[order], entry[order], luck)
+    real = np.flatnonzero(hung[order])
     mine = order[real]
     hanging = ~state.detached
     hanging[numbers[mine]] = False
-    chosen = Luck(*(values[real] for values in luck))
+    real_luck = Luck(*(values[real] for values in luck))
     diameters = tree.diameters[numbers[mine]]
-    done = attempt(model, tips[mine], places[mine], moved[real], diameters, tree.fruit[hanging], chosen)
+    done = attempt(model, tips[mine], places[mine], shifts[real], diameters, tree.fruit[hanging], real_luck)
     empty = Outcome(
         lateral=np.full(len(numbers), np.inf),
-        displaced=np.linalg.norm(moved, axis=-1)[np.argsort(order)],
+        displaced=np.linalg.norm(shifts, axis=-1)[np.argsort(order)],
         **{name: np.zeros(len(numbers), dtype=bool) for name in ("attached", "detached", "collected", "crowded")},
     )
     for mine_too, values in zip(leaves(empty), leaves(done), strict=True):
@@ -326,3 +330,207 @@ def _unload(machine: Machine, state: Harvest) -> None:
     state.spend("unload", machine.cycle.unload)
     state.master = machine.master_start.copy()
     state.load[:] = 0
+
+
+def _generators(seeds: Sequence[np.random.SeedSequence]) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
+    """For each seed a generator of the tree and one of what happens to it."""
+    pairs = [np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2) for seed in seeds]
+    return [np.random.default_rng(a) for a, _ in pairs], [np.random.default_rng(b) for _, b in pairs]
+
+
+def _some_trees(
+    true: TrueMachine,
+    strategy: Strategy,
+    model: Picking,
+    orchard: Orchard,
+    grid: Grid,
+    vision: str,
+    seeds: Sequence[np.random.SeedSequence],
+) -> list[Harvest]:
+    tree_rngs, rngs = _generators(seeds)
+    trees = [sample_tree(true.machine, orchard, rng) for rng in tree_rngs]
+    return harvest(true, strategy, model, trees, rngs, grid, load_eyes(vision, orchard.canopy, strategy.detector))
+
+
+def work_trees(
+    true: TrueMachine,
+    strategy: Strategy,
+    model: Picking,
+    orchard: Orchard,
+    grid: Grid,
+    *,
+    count: int,
+    seed: int,
+    workers: int = 1,
+    vision: str = "measured_errors",
+) -> list[Harvest]:
+    """Draw ``count`` trees from ``seed`` and work them; equal seeds give equal trees for every strategy and vision.
+
+    Args:
+        true: The machine as built.
+        strategy: How it works.
+        model: What becomes of attempts.
+        orchard: What trees are drawn from.
+        grid: How each side is cut into zones.
+        count: Number of trees.
+        seed: Of trees and luck.
+        workers: Processes.
+        vision: What the cameras show, of `pickenv.orchard.VISIONS`.
+
+    Raises:
+        InputError: If the count or the number of workers is not above zero.
+    """
+    if count < 1 or workers < 1:
+        raise InputError(f"{count} trees on {workers} workers are impossible; give 1 or more of each")
+    seeds = np.random.SeedSequence(seed).spawn(count)
+    job = partial(_some_trees, true, strategy, model, orchard, grid, vision)
+    if workers == 1 or count < 2 * workers:
+        return job(seeds)
+    parts = [seeds[i::workers] for i in range(workers)]
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        done = list(pool.map(job, parts))
+    return [done[i % workers][i // workers] for i in range(count)]
+
+
+def work_images(
+    true: TrueMachine,
+    strategy: Strategy,
+    model: Picking,
+    *,
+    count: int,
+    seed: int,
+    vision: str = "measured_errors",
+) -> list[Harvest]:
+    """Li's experiment: ``count`` images of seven fruit in reach of the *paper's* pick point, each picked once."""
+    tree_rngs, rngs = _generators(np.random.SeedSequence(seed).spawn(count))
+    images: list[Tree] = [sample_image(true.machine, rng) for rng in tree_rngs]
+    eyes = load_eyes(vision, load_canopy(load_lab().canopy), strategy.detector)
+    return harvest(true, strategy, model, images, rngs, Grid(1, 1, 1e-6), eyes)
+
+
+STAGES = ("present", "visible", "located", "reachable", "attempted", "attached", "detached", "collected")
+ROUND_NUMBERS = ("makespan", "busy", "held", "waits", "parallel", "travel", "picks", "collisions")
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number and its 95 % interval; both ends None where it has none."""
+
+    value: float
+    low: float | None = None
+    high: float | None = None
+
+    def __str__(self) -> str:
+        text = f"{self.value:.4g}"
+        return text if self.low is None or self.high is None else f"{text} [{self.low:.4g}, {self.high:.4g}]"
+
+
+def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
+    """Fruit at each stage, over all harvests."""
+    return {stage: int(sum(_at_stage(h, stage) for h in harvests)) for stage in STAGES}
+
+
+def funnel_shares(harvests: Sequence[Harvest]) -> dict[str, Measure]:
+    """Share of the fruit present that comes to each stage."""
+    present = np.array([float(len(h.tree)) for h in harvests])
+    return {stage: _share(np.array([float(_at_stage(h, stage)) for h in harvests]), present) for stage in STAGES}
+
+
+def _at_stage(harvest: Harvest, stage: str) -> int:
+    if stage == "present":
+        return len(harvest.tree)
+    return int(getattr(harvest, "seen" if stage == "visible" else stage).sum())
+
+
+def _share(taken: Array, tried: Array) -> Measure:
+    """Of fruit, which come in trees."""
+    if not tried.sum():
+        return Measure(0.0)
+    return _measure(float(taken.sum() / tried.sum()), clustered_share_interval(taken, tried))
+
+
+def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]:
+    """Measures over trees, with intervals where there are ten trees or more.
+
+    ``recovery`` is collected over reachable fruit, ``harvested`` collected over present; ``collisions`` are rounds
+    whose arms came nearer than two radii, ``closest`` the nearest that any came; both stand alone.
+
+    Raises:
+        InputError: If there are no harvests.
+    """
+    if not harvests:
+        raise InputError("there is no harvest to sum up; work at least one tree")
+    rows = [_tree_numbers(machine, h) for h in harvests]
+    names, sums = list(rows[0]), np.array([list(row.values()) for row in rows])
+    table = dict(zip(names, sums.T, strict=True))
+
+    def ratio(part: str, of: str, scale: float = 1.0, *, rest: bool = False) -> Measure:
+        """A ratio of sums over trees, or one minus it."""
+        over, under = names.index(part), names.index(of)
+
+        def make(rows: Array) -> float:
+            value = scale * float(rows[:, over].sum()) / max(float(rows[:, under].sum()), 1e-12)
+            return 1.0 - value if rest else value
+
+        return _measure(make(sums), statistic_interval(sums, make))
+
+    measures = {
+        "recovery": _share(table["collected"], table["reachable"]),
+        "harvested": _share(table["collected"], table["present"]),
+        "picks_per_hour": ratio("collected", "seconds", 3600.0),
+        "seconds_per_tree": ratio("seconds", "trees"),
+        "makespan": ratio("makespan", "zones"),
+        "idle_share": ratio("busy", "makespan", 1.0 / machine.arms, rest=True),
+        "parallel_ratio": ratio("parallel", "makespan"),
+        "held_per_pick": ratio("held", "picks"),
+        "wait_events": ratio("waits", "picks"),
+        "travel_per_pick": ratio("travel", "picks"),
+        "repicks_per_tree": ratio("repicks", "trees"),
+        "misled_per_tree": ratio("misled", "trees"),
+        "collisions": Measure(float(table["collisions"].sum())),
+    }
+    closest = [min((r.closest for r in h.rounds), default=np.inf) for h in harvests]
+    if np.isfinite(min(closest)):
+        measures["closest"] = Measure(min(closest))
+    return measures
+
+
+def _measure(value: float, interval: Ends | None) -> Measure:
+    return Measure(value, *(interval or (None, None)))
+
+
+def _tree_numbers(machine: Machine, harvest: Harvest) -> dict[str, float]:
+    """Sums of one tree."""
+    rounds = [_round_numbers(machine, r) for r in harvest.rounds]
+    return {
+        **{stage: float(_at_stage(harvest, stage)) for stage in ("collected", "reachable", "present")},
+        "seconds": harvest.seconds,
+        "repicks": float(harvest.repicks),
+        "misled": float(harvest.misled),
+        "trees": 1.0,
+        "zones": float(len(rounds)),
+        **{name: float(sum(numbers[name] for numbers in rounds)) for name in ROUND_NUMBERS},
+    }
+
+
+def _round_numbers(machine: Machine, r: Round) -> dict[str, float]:
+    """Sums of one round."""
+    times = r.times
+    edges = np.sort(np.concatenate([times.start, times.end]))
+    middle, lengths = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
+    out = ((times.start[:, None] <= middle) & (middle < times.end[:, None])).sum(axis=0)
+    reach = np.hypot(*(r.aimed[:, 1] * r.aimed[:, 2], r.aimed[:, 2] - machine.slave_home[2]))
+    climbs = 0.0
+    for arm in range(machine.arms):
+        heights = [float(machine.slave_home[0]), *r.aimed[times.arm == arm, 0].tolist()]
+        climbs += float(np.abs(np.diff(heights)).sum())
+    return {
+        "makespan": times.makespan,
+        "busy": float((times.end - times.start).sum()),
+        "held": float(times.held.sum()),
+        "waits": float((times.held > 1e-6).sum()),
+        "parallel": float(lengths[out > 1].sum()),
+        "travel": 2 * float(reach.sum()) + climbs,
+        "picks": float(len(times.fruit)),
+        "collisions": float(r.closest < 2 * machine.body.radius),
+    }

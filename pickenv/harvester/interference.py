@@ -1,4 +1,4 @@
-"""Where arms may meet: distances between capsules, and which picks must not happen at the same time.
+"""Arms that may meet: distances between capsules, and which picks must not happen at the same time.
 
 Slaves are level, so two of them are as far apart as their plan distance and their height difference say. At rest an arm
 points straight ahead and is short; there it is safe from every neighbour (`machine.refuse_touching_arms`), and there
@@ -27,7 +27,7 @@ FEW = 4
 
 def segment_distance(p: ArrayLike, q: ArrayLike, r: ArrayLike, s: ArrayLike) -> Array:
     """Distance between the segments p-q and r-s in the plane; all (..., 2), broadcast."""
-    ends = [(each[..., 0], each[..., 1]) for each in (np.asarray(end, dtype=float) for end in (p, q, r, s))]
+    ends = [(point[..., 0], point[..., 1]) for point in (np.asarray(end, dtype=float) for end in (p, q, r, s))]
     return np.asarray(np.sqrt(_square_between(np, *ends)))
 
 
@@ -82,24 +82,25 @@ def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
     i, j = pairs_of(machine.arms)
     if slaves.size <= FEW * machine.arms * 3:
         offsets, pairs = machine.offsets.tolist(), list(zip(i.tolist(), j.tolist(), strict=True))
-        found = []
+        distances = []
         for row in slaves.reshape(-1, machine.arms, 3).tolist():
-            seen = [_seen(ONE, offset, *joints) for offset, joints in zip(offsets, row, strict=True)]
-            found.append([_between(ONE, seen[a], seen[b]) for a, b in pairs])
-        return np.array(found).reshape(*slaves.shape[:-2], len(pairs))
-    shown = _seen(np, machine.offsets, *(slaves[..., k] for k in range(3)))
-    one, other = (tuple(np.broadcast_to(part, slaves.shape[:-1])[..., arms] for part in shown) for arms in (i, j))
-    return np.asarray(_between(np, one, other))
+            ends = [_ends(ONE, offset, *joints) for offset, joints in zip(offsets, row, strict=True)]
+            distances.append([_between(ONE, ends[a], ends[b]) for a, b in pairs])
+        return np.array(distances).reshape(*slaves.shape[:-2], len(pairs))
+    parts = _ends(np, machine.offsets, *(slaves[..., k] for k in range(3)))
+    all_ends = [np.broadcast_to(part, slaves.shape[:-1]) for part in parts]
+    first, second = (tuple(part[..., arms] for part in all_ends) for arms in (i, j))
+    return np.asarray(_between(np, first, second))
 
 
-def _seen(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
+def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
     """A slave's pivot, its cup in plan, and its height."""
     return offset, *_cup(m, offset, swing, d6), d4
 
 
-def _between(m: Any, one: tuple[Scalar, ...], other: tuple[Scalar, ...]) -> Scalar:
+def _between(m: Any, first: tuple[Scalar, ...], second: tuple[Scalar, ...]) -> Scalar:
     """Distance between the centre lines of two slaves, each as it is seen."""
-    (a, x, y, height), (b, u, v, level) = one, other
+    (a, x, y, height), (b, u, v, level) = first, second
     return m.sqrt(_square_between(m, (a, 0.0), (x, y), (b, 0.0), (u, v)) + (height - level) * (height - level))
 
 
@@ -130,13 +131,13 @@ def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Arr
     ends = np.stack([tips[0], tips[3], tips[1], tips[2], tips[3]])
     top = joints[..., 0]
     bottom = top - approach
-    found = np.full((arms, n, arms, n), np.inf)
+    distances = np.full((arms, n, arms, n), np.inf)
     for a in range(arms):
         for b in range(a + 1, arms):
             edge = starts[:, None, a, :, None], ends[:, None, a, :, None]
-            other = starts[None, :, b, None, :], ends[None, :, b, None, :]
-            level = segment_distance(*edge, *other).min(axis=(0, 1))
+            other_edge = starts[None, :, b, None, :], ends[None, :, b, None, :]
+            level = segment_distance(*edge, *other_edge).min(axis=(0, 1))
             gap = np.maximum(bottom[a][:, None] - top[b][None], bottom[b][None] - top[a][:, None])
-            found[a, :, b, :] = np.hypot(level, np.maximum(gap, 0.0))
-            found[b, :, a, :] = found[a, :, b, :].T
-    return found
+            distances[a, :, b, :] = np.hypot(level, np.maximum(gap, 0.0))
+            distances[b, :, a, :] = distances[a, :, b, :].T
+    return distances

@@ -2,7 +2,8 @@
 
 Closed forms of eqs (4), (5) and (6), the last two corrected to the two-argument arctangent. Base frame: z up, the trees
 at negative y; the slaves stand side by side across the master's heading. Joints: master (theta1, d2, d3), slave (d4,
-theta5 counted from -pi/2, d6). Units: m, rad, s.
+theta5 counted from -pi/2, d6). Moves have trapezoidal profiles under limits of speed and acceleration (Fig. 9). Units:
+m, rad, s.
 """
 
 from __future__ import annotations
@@ -168,10 +169,10 @@ class Machine:
         master = np.asarray(master, dtype=float)
         theta1, d2, d3 = (master[..., i] for i in range(3))
         sin, cos = np.sin(theta1), np.cos(theta1)
-        found = np.empty(master.shape)
-        found[..., 0], found[..., 1] = d3 * cos + self.a2 * sin, d3 * sin - self.a2 * cos
-        found[..., 2] = d2 + self.d1
-        return found
+        position = np.empty(master.shape)
+        position[..., 0], position[..., 1] = d3 * cos + self.a2 * sin, d3 * sin - self.a2 * cos
+        position[..., 2] = d2 + self.d1
+        return position
 
     def master_inverse(self, position: ArrayLike) -> Array:
         """Master joints that bring frame 3 to ``position`` (..., 3): eq (5), corrected for y > 0.
@@ -199,10 +200,10 @@ class Machine:
         side, ahead = self.a2 + self.offsets, self.a4 + d3
         sin, cos, turn = np.sin(theta1), np.cos(theta1), theta1 + swing
         x = d6 * np.cos(turn) + ahead * cos + side * sin
-        found = np.empty((*x.shape, 3))
-        found[..., 0], found[..., 1] = x, d6 * np.sin(turn) + ahead * sin - side * cos
-        found[..., 2] = d4 + d2 + self.d1
-        return found
+        positions = np.empty((*x.shape, 3))
+        positions[..., 0], positions[..., 1] = x, d6 * np.sin(turn) + ahead * sin - side * cos
+        positions[..., 2] = d4 + d2 + self.d1
+        return positions
 
     def slave_inverse(self, master: ArrayLike, targets: ArrayLike) -> Array:
         """Joints of every slave for every target: eq (6) with theta5 = -theta1 - atan2(A, B), wrapped.
@@ -233,7 +234,7 @@ class Machine:
         return _inside(self.master.nominal, master_joints)
 
     def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
-        """Which slave reaches which target (..., n, 3) from master joints (..., 3): (..., arms, n)."""
+        """Flags of the slaves that reach targets (..., n, 3) from master joints (..., 3): (..., arms, n)."""
         return self.within_limits(self.slave_inverse(master, targets))
 
 
@@ -295,7 +296,7 @@ class WorkspaceTable:
 
 @toml_table
 class MachineFile:
-    """What a machine file holds."""
+    """The tables of a machine file."""
 
     machine: MachineTable
     body: Body
@@ -359,12 +360,12 @@ def refuse_touching_arms(machine: Machine) -> None:
         InputError: If that is less than two radii and the margin.
     """
     swing = float(max(-machine.slave.lower[1], machine.slave.upper[1]))
-    left = machine.spacing * np.cos(swing) - machine.slave_home[2] * np.sin(swing)
-    if machine.arms > 1 and left < machine.body.clearance:
+    distance = machine.spacing * np.cos(swing) - machine.slave_home[2] * np.sin(swing)
+    if machine.arms > 1 and distance < machine.body.clearance:
         least = (machine.body.clearance + machine.slave_home[2] * np.sin(swing)) / np.cos(swing)
         raise InputError(
             f"slave arms {machine.spacing * 1e3:g} mm apart meet at rest: a swinging neighbour comes within "
-            f"{max(left, 0.0) * 1e3:.0f} mm and {machine.body.clearance * 1e3:.0f} mm are needed; "
+            f"{max(distance, 0.0) * 1e3:.0f} mm and {machine.body.clearance * 1e3:.0f} mm are needed; "
             f"give a spacing of at least {np.ceil(least * 1e3):g} mm"
         )
 
@@ -389,3 +390,36 @@ def composed(first: Pose, second: Pose) -> Pose:
 def _wrapped(angle: Array) -> Array:
     """Angles in [-pi, pi)."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def travel_time(distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
+    """Time of a move from rest to rest: 2 sqrt(s/a) while the speed is not reached, else s/v + v/a."""
+    s, v, a = (np.asarray(value, dtype=float) for value in (np.abs(distance), speed, acceleration))
+    return np.asarray(np.where(s * a < v * v, 2 * np.sqrt(s / a), s / v + v / a))
+
+
+def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
+    """Displacement at ``time`` after the start of such a move, signed as ``distance``. Shapes broadcast."""
+    t, s, v, a = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (time, distance, speed, acceleration)))
+    sign, s = np.sign(s), np.abs(s)
+    peak = np.minimum(v, np.sqrt(s * a))  # speed reached
+    ramp = peak / a
+    total = np.where(s > 0, s / np.maximum(peak, 1e-12) + ramp, 0.0)
+    t = np.clip(t, 0.0, total)
+    up = a * np.minimum(t, ramp) ** 2 / 2
+    flat = peak * np.clip(t - ramp, 0.0, np.maximum(total - 2 * ramp, 0.0))
+    late = np.clip(t - (total - ramp), 0.0, ramp)
+    return np.asarray(sign * np.minimum(up + flat + peak * late - a * late**2 / 2, s))
+
+
+def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
+    """Time of a move of the master, its joints starting together, (...)."""
+    distance = np.asarray(end, dtype=float) - np.asarray(start, dtype=float)
+    return np.asarray(travel_time(distance, machine.master.speed, machine.master_acceleration).max(axis=-1))
+
+
+def dense_workspace() -> tuple[tuple[float, ...], ...]:
+    """Ranges of x, y and z in the base frame, m, where Li 2016, Fig. 8, finds the cloud of reached points dense."""
+    workspace = read_toml(MachineFile, SHIPPED).workspace
+    assert workspace is not None, SHIPPED
+    return workspace.dense_x, workspace.dense_y, workspace.dense_z

@@ -1,6 +1,8 @@
-"""Plans of small makespan: a local search in milliseconds, and CP-SAT (OR-Tools) where the last share matters.
+"""Plans, who picks what in which order, by the name of the method, and a makespan that no plan beats.
 
-Both keep the no-overlap constraints of `Work.conflict`. Units: s.
+Li's rule and the baselines that the field expects say it at once; a local search takes milliseconds, and CP-SAT
+(OR-Tools) serves where the last share matters. These two keep the no-overlap constraints of `Work.conflict`. Fruit out
+of every arm's reach is left out. Units: s.
 """
 
 from __future__ import annotations
@@ -10,11 +12,116 @@ from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
+from pickenv.arm import Array
 from pickenv.base import NUMBER, InputError, read_toml, require, toml_table
-from pickenv.harvester.rules import hungarian_waves, li_rule, lower_bound, nearest_neighbour, static_columns
-from pickenv.harvester.work import Lists, Plan, Work, last_arm, makespan_of, plain_lists
+from pickenv.harvester.work import Plan, Work, last_arm, makespan_of, plain_lists
 from pickenv.harvester.zones import SHIPPED
+
+
+def li_rule(work: Work) -> Plan:
+    """Columns, and the order of Li 2016, section 5.2: middle arms by falling height, side arms by rising height."""
+    return _ordered(work, _columns(work), lambda arm, height: -height if arm % 2 else height)
+
+
+def static_columns(work: Work) -> Plan:
+    """Every arm picks the column before it, from below."""
+    return _ordered(work, _columns(work), lambda _arm, height: height)
+
+
+def nearest_neighbour(work: Work) -> Plan:
+    """The arm that is free first takes the fruit that it can finish first."""
+    remaining = set(np.flatnonzero(work.reachable).tolist())
+    plan: list[list[int]] = [[] for _ in range(work.arms)]
+    free = np.zeros(work.arms)
+    while remaining:
+        for arm in np.argsort(free, kind="stable").tolist():
+            mine = [j for j in remaining if work.reached[arm, j]]
+            if mine:
+                way = work.travel[plan[arm][-1]] if plan[arm] else work.first
+                fruit = min(mine, key=lambda j: (way[j] + work.duration[arm, j], j))
+                free[arm] += way[fruit] + work.duration[arm, fruit]
+                plan[arm].append(fruit)
+                remaining.remove(fruit)
+                break
+    return tuple(tuple(fruit) for fruit in plan)
+
+
+def hungarian_waves(work: Work) -> Plan:
+    """Wave after wave, at most one fruit an arm, at the least sum of times."""
+    remaining = np.flatnonzero(work.reachable).tolist()
+    plan: list[list[int]] = [[] for _ in range(work.arms)]
+    never = 1e6
+    while remaining:
+        cost = np.full((work.arms, len(remaining)), never)
+        for arm in range(work.arms):
+            way = work.travel[plan[arm][-1]] if plan[arm] else work.first
+            mine = work.reached[arm, remaining]
+            cost[arm, mine] = (way[remaining] + work.duration[arm, remaining])[mine]
+        rows, columns = linear_sum_assignment(cost)
+        taken = [(a, remaining[c]) for a, c in zip(rows.tolist(), columns.tolist(), strict=True) if cost[a, c] < never]
+        for arm, fruit in taken:
+            plan[arm].append(fruit)
+        gone = {fruit for _, fruit in taken}
+        remaining = [fruit for fruit in remaining if fruit not in gone]
+    return tuple(tuple(fruit) for fruit in plan)
+
+
+def lower_bound(work: Work, *, integral: bool = True) -> float:
+    """A makespan that no plan beats: fruit shared out evenly, each with its least travel, and no conflicts.
+
+    Args:
+        work: The zone.
+        integral: Whether fruit is whole (a mixed-integer programme, 0.2 s at most) or may be shared in fractions.
+    """
+    some = np.flatnonzero(work.reachable)
+    if not some.size:
+        return 0.0
+    n, arms = some.size, work.arms
+    travel = work.travel[np.ix_(some, some)].copy()
+    np.fill_diagonal(travel, np.inf)
+    least = np.minimum(work.first[some], travel.min(axis=0))
+    reached = work.reached[:, some]
+    load = np.where(reached, work.duration[:, some] + least, 0.0)
+    single = (np.where(reached, work.duration[:, some], np.inf).min(axis=0) + least).max()
+    # Variables: share of each fruit on each arm, and the makespan. Loads at most the makespan, shares add up to one.
+    above = np.zeros((arms, arms * n + 1))
+    equal = np.zeros((n, arms * n + 1))
+    for arm in range(arms):
+        above[arm, arm * n : (arm + 1) * n] = load[arm]
+        equal[np.arange(n), arm * n + np.arange(n)] = 1.0
+    above[:, -1] = -1.0
+    upper = np.concatenate([reached.ravel().astype(float), [np.inf]])
+    cost = np.zeros(arms * n + 1)
+    cost[-1] = 1.0
+    integrality = np.concatenate([np.full(arms * n, float(integral)), [0.0]])
+    solution = milp(
+        cost,
+        constraints=[LinearConstraint(above, -np.inf, 0.0), LinearConstraint(equal, 1.0, 1.0)],
+        bounds=Bounds(np.zeros(arms * n + 1), upper),
+        integrality=integrality,
+        options={"time_limit": 0.2, "mip_rel_gap": 0.005},
+    )
+    bound = solution.mip_dual_bound if integral else solution.fun
+    return float(max(bound if bound is not None else 0.0, single))
+
+
+def _columns(work: Work) -> list[list[int]]:
+    """Fruit by the arm that turns least to it, of those that reach it: the parts of the zone before each arm."""
+    turn = np.where(work.reached, np.abs(work.joints[..., 1]), np.inf)
+    owner = turn.argmin(axis=0)
+    some = np.flatnonzero(work.reachable)
+    return [some[owner[some] == arm].tolist() for arm in range(work.arms)]
+
+
+def _ordered(work: Work, parts: list[list[int]], key: Callable[[int, float], float]) -> Plan:
+    height: Array = work.joints[0, :, 0]
+    return tuple(
+        tuple(sorted(part, key=lambda j, arm=arm: (key(arm, float(height[j])), j)))  # type: ignore[misc]
+        for arm, part in enumerate(parts)
+    )
+
 
 TICKS = 1000
 """CP-SAT counts whole milliseconds."""
@@ -41,7 +148,7 @@ def local_search(
         return tuple(tuple(fruit) for fruit in best)
     limit = lower_bound(work, integral=False) if bound is None else bound
     reached = work.reached.tolist()
-    current, here = [list(fruit) for fruit in best], value
+    current, current_cost = [list(fruit) for fruit in best], value
     rounds = int(_effort().rounds * patience) * count
     last = 0
     for step in range(rounds):
@@ -51,10 +158,11 @@ def local_search(
         if tried is None:
             continue
         length, arm = last_arm(lists, tried)
-        cost = length + 1e-3 * sum(_loads(lists, tried)) / len(tried)
+        loads = [sum(lists.duration[a][j] for j in fruit) for a, fruit in enumerate(tried)]
+        cost = length + 1e-3 * sum(loads) / len(tried)
         heat = 0.03 * value * (1 - step / rounds)
-        if cost < here or rng.random() < np.exp(-(cost - here) / max(heat, 1e-9)):
-            current, here, last = tried, cost, arm
+        if cost < current_cost or rng.random() < np.exp(-(cost - current_cost) / max(heat, 1e-9)):
+            current, current_cost, last = tried, cost, arm
             if length < value - 1e-9:
                 best, value = [list(fruit) for fruit in tried], length
     return tuple(tuple(fruit) for fruit in best)
@@ -72,10 +180,6 @@ def _by_height(work: Work) -> Plan:
     return tuple(tuple(sorted(part, key=lambda j: (work.joints[0, j, 0], j))) for part in parts)
 
 
-def _loads(lists: Lists, plan: list[list[int]]) -> list[float]:
-    return [sum(lists.duration[arm][j] for j in fruit) for arm, fruit in enumerate(plan)]
-
-
 def _changed(
     plan: list[list[int]], reached: list[list[bool]], rng: np.random.Generator, source: int
 ) -> list[list[int]] | None:
@@ -87,11 +191,11 @@ def _changed(
     target = int(rng.integers(len(new)))
     fruit = new[source].pop(place)
     if rng.random() < 0.5 and new[target]:
-        other = int(rng.integers(len(new[target])))
-        swapped = new[target][other]
+        position = int(rng.integers(len(new[target])))
+        swapped = new[target][position]
         if not (reached[target][fruit] and reached[source][swapped]):
             return None
-        new[target][other] = fruit
+        new[target][position] = fruit
         new[source].insert(place, swapped)
         return new
     if not reached[target][fruit]:
@@ -158,9 +262,9 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     for j in np.flatnonzero(work.reachable).tolist():
         model.add_exactly_one(present[arm, j] for arm in range(work.arms) if work.reached[arm, j])
     for arm, j in intervals:
-        for other, k in intervals:
-            if arm < other and j != k and work.conflict[arm, j, other, k]:
-                model.add_no_overlap([intervals[arm, j], intervals[other, k]])
+        for second, k in intervals:
+            if arm < second and j != k and work.conflict[arm, j, second, k]:
+                model.add_no_overlap([intervals[arm, j], intervals[second, k]])
     for key, literal in present.items():
         model.add_hint(literal, key[1] in start[key[0]])
     model.minimize(span)
@@ -170,12 +274,12 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     solver.parameters.random_seed = 0
     if solver.solve(model) not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
         return start
-    chosen: list[list[tuple[int, int]]] = [[] for _ in range(work.arms)]
+    starts: list[list[tuple[int, int]]] = [[] for _ in range(work.arms)]
     for (arm, j), literal in present.items():
         if solver.value(literal):
-            chosen[arm].append((solver.value(begin[arm, j]), j))
-    found = tuple(tuple(j for _, j in sorted(fruit)) for fruit in chosen)
-    return found if makespan_of(lists, found) < value else start
+            starts[arm].append((solver.value(begin[arm, j]), j))
+    plan = tuple(tuple(j for _, j in sorted(fruit)) for fruit in starts)
+    return plan if makespan_of(lists, plan) < value else start
 
 
 def _ticks(seconds: float) -> int:

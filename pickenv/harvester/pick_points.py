@@ -1,4 +1,4 @@
-"""Where the master stands while its slaves pick a zone: eqs (7) to (12) as printed, corrected, and a search.
+"""Pick points, at which the master stands while its slaves pick: eqs (7) to (12) as printed, corrected, and a search.
 
 The printed equations put frame 3 at polar angle theta2 although theta2 is the arm's heading, and ignore a2; eq (7) also
 swaps the border fruit at negative y. "Master moves much, slaves little": the search takes, among the points from which
@@ -24,7 +24,7 @@ METHODS = ("as_printed", "equations", "corrected", "search")
 
 @dataclass(frozen=True, eq=False)
 class PickPoint:
-    """Where the master stands.
+    """The place at which the master stands.
 
     Attributes:
         master: Master joints, (3,).
@@ -56,8 +56,8 @@ def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
 
 def pick_heading(fruit: Array, spacing: float, printed: bool = False) -> float:
     """theta2 of eqs (10) and (11), rad."""
-    left, right = border_indices(fruit, printed)
-    (x3, y3), (x4, y4) = fruit[left, :2], fruit[right, :2]
+    first, last = border_indices(fruit, printed)
+    (x3, y3), (x4, y4) = fruit[first, :2], fruit[last, :2]
     for x, y in ((x3, y3), (x4, y4)):
         if np.hypot(x, y) <= spacing:
             raise InputError(f"a border fruit at ({x:.3f}, {y:.3f}) m is nearer to the axis than the arms are apart")
@@ -146,8 +146,8 @@ def _heights(machine: Machine, fruit: Array) -> Array:
     """Heights d2 worth trying: the middle of the fruit, and where a fruit is at an end of the slide; (k,)."""
     z = np.unique(fruit[:, 2]) - machine.d1
     centre = (z[0] + z[-1]) / 2 - _slide_middle(machine)
-    found = np.concatenate([[centre], z - machine.slave.lower[0], z - machine.slave.upper[0]])
-    return np.asarray(np.clip(found, machine.master.nominal.lower[1], machine.master.nominal.upper[1]))
+    heights = np.concatenate([[centre], z - machine.slave.lower[0], z - machine.slave.upper[0]])
+    return np.asarray(np.clip(heights, machine.master.nominal.lower[1], machine.master.nominal.upper[1]))
 
 
 def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray[np.bool_]) -> Array:
@@ -160,10 +160,10 @@ def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray
     reached = ((joints >= low - 1e-9) & (joints <= high + 1e-9)).all(axis=-1)
     motion = (np.abs(joints - machine.slave_home[1:]) / (high - low)).sum(axis=-1)
     easiest = np.where(reached, motion, np.inf).min(axis=1)  # (m, n)
-    found = np.isfinite(easiest)
-    easiest = np.where(found, easiest, 0.0)
+    in_reach = np.isfinite(easiest)
+    easiest = np.where(in_reach, easiest, 0.0)
     within = inside.T.astype(float)  # (n, k)
-    gained = found @ within
+    gained = in_reach @ within
     load = (reached @ within).min(axis=1)  # (m, k): fruit in reach of the arm that has fewest
     share = np.minimum(load / max(len(fruit) / machine.arms, 1.0), 1.0)
     return np.asarray(-gained + 0.3 * (easiest @ within) / (1.5 * len(fruit)) - 0.3 * share)

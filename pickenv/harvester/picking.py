@@ -1,4 +1,4 @@
-"""What becomes of each attempt: Li's cup, position sensor and blade, and fruit that a neighbour's cup has pushed away.
+"""Outcomes of attempts: Li's cup, position sensor and blade, and fruit that a neighbour's cup has pushed away.
 
 A cup that goes in pushes the foliage; fruit nearby swings on its branch (spring-pendulum) and part of the push stays.
 Units: m, kg, s.
@@ -73,7 +73,7 @@ def load_picking(path: str | Path = SHIPPED) -> Picking:
 
 
 class Luck(NamedTuple):
-    """What chance decides about attempts; each (picks,).
+    """Draws that decide about attempts; each (picks,).
 
     Attributes:
         grasp: Uniform: whether the cup takes the fruit.
@@ -100,7 +100,7 @@ def draw_luck(rng: np.random.Generator, count: int) -> Luck:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of attempts, in the order of their times; each (picks,).
+    """Outcomes of attempts, in the order of their times; each (picks,).
 
     Attributes:
         lateral: Distance of the fruit from the cup's axis, m.
@@ -160,14 +160,14 @@ def attempt(
 
 
 def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Flags:
-    """Which fruit the cup's wall meets when it takes ``fruit`` (3,): beside it or just below; (m,)."""
+    """Flags of fruit that the cup's wall meets when it takes ``fruit`` (3,): beside it or just below; (m,)."""
     away = near - fruit
     level = np.hypot(away[:, 0], away[:, 1])
     return np.asarray((level < model.outer + diameter / 2) & (away[:, 2] < diameter) & (away[:, 2] > -3 * diameter))
 
 
 def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
-    """How far each cup that goes to ``fruit`` (picks, 3) at once displaces ``others`` (m, 3): (picks, m, 3).
+    """Displacements of ``others`` (m, 3) at once, by each cup that goes to ``fruit`` (picks, 3): (picks, m, 3), m.
 
     It falls off with distance. The share `lasting` stays; the rest swings as the branch does, and dies away.
     """
@@ -178,7 +178,7 @@ def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
 
 
 def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, luck: Luck) -> Array:
-    """How far earlier cups have moved each fruit when its own cup comes, (picks, 3).
+    """Displacement of each fruit by earlier cups when its own cup comes, (picks, 3), m.
 
     Args:
         model: The picking model.

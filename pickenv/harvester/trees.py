@@ -56,7 +56,7 @@ class Tree:
 
 @dataclass(frozen=True, eq=False)
 class Orchard:
-    """What trees are drawn from."""
+    """The canopy, fruit map and fruit size that trees are drawn from."""
 
     canopy: Canopy
     fruit_map: FruitMap
@@ -101,8 +101,8 @@ def load_orchard(
         canopy: A canopy of `pickenv.orchard` instead of the file's; "li2016_bare" has no leaves.
     """
     trees = read_toml(TreesTable, path, section="trees")
-    where = load_fruit_map(fruit_map or trees.fruit_map).scaled(trees.per_metre if per_metre is None else per_metre)
-    return Orchard(load_canopy(canopy or trees.canopy), where, load_fruit_size(trees.fruit_size))
+    fruiting = load_fruit_map(fruit_map or trees.fruit_map).scaled(trees.per_metre if per_metre is None else per_metre)
+    return Orchard(load_canopy(canopy or trees.canopy), fruiting, load_fruit_size(trees.fruit_size))
 
 
 def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:

@@ -27,7 +27,7 @@ ROUNDS = 3
 
 
 class Belief(Protocol):
-    """What a controller knows of one arm; a calibration's compensator is one."""
+    """A controller's knowledge of one arm; a calibration's compensator is one."""
 
     def predict(self, joints: ArrayLike, /) -> Pose:
         """Pose of the arm's last frame at joint commands (..., 3)."""
@@ -121,25 +121,24 @@ class Controller:
 
     def __call__(self, joints: ArrayLike) -> Array:
         """Commands (..., 3 + 3 arms) for nominal joints of the same shape: the compensator of a whole machine."""
-        joints = np.asarray(joints, dtype=float)
+        joints = np.array(joints, dtype=float)
+        if self.master is None and not self.slaves:
+            return joints
         master = self.master_command(joints[..., :3])
         base = self._master().predict(master)
-        wanted = self.machine.tips(joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], -1, 3))
-        commands = [master]
-        for i in range(self.machine.arms):
-            given = joints[..., 3 + 3 * i : 6 + 3 * i]
-            commands.append(self._slave_command(i, base, wanted[..., i, :], given))
-        return np.concatenate(commands, axis=-1)
+        targets = self.machine.tips(joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], -1, 3))
+        slaves = [self._slave_command(i, base, targets[..., i, :]) for i in range(self.machine.arms)]
+        return np.concatenate([master, *slaves], axis=-1)
 
     def master_command(self, master: ArrayLike) -> Array:
         """Master commands (..., 3) that bring the believed frame 3 where the nominal one would be."""
         machine, nominal = self.machine, np.asarray(master, dtype=float)
         if self.master is None:
             return nominal
-        wanted, aim = machine.frame3(nominal), machine.frame3(nominal)
+        target, aim = machine.frame3(nominal), machine.frame3(nominal)
         command = nominal
         for _ in range(ROUNDS):
-            aim = aim + wanted - self.master.predict(command).position
+            aim = aim + target - self.master.predict(command).position
             command = machine.master_inverse(aim).clip(machine.master.nominal.lower, machine.master.nominal.upper)
         return np.asarray(command)
 
@@ -151,11 +150,9 @@ class Controller:
     def _master(self) -> Belief:
         return self.master or Nominal(self.machine.master.nominal)
 
-    def _slave_command(self, i: int, base: Pose, targets: Array, given: Array | None = None) -> Array:
+    def _slave_command(self, i: int, base: Pose, targets: Array) -> Array:
         """Joints that bring the believed cup of slave ``i`` to targets in the base frame, frame 3 at ``base``."""
         geometry = self.machine.slaves[i].nominal
-        if given is not None and self.master is None and not self.slaves:
-            return given
         local = np.einsum("...ji,...j->...i", base.rotation, targets - base.position)
         aim = local
         command = _local_inverse(geometry, aim)
@@ -168,12 +165,12 @@ class Controller:
 
 
 def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]) -> Array:
-    """What ``each`` gives for the picks of every slave (picks, 3), frame 3 at ``base``."""
-    found = np.empty((len(arm), 3))
+    """The rows (picks, 3) that ``each`` gives for the picks of every slave, frame 3 at ``base``."""
+    rows = np.empty((len(arm), 3))
     for i in np.unique(arm).tolist():
         mine = np.flatnonzero(arm == i)
-        found[mine] = each(i, Pose(base.position[mine], base.rotation[mine]), mine)
-    return found
+        rows[mine] = each(i, Pose(base.position[mine], base.rotation[mine]), mine)
+    return rows
 
 
 def _local_inverse(slave: Geometry, local: Array) -> Array:
@@ -214,13 +211,3 @@ def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) 
     arm = replace(arm, true=arm.true.displaced(delta))
     assert arm.true is not None
     return replace(plant, arm=arm, geometry=arm.true)
-
-
-def tip_errors(true: TrueMachine, controller: Controller, masters: Sequence[ArrayLike] | Array, slaves: Array) -> Array:
-    """Errors of frame 3 and all cups, (poses, 1 + arms, 3) m, for nominal joints (poses, 3) and (poses, arms, 3)."""
-    masters = np.asarray(masters, dtype=float)
-    joints = np.concatenate([masters, slaves.reshape(len(masters), -1)], axis=-1)
-    commands = controller(joints)
-    cups = true.tips(commands[:, :3], commands[:, 3:].reshape(slaves.shape)) - true.machine.tips(masters, slaves)
-    frame = true.frame3(commands[:, :3]).position - true.machine.frame3(masters)
-    return np.concatenate([frame[:, None], cups], axis=1)

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
 from pickenv.harvester.interference import excursion_distances
-from pickenv.harvester.joint_motion import travel_time
-from pickenv.harvester.machine import Machine
+from pickenv.harvester.machine import Machine, travel_time
 
 Plan = tuple[tuple[int, ...], ...]
 """For each arm the fruit it picks, in order."""
@@ -69,16 +68,16 @@ def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
     joints = machine.slave_inverse(master, fruit)
     reached = machine.within_limits(joints)
     low, high = machine.slave.lower, machine.slave.upper
-    held = np.clip(joints, low, high)
-    height = held[0, :, 0]
+    clipped = np.clip(joints, low, high)
+    height = clipped[0, :, 0]
     approach = np.minimum(machine.cycle.approach, height - low[0])
     speed, acceleration = machine.slaves[0].speed, machine.slave_acceleration
-    moves = np.abs(held - machine.slave_home)
+    moves = np.abs(clipped - machine.slave_home)
     stretch = travel_time(moves[..., 1:], speed[1:], acceleration[1:]).max(axis=-1)
     rise = travel_time(approach, speed[0], acceleration[0])
     fixed = machine.cycle.sense + machine.cycle.cut
     start = height - approach
-    distances = excursion_distances(machine, held, approach)
+    distances = excursion_distances(machine, clipped, approach)
     return Work(
         joints=joints,
         reached=reached,
@@ -93,7 +92,7 @@ def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """When each pick happens.
+    """The times of picks.
 
     Attributes:
         arm: Arm of each pick, (picks,).
@@ -117,7 +116,7 @@ Hold = Callable[[int, int, float, Timetable], float]
 
 
 def timetable(work: Work, plan: Plan, *, hold: Hold | None = None, late: ArrayLike | None = None) -> Timetable:
-    """When the picks of a plan happen, each as early as its arm is ready and no excursion that it would meet is out.
+    """The times of a plan's picks, each as early as its arm is ready and no excursion that it would meet is out.
 
     Args:
         work: The zone.
@@ -166,15 +165,15 @@ def _schedule(
             if at[a] == len(plan[a]):
                 continue
             fruit, start = plan[a][at[a]], ready[a]
-            moved = True
-            while moved:  # until no excursion already fixed is in the way; all of these have begun before ``start``
-                moved = False
-                for b, other, _, end, _ in done:
-                    if b != a and start < end and lists.barred[a][fruit][b][other]:
-                        start, moved = end, True
-                if hold is not None and not moved:
-                    held = hold(a, fruit, start, _table(done, late))
-                    start, moved = held, held > start
+            delayed = True
+            while delayed:  # until no excursion already fixed is in the way; all of these have begun before ``start``
+                delayed = False
+                for b, picked, _, end, _ in done:
+                    if b != a and start < end and lists.barred[a][fruit][b][picked]:
+                        start, delayed = end, True
+                if hold is not None and not delayed:
+                    later = hold(a, fruit, start, _table(done, late))
+                    start, delayed = later, later > start
             key = (start, 0 if hold is not None and a % 2 else 1, a)
             if best is None or key < best:
                 best = key

@@ -46,13 +46,13 @@ class Zone:
 
     @property
     def view(self) -> Viewpoint:
-        """From where its picture is taken: before its middle, at the machine's column."""
+        """The viewpoint of its picture: before its middle, at the machine's column."""
         return Viewpoint(np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD)
 
 
 @toml_table
 class Grid:
-    """How a tree's side is cut.
+    """The cut of a tree's side into zones.
 
     Attributes:
         columns: Zones side by side.

@@ -1,10 +1,50 @@
+from .figures.field_figure import (
+    corner_errors as corner_errors,
+    error_fields as error_fields,
+    view_errors as view_errors,
+)
+from .figures.plot_calibration import (
+    joint_coverage as joint_coverage,
+    joint_ranges as joint_ranges,
+    least_squares_convergence as least_squares_convergence,
+    network_convergence as network_convergence,
+    parameter_spectrum as parameter_spectrum,
+    uncertainty_map as uncertainty_map,
+)
+from .figures.plot_errors import (
+    error_against as error_against,
+    error_by_method as error_by_method,
+    error_cumulative as error_cumulative,
+    error_histogram as error_histogram,
+    error_per_pose as error_per_pose,
+    error_slices as error_slices,
+)
+from .figures.plot_estimates import error_by_condition as error_by_condition, estimates_figure as estimates_figure
+from .figures.plot_harvest import (
+    funnel_bars as funnel_bars,
+    gantt as gantt,
+    joint_displacements as joint_displacements,
+    pick_map as pick_map,
+    throughput_by_arms as throughput_by_arms,
+    workspace_cloud as workspace_cloud,
+)
+from .figures.plot_policies import (
+    CycleCurve as CycleCurve,
+    accuracy_against_cycle_time as accuracy_against_cycle_time,
+    accuracy_by_pose as accuracy_by_pose,
+    accuracy_drift as accuracy_drift,
+    aggregates as aggregates,
+    success_against_misalignment as success_against_misalignment,
+)
 from .figures.run_drawings import (
+    Drawing as Drawing,
+    NotDrawn as NotDrawn,
     comparison_drawings as comparison_drawings,
     trace_drawings as trace_drawings,
     write_drawings as write_drawings,
 )
-from .figures.style import save_figure as save_figure
-from .films.make_film import film as film
+from .figures.style import new_figure as new_figure, save_figure as save_figure
+from .films.film import film as film
 from .recordings.comparison_recording import record_comparison as record_comparison
 from .recordings.harvest_recording import inspect_harvest as inspect_harvest
 from .recordings.inspections import inspect_calibration as inspect_calibration, inspect_evaluation as inspect_evaluation

@@ -85,7 +85,7 @@ def policy_colours(names: Sequence[str]) -> list[Rgb]:
     for key in keys:
         colour = _own_colour(key)
         if key not in BY_KEY:
-            colour = next((each for each in (colour, *OTHERS, *BY_KEY.values()) if each not in taken), colour)
+            colour = next((free for free in (colour, *OTHERS, *BY_KEY.values()) if free not in taken), colour)
             taken.add(colour)
         colours.append(colour)
     return colours
@@ -94,18 +94,18 @@ def policy_colours(names: Sequence[str]) -> list[Rgb]:
 def _own_colour(key: str) -> Rgb:
     words = key.split("_")
     ends = ("_".join(words[i:]) for i in range(len(words)))
-    known = next((BY_KEY[end] for end in ends if end in BY_KEY), None)
-    return OTHERS[zlib.crc32(key.encode()) % len(OTHERS)] if known is None else known
+    other = OTHERS[zlib.crc32(key.encode()) % len(OTHERS)]
+    return next((BY_KEY[end] for end in ends if end in BY_KEY), other)
 
 
 def policy_rank(name: str) -> int:
-    """Where a policy stands among others, given its key or label: 1 for raw, 2 for LS, 3 for LS+BPNN, 4 for others."""
+    """The rank of a policy among others, given its key or label: 1 for raw, 2 for LS, 3 for LS+BPNN, 4 for others."""
     key = policy_key(name)
     return next((i for i, keys in enumerate(ORDER, start=1) if key in keys), len(ORDER) + 1)
 
 
 def policy_label(key: str) -> str:
-    """What people call a policy with a key that has no label of its own: LS+BPNN for ls_bpnn, ``my policy``."""
+    """The name that people use for a policy's key: LS+BPNN for ls_bpnn, ``my policy``."""
     return NAMES.get(key, key.replace("_", " "))
 
 
@@ -114,8 +114,8 @@ def lane(name: str) -> str:
 
     What follows a slash, such as an environment's number, stays.
     """
-    policy, slash, rest = name.partition("/")
-    return f"{policy_rank(policy)}_{policy_key(policy)}{slash}{rest}"
+    policy, *further = name.partition("/")
+    return f"{policy_rank(policy)}_{policy_key(policy)}{''.join(further)}"
 
 
 def arm_colour(arm: int) -> Rgb:

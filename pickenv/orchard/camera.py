@@ -1,4 +1,4 @@
-"""Where a stereo or RGB-D camera believes fruit to be.
+"""Fruit as a stereo or RGB-D camera measures it: an error model.
 
 Along the line of sight: bias(d, light) and noise σ_z = sqrt(floor² + (a d²)²), for stereo a = σ_disparity/(f_px b);
 across it: pixel noise × d/f_px, and where fruit is partly hidden its centroid is pulled to the visible side by up to
@@ -106,7 +106,7 @@ class PairedCamera(Camera):
 
 
 def camera_kind(table: Mapping[str, Any]) -> type[Camera]:
-    """Which camera a table of a file is."""
+    """The class of camera that a table of a file describes."""
     return PairedCamera if "baseline_mm" in table else Camera
 
 
@@ -116,8 +116,8 @@ CameraFile: TypeAlias = Annotated[Camera | PairedCamera, Kinds(camera_kind)]
 
 def load_camera(name: str | Path) -> Camera:
     """Read a camera by name (`shipped("camera")`) or from a path to a TOML file."""
-    found = preset_files.load("camera", name, camera_kind)
-    return Camera(**{field.name: getattr(found, field.name) for field in fields(Camera)})
+    camera = preset_files.load("camera", name, camera_kind)
+    return Camera(**{field.name: getattr(camera, field.name) for field in fields(Camera)})
 
 
 def stereo_depth_noise(focal_length: float, baseline: float, disparity_noise: float) -> float:
@@ -146,8 +146,8 @@ def detection_probability(camera: Camera, distance: ArrayLike, visible: ArrayLik
     """Probability that a fruit inside the image is reported, by distance in m and visible share."""
     distance, visible = np.asarray(distance, dtype=float), checks.numbers("the visible share", visible, lowest=0.0)
     ramp = np.clip((visible - camera.lost_below) / max(camera.found_above - camera.lost_below, 1e-12), 0.0, 1.0)
-    found = np.where(visible >= camera.found_above, 1.0, ramp) * (1.0 - camera.dropout)
-    return np.asarray(np.where((distance >= camera.nearest) & (distance <= camera.farthest), found, 0.0))
+    probability = np.where(visible >= camera.found_above, 1.0, ramp) * (1.0 - camera.dropout)
+    return np.asarray(np.where((distance >= camera.nearest) & (distance <= camera.farthest), probability, 0.0))
 
 
 def measured_positions(
@@ -161,7 +161,7 @@ def measured_positions(
     diameters: ArrayLike = 0.0,
     visible_side: ArrayLike | None = None,
 ) -> Array:
-    """Where the camera believes fruit to be, given that it reports it.
+    """Positions that the camera measures of fruit that it reports.
 
     Args:
         camera: Error model.
@@ -192,16 +192,16 @@ def measured_positions(
     hidden = 1.0 - np.clip(checks.numbers("the visible share", visible), 0.0, 1.0)
     pull = camera.occlusion_pull * hidden * checks.numbers("fruit diameters", diameters, lowest=0.0) / 2
     chance = pull / np.maximum(np.hypot(draws[..., 3], draws[..., 4]), 1e-300)  # of a random side
-    known: Array | float = 0.0
+    sideways: Array | float = 0.0
     if visible_side is not None:
         side = checks.points("the visible side", visible_side)
         length = np.sqrt(np.einsum("...i,...i->...", side, side))
-        given = length > 1e-9
-        known = side * np.where(given, pull / np.where(given, length, 1.0), 0.0)[..., None]
-        chance = np.where(given, 0.0, chance)
+        has_side = length > 1e-9
+        sideways = side * np.where(has_side, pull / np.where(has_side, length, 1.0), 0.0)[..., None]
+        chance = np.where(has_side, 0.0, chance)
     across = (lateral * draws[..., 0] + chance * draws[..., 3])[..., None] * right
     upwards = (lateral * draws[..., 1] + chance * draws[..., 4])[..., None] * up
-    return np.asarray(positions + along[..., None] * ray + across + upwards + known)
+    return np.asarray(positions + along[..., None] * ray + across + upwards + sideways)
 
 
 def in_image(camera: Camera, positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Flags:
@@ -267,9 +267,9 @@ def detect(
     share = np.broadcast_to(checks.numbers("the visible share", visible, lowest=0.0), (count,))
     chance, draws = rng.random(count), rng.normal(size=(count, DRAWS))
     distance = np.linalg.norm(positions - viewpoint, axis=-1)
-    seen = chance < detection_probability(camera, distance, share)
-    seen &= in_image(camera, positions, viewpoint, looking)
-    believed = measured_positions(
+    reported = chance < detection_probability(camera, distance, share)
+    reported &= in_image(camera, positions, viewpoint, looking)
+    measured = measured_positions(
         camera, positions, viewpoint, draws, light=light, visible=share, diameters=diameters, visible_side=visible_side
     )
     false = int(rng.poisson(camera.false_detections))
@@ -279,9 +279,9 @@ def detect(
     depth = rng.uniform(near, far, size=(false, 1))
     phantoms = orchard_frame(np.concatenate([pixel * depth, depth], axis=-1), viewpoint, looking)
     return Detections(
-        positions=np.concatenate([believed[seen], phantoms]),
-        fruit=np.concatenate([np.flatnonzero(seen), np.full(false, -1)]).astype(np.int64),
-        confidence=np.concatenate([np.clip(share[seen], 0.0, 1.0), np.full(false, 0.5)]),
+        positions=np.concatenate([measured[reported], phantoms]),
+        fruit=np.concatenate([np.flatnonzero(reported), np.full(false, -1)]).astype(np.int64),
+        confidence=np.concatenate([np.clip(share[reported], 0.0, 1.0), np.full(false, 0.5)]),
     )
 
 
@@ -290,5 +290,5 @@ def _across(ray: Array) -> tuple[Array, Array]:
     x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
     level = np.sqrt(x**2 + y**2)
     upright = level < 1e-9  # looking straight up or down there is no level direction to the right: take the row's
-    a, b = (np.where(upright, rest, part / np.where(upright, 1.0, level)) for rest, part in ((1.0, y), (0.0, -x)))
+    a, b = (np.where(upright, default, part / np.where(upright, 1.0, level)) for default, part in ((1.0, y), (0.0, -x)))
     return np.stack([a, b, np.zeros_like(z)], axis=-1), np.stack([b * z, -a * z, a * y - b * x], axis=-1)

@@ -1,4 +1,4 @@
-"""What the orchard's numbers and arrays must be: finite, of the right shape, physically possible. One sentence each."""
+"""Checks of the orchard's numbers and arrays: finite, of the right shape, physically possible. One sentence each."""
 
 from __future__ import annotations
 

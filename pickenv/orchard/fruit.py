@@ -1,8 +1,12 @@
-"""How many fruit hang where, and how big they are: fruit is clumped, and a uniform sampler is wrong.
+"""Fruit: its numbers along a row, sizes, the loads that detach it, and its swing on the branch.
 
-Clusters per block of the fruiting wall follow a negative binomial whose mean depends on the row of blocks and whose
-variance/mean is common to all rows; each cluster holds ``cluster_size`` apples. Blocks are independent: in the field
-neighbours correlate by 0.1 to 0.3. Units: m, kg.
+Fruit is clumped, and a uniform sampler is wrong. Clusters per block of the fruiting wall follow a negative binomial
+whose mean depends on the row of blocks and whose variance/mean is common to all rows; each cluster holds
+``cluster_size`` apples. Blocks are independent: in the field neighbours correlate by 0.1 to 0.3.
+
+Fruit on its branch is a damped spring-pendulum, so that a push displaces fruit, and its neighbours, for a while: each
+axis obeys x'' + 2ζω x' + ω² x = F/m with ω² = g/l + k/m sideways and k/m upright; steps of constant force are solved
+exactly, whatever their length. Units: m, s, N, kg. Axes as in canopy.py: x, y sideways, z up.
 """
 
 from __future__ import annotations
@@ -14,7 +18,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.base import NEWTON, NEWTON_METRE, NUMBER, REQUIRED, WHOLE, InputError, Unit, toml_table
+from pickenv.base import GRAVITY, KG, NEWTON, NEWTON_METRE, NUMBER, REQUIRED, WHOLE, InputError, Unit, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags, Integers
 
@@ -69,26 +73,6 @@ def detached(strength: Strength, pull: ArrayLike = 0.0, twist: ArrayLike = 0.0) 
     return np.asarray(pulled | (np.abs(checks.numbers("the twist (N·m)", twist)) >= strength.twist))
 
 
-def detachment_probability(detachment: Detachment, pull: ArrayLike = 0.0, twist: ArrayLike = 0.0) -> Array:
-    """Share of fruit that comes off under a pull (N) and a twist (N·m)."""
-    from scipy.special import ndtr
-
-    load = np.maximum(
-        np.abs(checks.numbers("the pull (N)", pull)) / detachment.pull_95,
-        np.abs(checks.numbers("the twist (N·m)", twist)) / detachment.twist_95,
-    )
-    with np.errstate(divide="ignore"):
-        return np.asarray(ndtr(QUANTILE_95 + np.log(load) / detachment.spread))
-
-
-def stem_ends(detachment: Detachment, positions: ArrayLike, diameters: ArrayLike) -> Array:
-    """Where the stems of hanging fruit meet the wood, m, shape (n, 3): straight above the fruit."""
-    positions, diameters = checks.fruit_arrays(positions, diameters)
-    ends = positions.copy()
-    ends[:, 2] += diameters / 2 + detachment.stem
-    return ends
-
-
 @toml_table
 class FruitMap:
     """A model of apples per block along a row of trees.
@@ -134,46 +118,6 @@ class FruitMap:
         return replace(self, row_means=tuple(float(mean) for mean in shares))
 
 
-@dataclass(frozen=True, eq=False)
-class Clumping:
-    """Statistics of apple counts; each has the leading shape of the counts.
-
-    Attributes:
-        density: Apples per metre of row.
-        variance_ratio: Variance/mean over all blocks.
-        k: Moment estimate of the negative binomial's dispersion, mean²/(variance − mean).
-        empty_share: Share of blocks without an apple.
-        row_shares: Share of the apples in each row of blocks, top to bottom, shape (..., rows).
-    """
-
-    density: Array
-    variance_ratio: Array
-    k: Array
-    empty_share: Array
-    row_shares: Array
-
-
-def clumping(counts: ArrayLike, block: float = 0.3) -> Clumping:
-    """How clumped apple counts are.
-
-    Args:
-        counts: Apples per block, shape (..., rows, columns), rows from top to bottom.
-        block: Edge of a block, m.
-    """
-    checks.positive("the block of a fruit map (m)", block)
-    counts = _counts(counts)
-    mean, variance = counts.mean(axis=(-2, -1)), counts.var(axis=(-2, -1))
-    total = counts.sum(axis=(-2, -1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return Clumping(
-            density=np.asarray(total / (counts.shape[-1] * block)),
-            variance_ratio=np.asarray(variance / mean),
-            k=np.asarray(mean**2 / (variance - mean)),
-            empty_share=np.asarray((counts == 0).mean(axis=(-2, -1))),
-            row_shares=np.asarray(counts.sum(axis=-1) / total[..., None]),
-        )
-
-
 def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | None = None) -> FruitMap:
     """Fit a fruit map to apple counts by maximum likelihood.
 
@@ -190,9 +134,11 @@ def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | Non
     from scipy.optimize import minimize_scalar
     from scipy.stats import nbinom
 
-    counts = _counts(matrix)
-    if counts.ndim != 2:
-        raise InputError(f"a fruit map is a matrix of counts by row and column; this one has shape {counts.shape}")
+    counts = checks.numbers("the counts of a fruit map", matrix, lowest=0.0)
+    if counts.ndim != 2 or not counts.size:
+        raise InputError(f"the counts of a fruit map need rows and columns; they have shape {counts.shape}")
+    if (counts != np.round(counts)).any():
+        raise InputError("the counts of a fruit map must be whole apples; at least one is a fraction")
     if not counts.any():
         raise InputError("the fruit map has no apples in any block; there is nothing to fit")
     rows, columns = np.flatnonzero(counts.any(axis=1)), np.flatnonzero(counts.any(axis=0))
@@ -203,11 +149,12 @@ def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | Non
         raise InputError(f"a cluster size of {cluster_size} does not divide every count of the fruit map")
     clusters = counts / cluster_size
     means = clusters.mean(axis=1, keepdims=True)
-    lived, means = clusters[means[:, 0] > 0], means[means[:, 0] > 0]
+    fruiting = means[:, 0] > 0
+    clusters, means = clusters[fruiting], means[fruiting]
 
     def cost(log_excess: float) -> float:
         excess = np.exp(log_excess)  # variance/mean - 1
-        return -float(np.sum(nbinom.logpmf(lived, means / excess, 1.0 / (1.0 + excess))))
+        return -float(np.sum(nbinom.logpmf(clusters, means / excess, 1.0 / (1.0 + excess))))
 
     best = minimize_scalar(cost, bounds=(np.log(1e-6), np.log(1e3)), method="bounded", options={"xatol": 1e-6})
     excess = float(np.exp(best.x))
@@ -230,8 +177,8 @@ def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, s
         clusters = rng.poisson(np.broadcast_to(means, size))
     else:
         bearing = np.broadcast_to(means, size) > 0
-        drawn = rng.negative_binomial(np.where(bearing, means / excess, 1.0), 1.0 / (1.0 + excess))
-        clusters = np.where(bearing, drawn, 0)
+        sampled = rng.negative_binomial(np.where(bearing, means / excess, 1.0), 1.0 / (1.0 + excess))
+        clusters = np.where(bearing, sampled, 0)
     return np.asarray(clusters * fruit_map.cluster_size, dtype=np.int64)
 
 
@@ -271,8 +218,8 @@ def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> A
     if size.std < 1e-9 * size.mean:
         return np.full(count, size.mean)
     low, high = ndtr((np.array([size.smallest, size.largest]) - size.mean) / size.std)
-    drawn = size.mean + size.std * ndtri(low + uniform * (high - low))
-    return np.asarray(np.clip(drawn, size.smallest, size.largest))
+    diameters = size.mean + size.std * ndtri(low + uniform * (high - low))
+    return np.asarray(np.clip(diameters, size.smallest, size.largest))
 
 
 def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
@@ -290,10 +237,111 @@ def load_fruit_size(name: str | Path) -> FruitSize:
     return preset_files.load("fruit_size", name, FruitSize)
 
 
-def _counts(counts: ArrayLike) -> Array:
-    array = checks.numbers("the counts of a fruit map", counts, lowest=0.0)
-    if array.ndim < 2 or not array.size:
-        raise InputError(f"the counts of a fruit map need rows and columns; they have shape {array.shape}")
-    if (array != np.round(array)).any():
-        raise InputError("the counts of a fruit map must be whole apples; at least one is a fraction")
-    return array
+@toml_table
+class Branch(checks.Preset):
+    """The branch that fruit hangs from.
+
+    Attributes:
+        pendulum: Length of the pendulum, m.
+        stiffness_sideways: N/m.
+        stiffness_upright: N/m.
+        wood: Mass of wood that moves with the fruit, kg.
+        damping_ratio: Share of critical damping.
+        coupling: Distance over which a push on one fruit falls to 1/e at its neighbours, m.
+        source: Where its numbers come from.
+    """
+
+    pendulum: Annotated[float, MM.positive]
+    stiffness_sideways: Annotated[float, Unit("N_per_m").not_negative]
+    stiffness_upright: Annotated[float, Unit("N_per_m").positive]
+    wood: Annotated[float, KG.not_negative]
+    damping_ratio: Annotated[float, NUMBER.not_negative]
+    coupling: Annotated[float, MM.positive]
+    source: str = ""
+
+
+def load_branch(name: str | Path) -> Branch:
+    """Read a branch by name (`shipped("branch")`) or from a path to a TOML file."""
+    return preset_files.load("branch", name, Branch)
+
+
+def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
+    """Undamped angular frequencies along x, y, z, rad/s, shape (..., 3), for fruit masses (...) in kg."""
+    moving = _moving_mass(branch, mass)
+    sideways = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
+    return np.stack([sideways, sideways, np.sqrt(branch.stiffness_upright / moving)], axis=-1)
+
+
+def swing(
+    branch: Branch,
+    displacement: ArrayLike,
+    velocity: ArrayLike,
+    mass: ArrayLike,
+    dt: ArrayLike,
+    force: ArrayLike = (0.0, 0.0, 0.0),
+) -> tuple[Array, Array]:
+    """Displacement and velocity of fruit after ``dt`` under a constant force.
+
+    Args:
+        branch: What the fruit hangs from.
+        displacement: From where the fruit hangs at rest, m, shape (..., 3).
+        velocity: m/s, shape (..., 3).
+        mass: Fruit masses, kg, shape (...).
+        dt: s, shape (...); exact for any length.
+        force: On the fruit, N, shape (..., 3).
+
+    Returns:
+        Displacement and velocity, each of shape (..., 3).
+    """
+    start = checks.points("the displacement of fruit", displacement)
+    speed = checks.points("the velocity of fruit", velocity)
+    time = checks.numbers("the time step (s)", dt, lowest=0.0)[..., None]
+    omega = natural_frequencies(branch, mass)
+    balance = checks.points("the force on fruit", force) / (_moving_mass(branch, mass)[..., None] * omega**2)
+    zeta, x = branch.damping_ratio, start - balance
+    if zeta < 1.0:
+        damped = omega * np.sqrt(1.0 - zeta**2)
+        decay = np.exp(-zeta * omega * time)
+        even, odd = decay * np.cos(damped * time), decay * np.sin(damped * time) / damped
+    elif zeta == 1.0:
+        even = np.exp(-omega * time)
+        odd = even * time
+    else:
+        root = np.sqrt(zeta**2 - 1.0)
+        slow, fast = np.exp(-(zeta - root) * omega * time), np.exp(-(zeta + root) * omega * time)
+        even, odd = (slow + fast) / 2, (slow - fast) / (2 * omega * root)
+    drag = zeta * omega
+    return (
+        np.asarray(balance + (even + drag * odd) * x + odd * speed),
+        np.asarray((even - drag * odd) * speed - omega**2 * odd * x),
+    )
+
+
+def coupling(branch: Branch, distance: ArrayLike) -> Array:
+    """Share of a push on one fruit that reaches another at ``distance`` m: 1 at the fruit itself, falling off by e."""
+    return np.asarray(np.exp(-checks.numbers("the distance between fruit (m)", distance, lowest=0.0) / branch.coupling))
+
+
+def pushed(branch: Branch, positions: ArrayLike, contact: ArrayLike, push: ArrayLike) -> Array:
+    """Displacement of each fruit by a push, neighbours of the touched one included.
+
+    Args:
+        branch: What the fruit hangs from.
+        positions: Fruit centres, m, shape (n, 3).
+        contact: Where the arm touches, m, shape (..., 3).
+        push: How far it pushes, m, shape (..., 3).
+
+    Returns:
+        Displacements, m, shape (..., n, 3): start values for `swing`.
+    """
+    positions, contact = checks.points("fruit positions", positions), checks.points("the contact", contact)
+    push = checks.points("the push", push)
+    distance = np.linalg.norm(positions - contact[..., None, :], axis=-1)
+    return np.asarray(coupling(branch, distance)[..., None] * push[..., None, :])
+
+
+def _moving_mass(branch: Branch, mass: ArrayLike) -> Array:
+    fruit = checks.numbers("the mass of fruit (kg)", mass)
+    if (fruit <= 0).any():
+        checks.positive("the mass of fruit (kg)", float(fruit.min()))
+    return np.asarray(fruit + branch.wood)

@@ -1,4 +1,4 @@
-"""What a gripper forgives: a cup with a hard edge, or a compliant hand that fails ever more often.
+"""Grippers and what they forgive: a cup with a hard edge, or a compliant hand that fails ever more often.
 
 Misalignment of the fruit in the tool: lateral (across the tool's axis), axial (along it), angle. Units: m, rad.
 """
@@ -23,11 +23,11 @@ KIND = Check(lambda value: value in names("gripper"), "'cup' or 'hand'")
 
 
 class Gripper(Protocol):
-    """What a gripper must have; a class of them is registered, and read from files by its field ``kind``."""
+    """The members of a gripper; a class of them is registered, and read from files by its field ``kind``."""
 
     @property
     def name(self) -> str:
-        """What it is called in tables."""
+        """Its name in tables."""
         ...
 
     @property
@@ -41,7 +41,7 @@ class Gripper(Protocol):
 
     @property
     def tolerance(self) -> float:
-        """How far aside of the tool's axis a fruit may lie, m."""
+        """Distance from the tool's axis at which a fruit is taken, m: always by a cup, one time in two by a hand."""
         ...
 
 
@@ -76,7 +76,7 @@ class Cup(checks.Preset):
 
     @property
     def tolerance(self) -> float:
-        """How far aside a fruit is always taken, m."""
+        """Distance aside up to which a fruit is always taken, m."""
         return (self.opening - self.fruit) / 2.0
 
 
@@ -110,13 +110,13 @@ class CompliantHand(checks.Preset):
 
     @property
     def tolerance(self) -> float:
-        """How far aside a fruit is taken one time in two, m."""
+        """Distance aside at which a fruit is taken one time in two, m."""
         return max(self.intercept / self.lateral, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Misalignment:
-    """How a fruit lies in the tool: m and rad, each of shape (...); axial is positive beyond the tool's point."""
+    """Lie of a fruit in the tool: m and rad, each of shape (...); axial is positive beyond the tool's point."""
 
     lateral: Array
     axial: Array
@@ -136,9 +136,9 @@ def misalignment(offset: ArrayLike, tool_axis: ArrayLike, wanted_axis: ArrayLike
     lateral = np.linalg.norm(offset - axial[..., None] * axis, axis=-1)
     if wanted_axis is None:
         return Misalignment(lateral, axial, np.zeros_like(axial))
-    wanted = checks.directions("the wanted axis", wanted_axis)
-    sine = np.linalg.norm(np.cross(axis, wanted), axis=-1)
-    angle = np.arctan2(sine, np.einsum("...i,...i->...", axis, wanted))
+    ideal = checks.directions("the wanted axis", wanted_axis)
+    sine = np.linalg.norm(np.cross(axis, ideal), axis=-1)
+    angle = np.arctan2(sine, np.einsum("...i,...i->...", axis, ideal))
     return Misalignment(
         lateral, axial, np.asarray(np.broadcast_to(angle, np.broadcast_shapes(angle.shape, axial.shape)))
     )
@@ -165,11 +165,6 @@ def capture_probability(
     return gripper.probability(x, z, phi, diameter)
 
 
-def lateral_tolerance(gripper: Gripper) -> float:
-    """How far aside of the tool's axis a fruit may lie, m: always taken by a cup, one time in two by a hand."""
-    return gripper.tolerance
-
-
 def load_gripper(name: str | Path) -> Gripper:
     """Read a gripper by name (`shipped("gripper")`), from a path to a TOML file, or a registered one as it is made.
 
@@ -187,7 +182,7 @@ def load_gripper(name: str | Path) -> Gripper:
 
 
 def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
-    """Which gripper a table of a file is.
+    """The class of gripper that a table of a file describes.
 
     Raises:
         InputError: If there is no such kind.
@@ -200,6 +195,6 @@ def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
 
 
 def gripper_file() -> Any:
-    """What a gripper file holds: the union of all registered classes."""
+    """The type of a gripper file: the union of all registered classes."""
     kinds = tuple(kind for kind in load_all("gripper").values() if is_dataclass(kind))
     return Annotated[Union[kinds], Kinds(gripper_kind)]  # noqa: UP007 - their number is not known before

@@ -136,7 +136,7 @@ def render_stereo(
     fruit_at, leaf_at = project(camera, positions), project(camera, leaves.places)
     images = [_background(look, camera.image, rng) for _ in range(2)]
     shows = np.full((height, width), BACKGROUND, dtype=np.int64)
-    whole = np.zeros(len(positions))
+    disc_pixels = np.zeros(len(positions))
     depth = np.concatenate([positions[:, 2], leaves.places[:, 2]])
     for item in np.argsort(-depth, kind="stable"):
         is_fruit = item < len(positions)
@@ -144,14 +144,14 @@ def render_stereo(
         at, z = (fruit_at[i], positions[i, 2]) if is_fruit else (leaf_at[i], leaves.places[i, 2])
         reach = camera.focal_length / z * (diameters[i] / 2 if is_fruit else max(look.leaf_length, look.leaf_width) / 2)
         if is_fruit:
-            whole[i] = np.pi * reach**2
+            disc_pixels[i] = np.pi * reach**2
         for eye, image in enumerate(images):
             column, row = at[0] - eye * at[2], at[1]
-            left, right = max(int(column - reach), 0), min(int(column + reach) + 2, width)
+            start, end = max(int(column - reach), 0), min(int(column + reach) + 2, width)
             top, bottom = max(int(row - reach), 0), min(int(row + reach) + 2, height)
-            if left >= right or top >= bottom:
+            if start >= end or top >= bottom:
                 continue
-            u = (np.arange(left, right) - column) / reach
+            u = (np.arange(start, end) - column) / reach
             v = ((np.arange(top, bottom) - row) / reach)[:, None]
             if is_fruit:
                 inside, colour = _sphere(look, u, v)
@@ -159,17 +159,17 @@ def render_stereo(
                 a = leaves.shapes[i]
                 inside = (a[0, 0] * u + a[0, 1] * v) ** 2 + (a[1, 0] * u + a[1, 1] * v) ** 2 <= 1.0
                 colour = leaves.colours[i]
-            patch = image[top:bottom, left:right]
+            patch = image[top:bottom, start:end]
             patch[inside] = colour[inside] if is_fruit else colour
             if eye == 0:
-                shows[top:bottom, left:right][inside] = i if is_fruit else LEAF
+                shows[top:bottom, start:end][inside] = i if is_fruit else LEAF
     noisy = [np.clip(im + look.pixel_noise * rng.normal(size=im.shape), 0, 255).astype(np.uint8) for im in images]
-    seen = np.bincount(shows[shows >= 0], minlength=len(positions))
-    return StereoPair(noisy[0], noisy[1], shows, np.clip(seen / np.maximum(whole, 1e-12), 0.0, 1.0))
+    visible_pixels = np.bincount(shows[shows >= 0], minlength=len(positions))
+    return StereoPair(noisy[0], noisy[1], shows, np.clip(visible_pixels / np.maximum(disc_pixels, 1e-12), 0.0, 1.0))
 
 
 def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Which pixels a unit sphere covers, and their colours."""
+    """Flags of the pixels that a unit sphere covers, and their colours."""
     square = np.asarray(u**2 + v**2, dtype=np.float64)
     ahead = np.sqrt(np.clip(1.0 - square, 0.0, None))
     sun = np.array(look.sun) / np.linalg.norm(look.sun)

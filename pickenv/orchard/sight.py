@@ -1,26 +1,179 @@
-"""What a machine's stereo pair makes of fruit: pictures that are drawn and read, or errors measured on such pictures.
+"""Fruit as a machine's stereo pair sees it: pictures that are drawn and read, or errors measured on such pictures.
 
 ``rendered`` draws both pictures and reads them (exact, and a tenth of a second each); ``measured_errors`` draws errors
-from tables made that way (sight_errors.py); ``ideal`` sees all fruit where it is. Units: m, px.
+from tables made that way, one for each canopy and detector, by range; ``ideal`` sees all fruit where it is. Errors are
+far from normal: most are small, and behind a leaf they are large; so the located fruit of each range is cut into equal
+parts from the least to the largest error, normal in itself each. `python scripts/studies/measure_sight.py` makes the
+tables. Camera frame: x right, y down, z ahead. Units: m, px.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.base import InputError
+from pickenv.base import NUMBER, SHARE, WHOLE, InputError, toml_table
+from pickenv.orchard import checks, preset_files
 from pickenv.orchard.camera import camera_axes, camera_frame, orchard_frame
 from pickenv.orchard.canopy import Canopy, face
-from pickenv.orchard.checks import Array, Flags
-from pickenv.orchard.circles import CircleSearch, load_circle_search, locate_circles
-from pickenv.orchard.preset_files import shipped
+from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.render import Leaves, Look, StereoPair, load_look, render_stereo, sample_leaves, turned_leaves
-from pickenv.orchard.sight_errors import Chances, SightErrors, Sightings, draw_chances, load_sight_errors, sighted
-from pickenv.orchard.vision import Detections, StereoCamera, load_stereo_camera, locate, match_detections
+from pickenv.orchard.vision import (
+    CircleSearch,
+    Detections,
+    StereoCamera,
+    load_circle_search,
+    load_stereo_camera,
+    locate,
+    locate_circles,
+    match_detections,
+)
+
+PAIRS = ((0, 1), (0, 2), (1, 2))
+"""Axes of the three correlations of an error."""
+
+Lengths = tuple[tuple[float, float, float], ...]
+
+
+@toml_table
+class SightErrors(checks.Preset):
+    """Errors of one detector in one canopy, one entry for each range; see sight.toml.
+
+    Attributes:
+        name: Canopy and detector.
+        canopy: Preset of the canopy.
+        detector: Name of the detector.
+        leaf_area_per_volume: Of the canopy, m²/m³.
+        trees: Rendered trees.
+        pictures: Rendered pictures.
+        fruit: Fruit in them.
+        edges: Distances ahead between which the table is cut, m.
+        visible: Mean share of a fruit's disc in sight.
+        in_sight: Share of fruit of which anything is in sight.
+        recall: Share of fruit that is located.
+        recall_low: Lower end of its 95 % interval over trees.
+        recall_high: Upper end.
+        bias: Mean error along x, y, z, m.
+        bias_low: Lower end of its 95 % interval.
+        bias_high: Upper end.
+        spread: Standard deviation along x, y, z, m.
+        spread_low: Lower end of its 95 % interval.
+        spread_high: Upper end.
+        correlation: Of the errors along x and y, x and z, y and z.
+        part_bias: Mean error of each of some equal parts of the fruit, from the least to the largest error, m.
+        part_spread: Standard deviations of these parts, m.
+        part_correlation: Correlations in these parts.
+        false_per_picture: Detections where there is no fruit.
+        lasting: Correlation of what two pictures of the same fruit miss by.
+        source: How it was made.
+    """
+
+    name: str
+    canopy: str
+    detector: str
+    leaf_area_per_volume: Annotated[float, NUMBER.not_negative]
+    trees: Annotated[int, WHOLE.positive]
+    pictures: Annotated[int, WHOLE.positive]
+    fruit: Annotated[int, WHOLE.positive]
+    edges: Annotated[tuple[float, ...], MM.positive]
+    visible: Annotated[tuple[float, ...], SHARE]
+    in_sight: Annotated[tuple[float, ...], SHARE]
+    recall: Annotated[tuple[float, ...], SHARE]
+    recall_low: Annotated[tuple[float, ...], SHARE]
+    recall_high: Annotated[tuple[float, ...], SHARE]
+    bias: Annotated[Lengths, MM]
+    bias_low: Annotated[Lengths, MM]
+    bias_high: Annotated[Lengths, MM]
+    spread: Annotated[Lengths, MM.not_negative]
+    spread_low: Annotated[Lengths, MM.not_negative]
+    spread_high: Annotated[Lengths, MM.not_negative]
+    correlation: Annotated[Lengths, NUMBER.within(-1.0, 1.0)]
+    part_bias: Annotated[tuple[Lengths, ...], MM]
+    part_spread: Annotated[tuple[Lengths, ...], MM.not_negative]
+    part_correlation: Annotated[tuple[Lengths, ...], NUMBER.within(-1.0, 1.0)]
+    false_per_picture: Annotated[float, NUMBER.not_negative]
+    lasting: Annotated[float, SHARE]
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        ranges, parts = len(self.edges) + 1, len(self.part_bias[0]) if self.part_bias else 0
+        tables = [getattr(self, name) for name in ("part_bias", "part_spread", "part_correlation")]
+        rows = (self.in_sight, self.recall, self.bias, self.spread, *tables)
+        if not parts or any(len(row) != ranges for row in rows) or {len(r) for t in tables for r in t} != {parts}:
+            raise InputError(
+                f"sight errors '{self.name}' have not one entry for each of {ranges} ranges and their parts"
+            )
+        super().__post_init__()
+
+
+def load_sight_errors(name: str | Path) -> SightErrors:
+    """Read errors by name (`shipped("sight")`) or from a path to a TOML file."""
+    return preset_files.load("sight", name, SightErrors)
+
+
+@dataclass(frozen=True, eq=False)
+class Chances:
+    """Draws that decide about fruit before a camera.
+
+    Attributes:
+        place: Uniform: how well it is seen, among located fruit of its range, (n,).
+        normal: Standard normal: three of the error, one of whether it is found, (n, 4).
+    """
+
+    place: Array
+    normal: Array
+
+
+def draw_chances(rng: np.random.Generator, count: int) -> Chances:
+    """Five numbers for each of ``count`` fruit."""
+    return Chances(rng.random(count), rng.normal(size=(count, 4)))
+
+
+def next_picture(errors: SightErrors, before: Chances, rng: np.random.Generator) -> Chances:
+    """The same fruit from the same place once more: the leaves still hang there."""
+    fresh = rng.normal(size=before.normal.shape)
+    normal = errors.lasting * before.normal + np.sqrt(1.0 - errors.lasting**2) * fresh
+    return Chances(before.place, normal)
+
+
+def sighted(errors: SightErrors, depth: ArrayLike, chances: Chances, looks: int = 1) -> tuple[Flags, Flags, Array]:
+    """Fruit as a table of errors has it.
+
+    Args:
+        errors: The table.
+        depth: Distance ahead of the camera, m, (n,).
+        chances: What chance decides.
+        looks: Pictures that are averaged: what does not last falls.
+
+    Returns:
+        Whether anything of each fruit is in sight (n,), whether it is located (n,), and its error in the camera frame,
+        m, (n, 3).
+    """
+    from scipy.special import ndtr
+
+    row = np.searchsorted(np.array(errors.edges), np.asarray(depth, dtype=float))
+    parts = len(errors.part_bias[0])
+    cell = row, np.minimum((chances.place * parts).astype(np.int64), parts - 1)
+    level, recall = ndtr(chances.normal[:, 3]), np.array(errors.recall)
+    located = level < recall[row]
+    in_sight = level < np.maximum(np.array(errors.in_sight), recall)[row]
+    steady = np.sqrt(errors.lasting + (1.0 - errors.lasting) / looks)
+    miss = (_roots(errors)[cell] * (steady * chances.normal[:, None, :3])).sum(axis=-1)
+    return in_sight, located, np.asarray(np.array(errors.part_bias)[cell] + miss)
+
+
+def _roots(errors: SightErrors) -> Array:
+    """Cholesky factors of the parts' covariances, (ranges, parts, 3, 3)."""
+    spread, correlation = np.array(errors.part_spread), np.array(errors.part_correlation)
+    matrices = np.broadcast_to(np.eye(3), (*spread.shape, 3)).copy()
+    for i, (a, b) in enumerate(PAIRS):
+        matrices[..., a, b] = matrices[..., b, a] = 0.999 * correlation[..., i]  # rounded numbers may be singular
+    return np.asarray(spread[..., :, None] * np.linalg.cholesky(matrices))
+
 
 VISIONS = ("rendered", "measured_errors", "ideal")
 DETECTORS = ("li2016", "circles")
@@ -32,7 +185,7 @@ SAME = 1.0
 
 @dataclass(frozen=True, eq=False)
 class Eyes:
-    """How fruit is seen in one canopy.
+    """The way fruit is seen in one canopy.
 
     Attributes:
         vision: One of `VISIONS`.
@@ -59,29 +212,17 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
     Raises:
         InputError: If the vision or the detector is unknown, or no errors were measured in this canopy.
     """
-    for what, name, known in (("vision", vision, VISIONS), ("detector", detector, DETECTORS)):
-        if name not in known:
-            raise InputError(f"unknown {what} '{name}'; give one of {', '.join(known)}")
+    for parameter, name, names in (("vision", vision, VISIONS), ("detector", detector, DETECTORS)):
+        if name not in names:
+            raise InputError(f"unknown {parameter} '{name}'; give one of {', '.join(names)}")
     errors = _errors_in(canopy, detector) if vision == "measured_errors" else None
-    return Eyes(
-        vision,
-        detector,
-        canopy,
-        load_stereo_camera("li2016"),
-        load_look("red_apples"),
-        load_circle_search("li2016"),
-        errors,
-    )
-
-
-def errors_name(canopy: str, detector: str) -> str:
-    """Under which name a canopy's errors stand in sight.toml."""
-    return f"{canopy}-{detector}"
+    camera, look, search = load_stereo_camera("li2016"), load_look("red_apples"), load_circle_search("li2016")
+    return Eyes(vision, detector, canopy, camera, look, search, errors)
 
 
 def _errors_in(canopy: Canopy, detector: str) -> SightErrors:
-    name = errors_name(canopy.name, detector)
-    if name in shipped("sight"):
+    name = f"{canopy.name}-{detector}"
+    if name in preset_files.shipped("sight"):
         errors = load_sight_errors(name)
         if errors.leaf_area_per_volume == canopy.leaf_area_per_volume:
             return errors
@@ -93,13 +234,13 @@ def _errors_in(canopy: Canopy, detector: str) -> SightErrors:
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """Where the middle of the stereo pair stands, m, and which way it looks, (3,) each, in any frame with z up."""
+    """The middle of the stereo pair, m, and its direction of view, (3,) each, in any frame with z up."""
 
     middle: Array
     looking: Array
 
     def left_eye(self, camera: StereoCamera) -> Array:
-        """Where the left camera stands."""
+        """The place of the left camera, m."""
         return np.asarray(self.middle - camera.baseline / 2 * camera_axes(self.looking)[0])
 
 
@@ -148,10 +289,10 @@ def picture(
     places = camera_frame(leaves.places, eye, view.looking)
     half = np.array(camera.image) / 2 / camera.focal_length
     edge = np.array([camera.baseline + eyes.look.leaf_length, eyes.look.leaf_length])
-    shown = (np.abs(places[:, :2]) <= half * places[:, 2:] + edge).all(axis=1)
-    before = Leaves(places[shown], leaves.shapes[shown], leaves.colours[shown])
+    visible = (np.abs(places[:, :2]) <= half * places[:, 2:] + edge).all(axis=1)
+    leaves = Leaves(places[visible], leaves.shapes[visible], leaves.colours[visible])
     look = replace(eyes.look, pixel_noise=eyes.look.pixel_noise / np.sqrt(looks))
-    return render_stereo(camera, camera_frame(fruit, eye, view.looking), diameters, before, look, rng)
+    return render_stereo(camera, camera_frame(fruit, eye, view.looking), diameters, leaves, look, rng)
 
 
 def read_picture(eyes: Eyes, pair: StereoPair) -> Detections:
@@ -161,18 +302,30 @@ def read_picture(eyes: Eyes, pair: StereoPair) -> Detections:
     return locate(eyes.camera, pair.left, pair.right)
 
 
-def _matched(pair: StereoPair, found: Detections, places: Array, diameters: ArrayLike) -> tuple[Flags, Array, Array]:
-    """Which fruit of a picture is located, where (camera frame), and the detections that are none."""
-    located, seen = np.zeros(len(places), dtype=bool), places.copy()
-    shown = np.flatnonzero(pair.visible > 0)
-    if not len(shown):
-        return located, seen, found.positions
-    within = SAME * float(np.max(diameters))
-    matched = match_detections(found, places[shown], within)
+def located_fruit(
+    pair: StereoPair, detections: Detections, places: Array, diameters: ArrayLike
+) -> tuple[Flags, Array, Array]:
+    """Fruit that the detections of a picture locate.
+
+    Args:
+        pair: The pictures.
+        detections: Of these pictures.
+        places: True centres in the camera frame, m, (n, 3).
+        diameters: m, (n,).
+
+    Returns:
+        Whether each fruit is located (n,), its place in the camera frame, m, (n, 3), the true one where it is not
+        located, and places of detections that are no fruit, m, (k, 3).
+    """
+    located, positions = np.zeros(len(places), dtype=bool), places.copy()
+    visible = np.flatnonzero(pair.visible > 0)
+    if not len(visible):
+        return located, positions, detections.positions
+    matched = match_detections(detections, places[visible], SAME * float(np.max(diameters)))
     true = matched.fruit >= 0
-    which = shown[matched.fruit[true]]
-    located[which], seen[which] = True, matched.positions[true]
-    return located, seen, matched.positions[~true]
+    fruit = visible[matched.fruit[true]]
+    located[fruit], positions[fruit] = True, matched.positions[true]
+    return located, positions, matched.positions[~true]
 
 
 def see(
@@ -199,67 +352,28 @@ def see(
         looks: Pictures that are averaged.
     """
     fruit = np.asarray(fruit, dtype=float).reshape(-1, 3)
-    n, camera = len(fruit), eyes.camera
-    everything = np.ones(n, dtype=bool)
     if eyes.vision == "ideal":
+        everything = np.ones(len(fruit), dtype=bool)
         return Sight(everything, everything, fruit.copy(), np.zeros((0, 3)))
-    eye = view.left_eye(camera)
+    eye = view.left_eye(eyes.camera)
     places = camera_frame(fruit, eye, view.looking)
     if eyes.vision == "rendered":
         pair = picture(eyes, view, fruit, diameters, leaves, rng, looks)
-        located, seen, false = _matched(pair, read_picture(eyes, pair), places, diameters)
+        located, positions, false = located_fruit(pair, read_picture(eyes, pair), places, diameters)
         in_sight = pair.visible > 0
     else:
         assert eyes.errors is not None
-        chances = draw_chances(rng, n) if chances is None else chances
+        chances = draw_chances(rng, len(fruit)) if chances is None else chances
         in_sight, located, error = sighted(eyes.errors, places[:, 2], chances, looks)
-        seen, false = places + error, _phantoms(eyes, rng)
-    return Sight(in_sight, located, orchard_frame(seen, eye, view.looking), orchard_frame(false, eye, view.looking))
+        positions, false = places + error, _phantoms(eyes, eyes.errors.false_per_picture, rng)
+    positions, false = (orchard_frame(local, eye, view.looking) for local in (positions, false))
+    return Sight(in_sight, located, positions, false)
 
 
-def _phantoms(eyes: Eyes, rng: np.random.Generator) -> Array:
+def _phantoms(eyes: Eyes, mean_count: float, rng: np.random.Generator) -> Array:
     """Detections of no fruit, camera frame: anywhere in the picture, as deep as the canopy."""
-    assert eyes.errors is not None
     camera, canopy = eyes.camera, eyes.canopy
-    count = int(rng.poisson(eyes.errors.false_per_picture))
+    count = int(rng.poisson(mean_count))
     depth = canopy.standoff + canopy.depth * rng.random((count, 1))
     across = (rng.random((count, 2)) - 0.5) * np.array(camera.image) / camera.focal_length
     return np.concatenate([across * depth, depth], axis=-1)
-
-
-def sightings(
-    eyes: Sequence[Eyes],
-    view: Viewpoint,
-    fruit: ArrayLike,
-    diameters: ArrayLike,
-    wanted: Flags,
-    leaves: Leaves | None,
-    rng: np.random.Generator,
-    tree: int,
-) -> list[Sightings]:
-    """Draw two pictures from one place, let each detector read both, and say what became of the ``wanted`` fruit (n,).
-
-    Args:
-        eyes: They share canopy, camera and look.
-        view: From where.
-        fruit: True centres in the view's frame, m, (n, 3).
-        diameters: m, (n,).
-        wanted: Which fruit counts.
-        leaves: In the view's frame.
-        rng: Source of every draw.
-        tree: Number of the tree.
-    """
-    places = camera_frame(fruit, view.left_eye(eyes[0].camera), view.looking)
-    pairs = [picture(eyes[0], view, fruit, diameters, leaves, rng) for _ in range(2)]
-    found = []
-    for each in eyes:
-        (located, seen, false), (once_more, moved, _) = (
-            _matched(pair, read_picture(each, pair), places, diameters) for pair in pairs
-        )
-        error, again = (
-            np.where(flags[:, None], where - places, np.nan)[wanted]
-            for flags, where in ((located, seen), (once_more, moved))
-        )
-        number, depth = np.full(int(wanted.sum()), tree), places[wanted, 2]
-        found.append(Sightings(number, depth, pairs[0].visible[wanted], located[wanted], error, again, 1, len(false)))
-    return found

@@ -1,12 +1,19 @@
-"""Fruit read from a stereo pair as Li et al. 2016 do (section 2.2): R − G, Otsu, morphology, centroids, disparity.
+"""Fruit read from a stereo pair: as Li et al. 2016 do (section 2.2), by R − G, Otsu, morphology, centroids, disparity.
 
 Two erosions with a 3 × 3 square remove specks, regions under a fifth of the largest go, two dilations restore the
 rest; the centroids' disparity gives depth. Clusters are not told apart: touching fruit is one region, as in the
-paper. Units: m, px. Needs scikit-image.
+paper.
+
+Or as circles, for what a leaf leaves of a rim still says where the middle is: the slope of R − G points into the fruit,
+so that every edge pixel votes for centres along it (Hough transform with directions); each circle is fitted to
+sub-pixel edges; and only pixels of fruit colour are matched in the right image, with obstacles counted alike however
+large. Touching fruit are several circles. Units: m, px. Needs scikit-image.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
@@ -14,7 +21,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.base import PX, SHARE, WHOLE, WHOLE_PX, InputError, require, toml_table
+from pickenv.base import NUMBER, PX, SHARE, WHOLE, WHOLE_PX, InputError, require, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags, Integers
 
@@ -60,10 +67,10 @@ def match_detections(detections: Detections, positions: ArrayLike, within: float
     checks.positive("the matching distance (m)", within)
     truth = checks.points("true fruit positions", positions).reshape(-1, 3)
     distance = np.linalg.norm(detections.positions[:, None] - truth[None], axis=-1)
-    seen, fruit = linear_sum_assignment(np.minimum(distance, 2 * within * max(len(detections), len(truth), 1)))
-    near = distance[seen, fruit] <= within
+    rows, fruit = linear_sum_assignment(np.minimum(distance, 2 * within * max(len(detections), len(truth), 1)))
+    near = distance[rows, fruit] <= within
     index = np.full(len(detections), -1, dtype=np.int64)
-    index[seen[near]] = fruit[near]
+    index[rows[near]] = fruit[near]
     return replace(detections, fruit=index)
 
 
@@ -202,11 +209,11 @@ def fruit_regions(camera: StereoCamera, image: ArrayLike) -> Regions:
     from skimage.measure import label, regionprops
 
     mask = fruit_mask(camera, image)
-    found = regionprops(label(mask, connectivity=2))  # type: ignore[no-untyped-call]
+    regions = regionprops(label(mask, connectivity=2))  # type: ignore[no-untyped-call]
     return Regions(
-        centroids=np.array([region.centroid[::-1] for region in found], dtype=float).reshape(-1, 2),
-        areas=np.array([region.area for region in found], dtype=np.int64),
-        boxes=np.array([region.bbox for region in found], dtype=np.int64).reshape(-1, 4),
+        centroids=np.array([region.centroid[::-1] for region in regions], dtype=float).reshape(-1, 2),
+        areas=np.array([region.area for region in regions], dtype=np.int64),
+        boxes=np.array([region.bbox for region in regions], dtype=np.int64).reshape(-1, 4),
         mask=mask,
     )
 
@@ -238,14 +245,18 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
     """
     matched_sizes(camera, left, right)
     regions, first, second = fruit_regions(camera, left), red_minus_green(left), red_minus_green(right)
-    found = [
+    matches = [
         (*centroid, *_disparity(camera, first, second, box))
         for centroid, box in zip(regions.centroids, regions.boxes, strict=True)
     ]
-    pixels = np.array(found, dtype=float).reshape(-1, 4)
+    return _detections(camera, matches)
+
+
+def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> Detections:
+    """Detections of column, row, disparity and agreement, of those that agree well enough."""
+    pixels = np.array(matches, dtype=float).reshape(-1, 4)
     pixels = pixels[pixels[:, 3] >= camera.least_correlation]
-    positions = triangulate(camera, pixels[:, :3]) if len(pixels) else np.zeros((0, 3))
-    return Detections(positions, np.full(len(pixels), -1, dtype=np.int64), np.clip(pixels[:, 3], 0.0, 1.0))
+    return Detections(triangulate(camera, pixels[:, :3]), np.full(len(pixels), -1), np.minimum(pixels[:, 3], 1.0))
 
 
 def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers) -> tuple[float, float]:
@@ -264,8 +275,223 @@ def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers)
     strip, patch = second[top:bottom, low:high], first[top:bottom, start:end]
     score = np.asarray(match_template(strip, patch))[0]  # type: ignore[no-untyped-call]
     peak = int(np.argmax(score))
-    shift = 0.0
-    if 0 < peak < len(score) - 1:
-        before, at, after = score[peak - 1 : peak + 2]  # the first of the largest: what is before is smaller
-        shift = 0.5 * (before - after) / (before - 2 * at + after)
+    shift = float(summit(*score[peak - 1 : peak + 2])) if 0 < peak < len(score) - 1 else 0.0
     return float(start - low - peak - shift), float(score[peak])
+
+
+STEP, SPREAD = 2, 1.5  # of the radii that are voted for, and of a vote around its pixel
+ROUNDS, SETTLED = 6, 1e-3  # of a circle's fit
+APART = 0.8  # centres nearer than this, in radii, are one fruit
+AHEAD = 0.8  # cosine of the angle within which an edge's slope has to point to the centre
+LEAST_EDGES = 8
+LEANING = 3.0  # weight of the voted radius, in edge pixels
+
+
+@toml_table
+class CircleSearch(checks.Preset):
+    """Numbers of the search for circles; see circles.toml.
+
+    Attributes:
+        smallest: Least radius, px.
+        largest: Largest radius, px.
+        blur: Standard deviation of the filter before slopes, px.
+        least_arc: Share of a rim that has to be in sight.
+        least_fruit: Share of a disc that has to have the colour of fruit.
+        rim: Edges nearer than this to a circle are taken for its rim, px.
+        tight: Edges farther than this from a circle count ever less in its fit, px.
+        surroundings: What a matched disc takes along, px.
+        contrast: Difference of colour from which an obstacle stands in one of the pictures, grey levels.
+        source: Where its numbers come from.
+    """
+
+    smallest: Annotated[int, WHOLE_PX.at_least(3)]
+    largest: Annotated[int, WHOLE_PX.at_least(3)]
+    blur: Annotated[float, PX.positive]
+    least_arc: Annotated[float, SHARE]
+    least_fruit: Annotated[float, SHARE]
+    rim: Annotated[float, PX.positive]
+    tight: Annotated[float, PX.positive]
+    surroundings: Annotated[int, WHOLE_PX.at_least(1)]
+    contrast: Annotated[float, NUMBER.positive]
+    source: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Circles:
+    """Fruit of one image, the surest first.
+
+    Attributes:
+        centres: Column and row, px, shape (m, 2).
+        radii: px, shape (m,).
+        mask: Pixels of fruit colour, shape (height, width).
+    """
+
+    centres: Array
+    radii: Array
+    mask: Flags
+
+
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """Sub-pixel edges (k, 2), column and row, and unit slopes (k, 2) towards more red."""
+
+    places: Array
+    slopes: Array
+
+
+def load_circle_search(name: str | Path) -> CircleSearch:
+    """Read a search by name (`shipped("circles")`) or from a path to a TOML file."""
+    return preset_files.load("circles", name, CircleSearch)
+
+
+def fruit_circles(search: CircleSearch, image: ArrayLike) -> Circles:
+    """Circles of fruit in one image (height, width, 3)."""
+    from scipy import ndimage
+
+    require("skimage")
+    difference = red_minus_green(image)
+    mask = np.asarray(ndimage.gaussian_filter(difference, search.blur) > fruit_threshold(difference))
+    circles: list[tuple[float, float, float]] = []
+    if mask.any():
+        edges = _edges(search, difference, mask)
+        for column, row, radius in _voted(search, edges, (mask.shape[0], mask.shape[1])):
+            if _taken(circles, column, row, radius):
+                continue
+            circle = _fitted(search, edges, column, row, radius)
+            sound = search.smallest - STEP < circle[2] < search.largest + STEP and not _taken(circles, *circle)
+            if sound and _filled(mask, *circle) >= search.least_fruit:
+                circles.append(circle)
+    table = np.array(circles, dtype=float).reshape(-1, 3)
+    return Circles(table[:, :2], table[:, 2], mask)
+
+
+def _edges(search: CircleSearch, difference: Array, mask: Flags) -> _Edges:
+    """The steepest slopes of the colour, near the rim of the mask."""
+    from scipy import ndimage
+
+    down, right = (ndimage.gaussian_filter(difference, search.blur, order) for order in ((1, 0), (0, 1)))
+    steep = np.hypot(down, right)
+    rim = ndimage.binary_dilation(mask) & ~ndimage.binary_erosion(mask, border_value=1) & (steep > 0)
+    rows, columns = np.nonzero(rim)
+    slopes = np.stack([right[rim], down[rim]], axis=-1) / steep[rim][:, None]
+    offsets = np.arange(-2.5, 2.6, 0.5)
+    along = [[rows + o * slopes[:, 1], columns + o * slopes[:, 0]] for o in offsets]
+    height = np.stack([ndimage.map_coordinates(steep, at, order=1, mode="nearest") for at in along])
+    top = np.clip(height.argmax(axis=0), 1, len(offsets) - 2)
+    edges = np.arange(len(top))
+    peak = offsets[top] + 0.5 * summit(height[top - 1, edges], height[top, edges], height[top + 1, edges])
+    return _Edges(np.stack([columns, rows], axis=-1) + peak[:, None] * slopes, slopes)
+
+
+def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
+    """The extreme of a parabola through three equidistant values, in steps from the middle one, −1 to 1."""
+    before, at, after = (np.asarray(v, dtype=float) for v in (before, at, after))
+    bend = before - 2 * at + after
+    flat = np.abs(bend) < 1e-12
+    return np.asarray(np.where(flat, 0.0, np.clip(0.5 * (before - after) / np.where(flat, 1.0, bend), -1.0, 1.0)))
+
+
+def _voted(search: CircleSearch, edges: _Edges, shape: tuple[int, int]) -> list[tuple[float, float, float]]:
+    """Column, row and radius of circles whose rim is in sight for more than the least arc, the fullest first."""
+    from scipy import ndimage
+    from skimage.feature import peak_local_max
+
+    height, width = shape
+    radii = np.arange(search.smallest, search.largest + 1, STEP)
+    votes = np.zeros((len(radii), height, width))
+    for i, radius in enumerate(radii.tolist()):
+        at = np.rint(edges.places + radius * edges.slopes).astype(np.int64)
+        inside = ((at >= 0) & (at < [width, height])).all(axis=1)
+        counts = np.bincount(at[inside, 1] * width + at[inside, 0], minlength=height * width)
+        full = 2 * 2 * np.pi * radius / (2 * np.pi * SPREAD**2)  # the rim is two pixels wide
+        votes[i] = ndimage.gaussian_filter(counts.reshape(height, width).astype(float), SPREAD) / full
+    votes = ndimage.gaussian_filter1d(votes, 0.5, axis=0, mode="constant")
+    most, best = votes.max(axis=0), votes.argmax(axis=0)
+    peaks = peak_local_max(most, min_distance=3, threshold_abs=search.least_arc)  # type: ignore[no-untyped-call]
+    return [(float(column), float(row), float(radii[best[row, column]])) for row, column in peaks.tolist()]
+
+
+def _taken(circles: list[tuple[float, float, float]], column: float, row: float, radius: float) -> bool:
+    return any(np.hypot(column - c, row - r) < APART * max(radius, size) for c, r, size in circles)
+
+
+def _fitted(search: CircleSearch, edges: _Edges, column: float, row: float, voted: float) -> tuple[float, float, float]:
+    """A circle through the edges near a voted one, by least squares in which far edges count little."""
+    centre, radius = np.array([column, row]), voted
+    near = np.hypot(*(edges.places - centre).T) < voted + 2 * search.rim
+    places, slopes = edges.places[near], edges.slopes[near]
+    for _ in range(ROUNDS):
+        out = places - centre
+        distance = np.hypot(*out.T)
+        miss = distance - radius
+        rim = (np.abs(miss) < search.rim) & (-(slopes * out).sum(axis=1) > AHEAD * distance)
+        if rim.sum() < LEAST_EDGES:
+            break
+        slope = np.column_stack([out[rim] / distance[rim, None], np.ones(int(rim.sum()))])
+        weighted = slope * (1.0 / (1.0 + (miss[rim] / search.tight) ** 2))[:, None]
+        normal, side = weighted.T @ slope, weighted.T @ miss[rim]
+        normal[2, 2] += LEANING
+        side[2] += LEANING * (voted - radius)
+        step = np.linalg.solve(normal + 1e-9 * np.eye(3), side)
+        centre, radius = centre + step[:2], radius + float(step[2])
+        if np.abs(step).max() < SETTLED:
+            break
+    return float(centre[0]), float(centre[1]), radius
+
+
+def _window(shape: tuple[int, ...], column: float, row: float, reach: float) -> tuple[Integers, Integers, Array]:
+    """Rows and columns of the image around a point, and their distances from it."""
+    rows = np.arange(max(math.ceil(row - reach), 0), min(math.floor(row + reach) + 1, shape[0]))
+    columns = np.arange(max(math.ceil(column - reach), 0), min(math.floor(column + reach) + 1, shape[1]))
+    across, down = np.meshgrid(columns, rows)
+    return down.astype(np.int64), across.astype(np.int64), np.hypot(across - column, down - row)
+
+
+def _filled(mask: Flags, column: float, row: float, radius: float) -> float:
+    down, across, distance = _window(mask.shape, column, row, radius)
+    inside = mask[down, across][distance < radius]
+    return float(inside.mean()) if inside.size else 0.0
+
+
+def locate_circles(
+    camera: StereoCamera, search: CircleSearch, left: NDArray[np.uint8], right: NDArray[np.uint8]
+) -> Detections:
+    """Fruit in the camera frame from a stereo pair; arguments and result as of `pickenv.orchard.vision.locate`."""
+    matched_sizes(camera, left, right)
+    circles = fruit_circles(search, left)
+    first, second = red_minus_green(left), red_minus_green(right)
+    matches = [
+        (*centre, *_matched(camera, search, first, second, circles.mask, (*centre, radius)))
+        for centre, radius in zip(circles.centres.tolist(), circles.radii.tolist(), strict=True)
+    ]
+    return _detections(camera, matches)
+
+
+def _matched(
+    camera: StereoCamera,
+    search: CircleSearch,
+    first: Array,
+    second: Array,
+    mask: Flags,
+    circle: tuple[float, float, float],
+) -> tuple[float, float]:
+    """Disparity of a circle, px, and how much of it agrees: mean squared difference, obstacles cut at the contrast."""
+    from scipy import ndimage
+
+    column, row, radius = circle
+    down, across, distance = _window(mask.shape, column, row, radius + search.surroundings)
+    fruit = mask[down, across] & (distance < radius)
+    around = ndimage.binary_dilation(fruit, iterations=2) & (distance > radius - 1)
+    patch = fruit | (around & (distance < radius + search.surroundings))
+    rows, columns = down[patch], across[patch]
+    reach = camera.focal_length * camera.baseline
+    tried = np.arange(int(reach / camera.farthest), int(np.ceil(reach / camera.nearest)) + 1)
+    tried = tried[tried <= (columns.min() if columns.size else -1)]
+    if len(tried) < 3:
+        return 1.0, -1.0  # the match would lie outside the right image
+    apart = first[rows, columns] - second[rows, columns - tried[:, None]]
+    cost = np.minimum(apart**2, search.contrast**2).mean(axis=1) / search.contrast**2
+    best = int(np.argmin(cost))
+    if not 0 < best < len(tried) - 1:
+        return 1.0, -1.0
+    return float(tried[best] + summit(*cost[best - 1 : best + 2])), 1.0 - float(cost[best])

@@ -16,7 +16,7 @@ from scipy.stats import qmc
 
 from pickenv.arm import Array, Geometry
 from pickenv.arm.kinematics.forward import drawn_parts, nominal_points, true_points
-from pickenv.pictures.solids import turned
+from pickenv.pictures.solids import ring_around, turned
 from pickenv.pictures.stage import Balls, Mesh, Rgb, Rods, rgba
 
 GAIN = 20
@@ -44,7 +44,7 @@ class Solids(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ArmLook:
-    """How one arm is drawn.
+    """The look of one arm.
 
     Attributes:
         parts: Which parts of its polyline are drawn: numbers of their first points.
@@ -90,17 +90,14 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
     along = end - start
     length = np.maximum(np.linalg.norm(along, axis=1), 1e-9)
-    inner = Rods(start, end, look.radius * np.where(look.slides, 0.62, 1.0), _by(look.slides, METAL, accent or LINK))
+    colour = np.where(look.slides[:, None], rgba(METAL, 1), rgba(accent or LINK, 1)).astype(np.uint8)
+    inner = Rods(start, end, look.radius * np.where(look.slides, 0.62, 1.0), colour)
     outer = look.slides & (length > look.radius)
     reach = np.minimum(1.0, look.sleeve / length)[:, None]
     sleeve = (start + along * reach)[outer]
     tubes = Rods(start[outer], sleeve, look.radius[outer], rgba(accent or LINK, len(sleeve)))
     joints = Balls(start, CAP * look.radius, rgba(JOINT, len(start)))
     return Solids((inner, tubes), (joints,))
-
-
-def _by(flags: NDArray[np.bool_], yes: Rgb, no: Rgb) -> NDArray[np.uint8]:
-    return np.where(flags[:, None], rgba(yes, 1), rgba(no, 1)).astype(np.uint8)
 
 
 def ghost_points(geometry: Geometry, command: ArrayLike, tool: Array, believed: Array) -> Array:
@@ -119,23 +116,14 @@ def cup_solids(tool: Array, axis: Array, radius: float, colour: Rgb = GRIPPER, w
     """A cup that opens along ``axis`` and holds the lower half of a fruit at ``tool``."""
     deep = 1.15 * radius
     inner = radius - wall
-    outline = [
-        [0.4 * radius, -1.35 * deep],
-        [0.7 * radius, -deep],
-        [radius, -0.55 * deep],
-        [radius, 0.0],
-        [radius, 0.0],
-    ]
-    outline += [[inner, 0.0], [inner, 0.0], [inner, -0.5 * deep], [0.6 * radius, -0.9 * deep], [0.0, -deep]]
-    return Solids(meshes=(turned(outline, tool, axis, colour),))
+    across = [0.4 * radius, 0.7 * radius, radius, radius, radius, inner, inner, inner, 0.6 * radius, 0.0]
+    heights = deep * np.array([-1.35, -1.0, -0.55, 0.0, 0.0, 0.0, 0.0, -0.5, -0.9, -1.0])
+    return Solids(meshes=(turned(np.column_stack([across, heights]), tool, axis, colour),))
 
 
 def hand_solids(tool: Array, axis: Array, radius: float, closed: bool, colour: Rgb = GRIPPER) -> Solids:
     """Three fingers around a fruit at ``tool``."""
-    x = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
-    x /= np.linalg.norm(x)
-    turn = 2.0 * np.pi * np.arange(3)[:, None] / 3
-    out = np.cos(turn) * x + np.sin(turn) * np.cross(axis, x)
+    out = ring_around(axis, 3)
     palm = tool - 1.6 * radius * axis
     knuckle, tip = palm + 0.7 * radius * out, tool + (0.75 if closed else 1.25) * radius * out + 0.5 * radius * axis
     middle = tool + (1.1 if closed else 1.4) * radius * out - 0.7 * radius * axis
@@ -156,15 +144,13 @@ def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], lengt
     """
     up = np.array([0.0, 0.0, 1.0])
     side = np.cross(ahead, up)
-    corners = np.array([sx * half_angles[0] * side + sz * half_angles[1] * up for sx, sz in _SIGNS])
+    signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+    corners = np.array([sx * half_angles[0] * side + sz * half_angles[1] * up for sx, sz in signs])
     far = eye + length * (ahead + corners)
     start, end = np.concatenate([np.broadcast_to(eye, (4, 3)), far]), np.concatenate([far, np.roll(far, -1, axis=0)])
     edges = Rods(start, end, np.full(8, 0.003), rgba(colour, 8))
     body = Rods((eye - 0.05 * ahead)[None], eye[None], np.array([0.028]), rgba(JOINT, 1))
     return Solids((edges, body))
-
-
-_SIGNS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 def joined_solids(*parts: Solids) -> Solids:

@@ -1,6 +1,9 @@
-"""Draws a stage: with VTK where it is installed and can draw here, else plainly with Pillow.
+"""Draws a stage: with VTK where it is installed and can draw here, else plainly with Pillow; and shows it in a window.
 
 VTK needs EGL, of which a bare computer has none; it then ends the whole program. So another process tries it first.
+Without VTK rods are strokes, balls discs, meshes triangles in the light of one lamp, all flat, from far to near; what
+goes through one another is drawn in the order of its middles. Words and the dial of the miss are written with Pillow
+onto either picture. Units: px, mm on the dial.
 """
 
 from __future__ import annotations
@@ -8,21 +11,223 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from functools import lru_cache
+from collections.abc import Callable, Iterator
+from functools import lru_cache, partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from pickenv.arm import Array
 from pickenv.base import InputError, is_there, require
-from pickenv.pictures.lettering import lettered
-from pickenv.pictures.stage import Pixels, Stage
+from pickenv.pictures.stage import CORNERS, Balls, Dial, Eye, Mesh, Pixels, Rgb, Rods, Stage, backdrop, ink
 
 if TYPE_CHECKING:
     from pickenv.pictures.vtk_drawer import VtkDrawer
 
-# A window on the screen that shows one picture after the other.
+PLAIN = "PICKENV_PLAIN_PICTURES"
+"""Set in the environment, it keeps to Pillow."""
+TRIAL = "pickenv.pictures.vtk_drawer"
+"""The program that tries it."""
 
+FINER = 2
+"""Shapes are drawn so much larger, and then made smaller, for smooth edges."""
+NEAREST = 0.05
+LIGHT = np.array([-0.45, 0.65, -0.6]) / np.linalg.norm([0.45, 0.65, 0.6])
+"""Towards the lamp: to the right, up, and away from the eye."""
+SHADE = 0.72
+"""Brightness of the sides of rods and balls."""
+
+MARGIN = 8
+SMALL, LARGE = 1 / 26, 1 / 19
+"""Heights of letters, as shares of the picture's height."""
+DIAL = 0.27
+"""Its width, as a share of the picture's height."""
+SHOWN, RIM = 2.2, 0.93
+"""Radii of the ring from the dial's middle to its rim; a miss beyond is drawn on the rim."""
+PLATE = {False: (255, 255, 255, 205), True: (20, 23, 29, 205)}
+"""Colour and opacity of what lies behind words and dial, on light and on dark backgrounds."""
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 DPI = 80
+
+Shape = tuple[float, Callable[[ImageDraw.ImageDraw], None]]
+"""How far away something is, and what draws it."""
+
+
+def painted(stage: Stage) -> Pixels:
+    """Draw a stage: red, green and blue ``(height, width, 3)``."""
+    draw = _vtk(stage.size, os.getpid()).draw if drawer_name() == "vtk" else draw_plainly
+    return lettered(draw(stage), stage)
+
+
+@lru_cache(maxsize=1)
+def drawer_name() -> str:
+    """The drawer that makes pictures here: ``vtk`` or ``plain``; found out once."""
+    return "vtk" if why_plain() is None else "plain"
+
+
+def why_plain() -> str | None:
+    """The reason why pictures are drawn plainly, as one sentence; None where VTK draws them."""
+    require("matplotlib")
+    if os.environ.get(PLAIN):
+        return f"Pictures are drawn plainly, as {PLAIN} asks."
+    if not is_there("vtkmodules"):
+        return "Pictures are drawn plainly; for solid bodies install VTK: pip install 'pickenv[render]'"
+    if subprocess.run([sys.executable, "-m", TRIAL], capture_output=True, check=False, timeout=120).returncode != 0:
+        return "Pictures are drawn plainly: VTK cannot draw here without EGL; on Debian and Ubuntu: apt install libegl1"
+    return None
+
+
+@lru_cache(maxsize=4)
+def _vtk(size: tuple[int, int], process: int) -> VtkDrawer:
+    """One drawer for each size, in each process."""
+    from pickenv.pictures.vtk_drawer import VtkDrawer
+
+    return VtkDrawer(size)
+
+
+def draw_plainly(stage: Stage) -> Pixels:
+    """The stage without its words, ``(height, width, 3)``."""
+    size = width, height = FINER * stage.size[0], FINER * stage.size[1]
+    upper, lower = (np.array(colour, dtype=float) for colour in backdrop(stage.dark))
+    share = np.linspace(0.0, 1.0, height)[:, None]
+    rows = (upper + share * (lower - upper)).astype(np.uint8)
+    picture = Image.fromarray(np.repeat(rows[:, None], width, axis=1))
+    pen = ImageDraw.Draw(picture, "RGBA")
+    shapes = [shape for mesh in (*stage.still, *stage.meshes) for shape in _triangles(mesh, stage.eye, size)]
+    shapes += [shape for rods in stage.rods for shape in _strokes(rods, stage.eye, size)]
+    shapes += [shape for balls in stage.balls for shape in _discs(balls, stage.eye, size)]
+    for _, draw in sorted(shapes, key=lambda shape: -shape[0]):
+        draw(pen)
+    return np.array(picture.reduce(FINER))
+
+
+def _triangles(mesh: Mesh, eye: Eye, size: tuple[int, int]) -> Iterator[Shape]:
+    pixels = eye.project(mesh.corners, size)[mesh.triangles]
+    solid = mesh.corners[mesh.triangles]
+    normals = np.cross(solid[:, 1] - solid[:, 0], solid[:, 2] - solid[:, 0]) @ eye.axes().T
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    towards = np.where(normals[:, 2:] > 0.0, -normals, normals)
+    bright = np.clip(0.55 + 0.5 * towards @ LIGHT, 0.0, 1.0)
+    colours = mesh.colour[mesh.triangles[:, 0]].astype(float)
+    colours[:, :3] *= bright[:, None]
+    for corners, colour in zip(pixels, colours.astype(int).tolist(), strict=True):
+        if corners[:, 2].min() > NEAREST:
+            flat = [tuple(corner) for corner in corners[:, :2].tolist()]
+            yield float(corners[:, 2].max()), partial(ImageDraw.ImageDraw.polygon, xy=flat, fill=tuple(colour))
+
+
+def _strokes(rods: Rods, eye: Eye, size: tuple[int, int]) -> Iterator[Shape]:
+    start, end = eye.project(rods.start, size), eye.project(rods.end, size)
+    for a, b, radius, colour in zip(start, end, rods.radius, rods.colour.astype(int), strict=True):
+        if min(a[2], b[2]) > NEAREST:
+            depth = float(a[2] + b[2]) / 2
+            scaled = float(radius * eye.pixels_per_metre(depth, size))
+            yield depth - float(radius), partial(_draw_stroke, (a[0], a[1], b[0], b[1]), scaled, colour)
+
+
+def _draw_stroke(line: tuple[float, ...], radius: float, colour: Array, pen: ImageDraw.ImageDraw) -> None:
+    light, dark = tuple(colour[:3].tolist()), tuple((colour[:3] * SHADE).astype(int))
+    if colour[3] < 255:
+        pen.line(line, fill=(*light, int(colour[3])), width=max(int(2 * radius), 1))
+        return
+    for x, y in (line[:2], line[2:]):
+        pen.ellipse([x - radius, y - radius, x + radius, y + radius], fill=dark)
+    pen.line(line, fill=dark, width=max(round(2 * radius), 1))
+    x0, y0, x1, y1 = line
+    up = 0.25 * radius
+    pen.line([x0, y0 - up, x1, y1 - up], fill=light, width=max(round(1.1 * radius), 1))
+
+
+def _discs(balls: Balls, eye: Eye, size: tuple[int, int]) -> Iterator[Shape]:
+    centres = eye.project(balls.centre, size)
+    for (x, y, depth), radius, colour in zip(centres.tolist(), balls.radius, balls.colour.astype(int), strict=True):
+        if depth > NEAREST:
+            scaled = float(radius * eye.pixels_per_metre(depth, size))
+            yield depth - float(radius), partial(_draw_disc, x, y, scaled, colour)
+
+
+def _draw_disc(x: float, y: float, radius: float, colour: Array, pen: ImageDraw.ImageDraw) -> None:
+    for share, shift, shade in ((1.0, 0.0, SHADE), (0.8, 0.12, 1.0), (0.22, 0.4, 1.35)):
+        fill = (*np.clip(colour[:3] * shade, 0, 255).astype(int).tolist(), int(colour[3]))
+        cx, cy, r = x - shift * radius, y - shift * radius, share * radius
+        pen.ellipse([cx - r, cy - r, cx + r, cy + r], fill=fill)
+
+
+def lettered(pixels: Pixels, stage: Stage) -> Pixels:
+    """The picture with the stage's words and dial; lines in its corners first, then words at places of the world."""
+    if not stage.words and stage.dial is None:
+        return pixels
+    picture = Image.fromarray(pixels)
+    pen = ImageDraw.Draw(picture, "RGBA")
+    width, height = stage.size
+    if stage.dial is not None:
+        _draw_dial(pen, stage.dial, stage)
+    below = dict.fromkeys(CORNERS, MARGIN - 2.0)
+    for words in sorted(stage.words, key=lambda words: not isinstance(words.place, str)):
+        font = _font(round(height * (LARGE if words.large else SMALL)))
+        wide, high = font.getlength(words.text), sum(font.getmetrics())
+        if isinstance(words.place, str):
+            x = MARGIN if "left" in words.place else width - MARGIN - wide
+            y = below[words.place] if "top" in words.place else height - below[words.place] - high
+            below[words.place] += high + 3
+        else:
+            x, y, depth = stage.eye.project(words.place, stage.size).tolist()
+            if not (depth > 0.0 and 0 <= x < width and 0 <= y < height):
+                continue
+            x = float(np.clip(x - wide / 2, MARGIN, width - MARGIN - wide))
+        _write(pen, (x, y), words.text, font, words.colour or ink(stage.dark), stage.dark)
+    return np.array(picture)
+
+
+def strip(text: str, size: tuple[int, int], dark: bool) -> Pixels:
+    """A line of words on a plain background, ``(height, width, 3)``."""
+    width, height = size
+    picture = Image.new("RGB", size, backdrop(dark)[1])
+    font = _font(round(0.5 * height))
+    ImageDraw.Draw(picture).text((width / 2, height / 2), text, fill=ink(dark), font=font, anchor="mm")
+    return np.array(picture)
+
+
+def _write(
+    pen: ImageDraw.ImageDraw, at: tuple[float, float], text: str, font: ImageFont.FreeTypeFont, colour: Rgb, dark: bool
+) -> None:
+    box = (at[0] - 4, at[1] - 1, at[0] + font.getlength(text) + 4, at[1] + sum(font.getmetrics()))
+    pen.rounded_rectangle(box, radius=4, fill=PLATE[dark])
+    pen.text(at, text, fill=colour, font=font, anchor="la")
+
+
+def _draw_dial(pen: ImageDraw.ImageDraw, dial: Dial, stage: Stage) -> None:
+    width, height = stage.size
+    half = DIAL * height / 2
+    x, y = width - MARGIN - half, height - MARGIN - half
+    ring, lines = half / SHOWN, ink(stage.dark)
+    pen.ellipse([x - half, y - half, x + half, y + half], fill=PLATE[stage.dark], outline=(*lines, 70), width=1)
+    pen.line([x - half, y, x + half, y], fill=(*lines, 45), width=1)
+    pen.line([x, y - half, x, y + half], fill=(*lines, 45), width=1)
+    pen.ellipse([x - ring, y - ring, x + ring, y + ring], outline=(46, 139, 87, 255), width=2)
+    places = dial.marks_mm / dial.tolerance_mm
+    places = places * np.minimum(1.0, RIM * SHOWN / np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-9))
+    for number, (px, py) in enumerate(places.tolist(), start=1):
+        present = number == len(places)
+        mx, my, r = x + ring * px, y - ring * py, 5 if present else 3
+        edge = (*lines, 255) if present else None
+        pen.ellipse([mx - r, my - r, mx + r, my + r], fill=(*dial.colour, 255 if present else 130), outline=edge)
+    if dial.label:
+        font = _font(round(height * SMALL))
+        wide = font.getlength(dial.label)
+        at = (min(x - wide / 2, width - MARGIN - wide), y - half - sum(font.getmetrics()) - 3)
+        _write(pen, at, dial.label, font, lines, stage.dark)
+
+
+@lru_cache(maxsize=8)
+def _font(height: int) -> ImageFont.FreeTypeFont:
+    """DejaVu Sans, which comes with matplotlib."""
+    from matplotlib import get_data_path
+
+    return ImageFont.truetype(Path(get_data_path()) / "fonts/ttf/DejaVuSans.ttf", height)
 
 
 class Window:
@@ -67,46 +272,3 @@ class Window:
 
             pyplot.close(self._figure)
             self._figure = self._image = None
-
-
-PLAIN = "PICKENV_PLAIN_PICTURES"
-"""Set in the environment, it keeps to Pillow."""
-TRIAL = "pickenv.pictures.vtk_drawer"
-"""The program that tries it."""
-
-
-def painted(stage: Stage) -> Pixels:
-    """Draw a stage: red, green and blue ``(height, width, 3)``."""
-    if drawer_name() == "vtk":
-        pixels = _vtk(stage.size, os.getpid()).draw(stage)
-    else:
-        from pickenv.pictures.plain_drawer import draw_plainly
-
-        pixels = draw_plainly(stage)
-    return lettered(pixels, stage)
-
-
-@lru_cache(maxsize=1)
-def drawer_name() -> str:
-    """Which drawer pictures are made by here: ``vtk`` or ``plain``; found out once."""
-    return "vtk" if why_plain() is None else "plain"
-
-
-def why_plain() -> str | None:
-    """Why pictures are drawn plainly, as one sentence; None where VTK draws them."""
-    require("matplotlib")
-    if os.environ.get(PLAIN):
-        return f"Pictures are drawn plainly, as {PLAIN} asks."
-    if not is_there("vtkmodules"):
-        return "Pictures are drawn plainly; for solid bodies install VTK: pip install 'pickenv[render]'"
-    if subprocess.run([sys.executable, "-m", TRIAL], capture_output=True, check=False, timeout=120).returncode != 0:
-        return "Pictures are drawn plainly: VTK cannot draw here without EGL; on Debian and Ubuntu: apt install libegl1"
-    return None
-
-
-@lru_cache(maxsize=4)
-def _vtk(size: tuple[int, int], process: int) -> VtkDrawer:
-    """One drawer for each size, in each process."""
-    from pickenv.pictures.vtk_drawer import VtkDrawer
-
-    return VtkDrawer(size)

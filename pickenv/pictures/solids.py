@@ -78,9 +78,9 @@ def ball_triangles(balls: Balls) -> Triangles:
 
 def _joined(corners: Array, normals: Array, colour: Colours, faces: NDArray[np.intp]) -> Triangles:
     """N copies of a template, (N, V, 3), as one set of triangles."""
-    count, each = corners.shape[:2]
-    shifted = (faces + each * np.arange(count)[:, None, None]).reshape(-1, 3)
-    return Triangles(corners.reshape(-1, 3), normals.reshape(-1, 3), np.repeat(colour, each, axis=0), shifted)
+    count, corners_each = corners.shape[:2]
+    shifted = (faces + corners_each * np.arange(count)[:, None, None]).reshape(-1, 3)
+    return Triangles(corners.reshape(-1, 3), normals.reshape(-1, 3), np.repeat(colour, corners_each, axis=0), shifted)
 
 
 def mesh_triangles(surface: Mesh) -> Triangles:
@@ -104,6 +104,14 @@ def all_triangles(parts: Sequence[Triangles]) -> Triangles:
     return Triangles(corners, normals, colour.astype(np.uint8), np.concatenate(triangles))
 
 
+def ring_around(axis: Array, count: int) -> Array:
+    """Unit vectors ``(count, 3)`` across a unit vector ``(3,)``, evenly around it."""
+    x = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
+    x = x / np.linalg.norm(x)
+    turn = 2.0 * np.pi * np.arange(count)[:, None] / count
+    return np.asarray(np.cos(turn) * x + np.sin(turn) * np.cross(axis, x))
+
+
 def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, opacity: float = 1.0, around: int = 24) -> Mesh:
     """A surface of revolution.
 
@@ -115,11 +123,7 @@ def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, opacity: 
         opacity: 0 to 1.
         around: Corners around the axis.
     """
-    outline = np.asarray(profile, dtype=float)
-    x = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
-    x = x / np.linalg.norm(x)
-    turn = 2.0 * np.pi * np.arange(around) / around
-    ring = np.cos(turn)[:, None] * x + np.sin(turn)[:, None] * np.cross(axis, x)
+    outline, ring = np.asarray(profile, dtype=float), ring_around(axis, around)
     corners = point + outline[:, None, :1] * ring + outline[:, None, 1:] * axis
     i = np.arange(around)
     j, faces = (i + 1) % around, []

@@ -1,4 +1,4 @@
-"""What a picture shows: rods, balls, surfaces, words and an eye, which environments fill and both drawers draw.
+"""The contents of a picture: rods, balls, surfaces, words and an eye, which environments fill and both drawers draw.
 
 Nothing here knows of an environment or of a drawing library. World frame, z up. Units: m; px only on the picture.
 """
@@ -140,7 +140,7 @@ class Eye:
         return np.asarray(self.position + away @ self.axes())
 
     def pixels_per_metre(self, depth: ArrayLike, size: tuple[int, int]) -> Array:
-        """How large a metre appears at depths ``(...)``, m."""
+        """The size of a metre at depths ``(...)``, m."""
         focal_length = size[1] / 2 / np.tan(np.radians(self.angle_deg) / 2)
         return np.asarray(focal_length / np.maximum(np.asarray(depth), 1e-3))
 

@@ -1,4 +1,4 @@
-"""What stands around an arm: fruit on stems, leaves and branches of a row of trees, ground, a crate. Units: m.
+"""The surroundings of an arm: fruit on stems, leaves and branches of a row of trees, ground, a crate. Units: m.
 
 A row stands along x. Leaves are drawn as dense as a canopy's preset says; they are not those that hide fruit from a
 camera, which environments draw anew in every episode.
@@ -57,26 +57,21 @@ def _leaves(places: Array, rng: np.random.Generator) -> Mesh:
 
 @lru_cache(maxsize=8)
 def row_of_trees(
-    low: tuple[float, float, float], high: tuple[float, float, float], leaf_area_per_volume: float, ground: float
+    low: tuple[float, ...], high: tuple[float, ...], leaf_area_per_volume: float, ground: float
 ) -> tuple[Mesh, ...]:
     """Trunks, level branches and leaves in a box of the world frame; the same objects for the same box."""
     rng = np.random.default_rng(0)
     bottom, top = np.array(low), np.array(high)
     middle = (bottom[1] + top[1]) / 2
     trunks = np.linspace(bottom[0], top[0], max(round((top[0] - bottom[0]) / 0.9), 1) + 1)
-    start, end, radius = [], [], []
-    for x in trunks:
-        start.append([x, middle, ground])
-        end.append([x + 0.03, middle, top[2] + 0.12])
-        radius.append(0.024)
-    for z in np.arange(bottom[2] + 0.12, top[2] + 0.1, 0.24):
-        start.append([bottom[0] - 0.1, middle, z])
-        end.append([top[0] + 0.1, middle, z + 0.02])
-        radius.append(0.011)
-    wood = rod_triangles(Rods(np.array(start), np.array(end), np.array(radius), rgba(BARK, len(start))))
-    grown = [Mesh(wood.corners, wood.triangles, wood.colour)]
+    levels = np.arange(bottom[2] + 0.12, top[2] + 0.1, 0.24)
+    start = [[x, middle, ground] for x in trunks] + [[bottom[0] - 0.1, middle, z] for z in levels]
+    end = [[x + 0.03, middle, top[2] + 0.12] for x in trunks] + [[top[0] + 0.1, middle, z + 0.02] for z in levels]
+    radius = np.repeat([0.024, 0.011], [len(trunks), len(levels)])
+    wood = rod_triangles(Rods(np.array(start), np.array(end), radius, rgba(BARK, len(start))))
+    branches = Mesh(wood.corners, wood.triangles, wood.colour)
     places = sample_leaves(bottom, top, leaf_area_per_volume, load_look("red_apples"), rng)
-    return (*grown, _leaves(places, rng)) if len(places) else tuple(grown)
+    return (branches, _leaves(places, rng)) if len(places) else (branches,)
 
 
 @lru_cache(maxsize=8)
@@ -87,21 +82,14 @@ def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
 
 @lru_cache(maxsize=8)
 def pedestal(x: float, y: float, ground: float, top: float, radius: float) -> Mesh:
-    """What an arm's base stands on."""
-    high = top - ground
-    outline = [
-        [2.2 * radius, 0.0],
-        [2.2 * radius, 0.03],
-        [2.2 * radius, 0.03],
-        [1.5 * radius, 0.06],
-        [1.5 * radius, high],
-    ]
-    outline += [[1.5 * radius, high], [0.0, high]]
+    """The column that an arm's base stands on."""
+    across, high = radius * np.array([2.2, 2.2, 2.2, 1.5, 1.5, 1.5, 0.0]), top - ground
+    outline = np.column_stack([across, [0.0, 0.03, 0.03, 0.06, high, high, high]])
     return turned(outline, np.array([x, y, ground]), np.array([0.0, 0.0, 1.0]), JOINT)
 
 
 def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: float) -> Solids:
-    """What was picked so far: ``count`` fruit in a crate on legs, in the lower left of what the eye sees."""
+    """A crate on legs with the ``count`` fruit that are picked, in the lower left of what the eye sees."""
     distance = float(np.linalg.norm(eye.target - eye.position))
     corner = eye.point_at((CRATE[0] * size[0], CRATE[1] * size[1]), distance, size)
     wide, along = 5, diameter * 1.05

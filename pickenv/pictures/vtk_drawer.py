@@ -14,14 +14,7 @@ from vtkmodules import vtkRenderingOpenGL2
 from vtkmodules.util import numpy_support
 from vtkmodules.vtkCommonCore import vtkPoints, vtkUnsignedCharArray
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
-from vtkmodules.vtkRenderingCore import (
-    vtkActor,
-    vtkCamera,
-    vtkLight,
-    vtkPolyDataMapper,
-    vtkRenderer,
-    vtkRenderWindow,
-)
+from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
 
 from pickenv.pictures.solids import Triangles, all_triangles, ball_triangles, mesh_triangles, rod_triangles
 from pickenv.pictures.stage import Eye, Mesh, Pixels, Stage, backdrop
@@ -71,7 +64,11 @@ class VtkDrawer:
         upper, lower = backdrop(stage.dark)
         self.renderer.SetBackground(*(value / 255 for value in lower))
         self.renderer.SetBackground2(*(value / 255 for value in upper))
-        _look(self.renderer.GetActiveCamera(), stage.eye)
+        camera = self.renderer.GetActiveCamera()
+        camera.SetPosition(*stage.eye.position)
+        camera.SetFocalPoint(*stage.eye.target)
+        camera.SetViewUp(0.0, 0.0, 1.0)
+        camera.SetViewAngle(stage.eye.angle_deg)
         self.renderer.ResetCameraClippingRange()
         self.window.Render()
         pixels: Any = vtkUnsignedCharArray()
@@ -90,8 +87,8 @@ class VtkDrawer:
                 self.renderer.AddActor(body.actor)
                 self.kept[id(surface)] = surface, body
             self.kept[id(surface)][1].actor.VisibilityOn()
-        shown = {id(surface) for surface in still}
-        for key in [key for key in self.kept if key not in shown][: max(len(self.kept) - MOST_KEPT, 0)]:
+        visible = {id(surface) for surface in still}
+        for key in [key for key in self.kept if key not in visible][: max(len(self.kept) - MOST_KEPT, 0)]:
             self.renderer.RemoveActor(self.kept.pop(key)[1].actor)
 
 
@@ -116,18 +113,19 @@ class _Body:
 
     def show(self, triangles: Triangles) -> None:
         """Take these triangles in place of those before."""
-        points: Any = vtkPoints()
-        points.SetData(_NUMPY.numpy_to_vtk(np.ascontiguousarray(triangles.corners, dtype=np.float32), deep=1))
-        cells: Any = vtkCellArray()
+        corners, normals = (
+            _NUMPY.numpy_to_vtk(np.ascontiguousarray(vectors, np.float32), deep=1)
+            for vectors in (triangles.corners, triangles.normals)
+        )
         count = len(triangles.triangles)
-        offsets = _NUMPY.numpy_to_vtkIdTypeArray(np.arange(0, 3 * count + 1, 3, dtype=np.int64), deep=1)
-        numbers = np.ascontiguousarray(triangles.triangles, dtype=np.int64).ravel()
-        cells.SetData(offsets, _NUMPY.numpy_to_vtkIdTypeArray(numbers, deep=1))
+        ends, numbers = np.arange(0, 3 * count + 1, 3, dtype=np.int64), triangles.triangles.astype(np.int64).ravel()
+        points: Any = vtkPoints()
+        cells: Any = vtkCellArray()
+        points.SetData(corners)
+        cells.SetData(*(_NUMPY.numpy_to_vtkIdTypeArray(values, deep=1) for values in (ends, numbers)))
         self.data.SetPoints(points)
         self.data.SetPolys(cells)
-        self.data.GetPointData().SetNormals(
-            _NUMPY.numpy_to_vtk(np.ascontiguousarray(triangles.normals, np.float32), deep=1)
-        )
+        self.data.GetPointData().SetNormals(normals)
         self.data.GetPointData().SetScalars(_NUMPY.numpy_to_vtk(np.ascontiguousarray(triangles.colour), deep=1))
         self.data.Modified()
         self.actor.SetVisibility(count > 0)
@@ -138,17 +136,10 @@ def off_screen_window() -> Any:
     return getattr(vtkRenderingOpenGL2, "vtkEGLRenderWindow", vtkRenderWindow)()
 
 
-def _look(camera: vtkCamera, eye: Eye) -> None:
-    camera.SetPosition(*eye.position)
-    camera.SetFocalPoint(*eye.target)
-    camera.SetViewUp(0.0, 0.0, 1.0)
-    camera.SetViewAngle(eye.angle_deg)
-
-
 def _some(part: Triangles, opaque: bool) -> Triangles:
     """The opaque triangles of a set, or the others."""
-    chosen = (part.colour[part.triangles[:, 0], 3] == 255) == opaque
-    return part if chosen.all() else part._replace(triangles=part.triangles[chosen])
+    mask = (part.colour[part.triangles[:, 0], 3] == 255) == opaque
+    return part if mask.all() else part._replace(triangles=part.triangles[mask])
 
 
 if __name__ == "__main__":  # try it out: where VTK cannot draw, it ends the program

@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from papers.li2016.comparison import SEED, calibrated_controller, strategies
 from pickenv.harvester import (
     Controller,
+    Strategy,
     TrueMachine,
     funnel,
     load_grid,
@@ -26,7 +27,6 @@ from pickenv.harvester import (
     load_true_machine,
     work_trees,
 )
-from pickenv.harvester.strategies import Strategy
 
 
 @cache

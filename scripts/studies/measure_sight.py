@@ -11,27 +11,19 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from pickenv.base import write_text
-from pickenv.harvester import load_grid, load_machine, load_orchard
-from pickenv.harvester.trees import sample_tree, tree_leaves
-from pickenv.harvester.zones import cut
-from pickenv.orchard import DETECTORS, Eyes, load_eyes, load_stereo_camera
-from pickenv.orchard.sight import errors_name, sightings
-from pickenv.orchard.sight_errors import (
-    Sightings,
-    error_measure,
-    root_mean_square,
-    share_of,
-    tabulated,
-    together,
-)
+from pickenv.arm import Array
+from pickenv.base import InputError, clustered_share_interval, statistic_interval, write_text
+from pickenv.harvester import cut, load_grid, load_machine, load_orchard, sample_tree, tree_leaves
+from pickenv.orchard import DETECTORS, Eyes, Leaves, Viewpoint, camera_frame, load_eyes, load_stereo_camera
+from pickenv.orchard.sight import PAIRS, located_fruit, picture, read_picture
 
 SEED = 2016
 ZONES = 5
@@ -41,11 +33,187 @@ RANGES, PARTS = 3, 10
 FRUIT_MAPS = {"li2016": "li2016_lab", "li2016_bare": "li2016_lab"}
 """What hangs in each canopy."""
 PUBLISHED = "Azure Kinect in the sun at 1.5 m: bias 17 mm, RMSE 6 mm (Neupane et al. 2021, Agronomy 11:1780)"
-HEAD = """# What the stereo pair of vision.toml makes of fruit: errors and recall (sight_errors.py). Made, not typed, by
+HEAD = """# What the stereo pair of vision.toml makes of fruit: errors and recall (sight.py). Made, not typed, by
 #   {command}
 # from rendered pictures (simulated, not measured on trees). Three ranges; x right, y down, z ahead; low and high are
 # 95 % intervals over trees. Parts are tenths of the located fruit of a range, from the least to the largest error.
 """
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """What became of fruit before the camera; one row per fruit and picture, (n,), the pictures of all trees.
+
+    Attributes:
+        tree: Number of the tree.
+        depth: True distance ahead, m.
+        visible: Share of its disc in sight.
+        found: Whether it was located.
+        error: Where it was located less where it is, camera frame, m, (n, 3); NaN where it was not.
+        again: The same in a second picture from the same place.
+        pictures: Pictures in which these fruit hung.
+        false: Detections in them that are no fruit.
+    """
+
+    tree: NDArray[np.int64]
+    depth: Array
+    visible: Array
+    found: NDArray[np.bool_]
+    error: Array
+    again: Array
+    pictures: int
+    false: int
+
+
+def together(parts: Sequence[Sightings]) -> Sightings:
+    """Sightings of several pictures as one."""
+    rows = {
+        name: np.concatenate([getattr(part, name) for part in parts])
+        for name in ("tree", "depth", "visible", "found", "error", "again")
+    }
+    return Sightings(**rows, pictures=sum(p.pictures for p in parts), false=sum(p.false for p in parts))
+
+
+def sightings(
+    eyes: Sequence[Eyes],
+    view: Viewpoint,
+    fruit: ArrayLike,
+    diameters: ArrayLike,
+    wanted: NDArray[np.bool_],
+    leaves: Leaves | None,
+    rng: np.random.Generator,
+    tree: int,
+) -> list[Sightings]:
+    """Draw two pictures from one place, let each detector read both, and say what became of the ``wanted`` fruit (n,).
+
+    Args:
+        eyes: They share canopy, camera and look.
+        view: From where.
+        fruit: True centres in the view's frame, m, (n, 3).
+        diameters: m, (n,).
+        wanted: Which fruit counts.
+        leaves: In the view's frame.
+        rng: Source of every draw.
+        tree: Number of the tree.
+    """
+    places = camera_frame(fruit, view.left_eye(eyes[0].camera), view.looking)
+    pairs = [picture(eyes[0], view, fruit, diameters, leaves, rng) for _ in range(2)]
+    found = []
+    for each in eyes:
+        (located, seen, false), (once_more, moved, _) = (
+            located_fruit(pair, read_picture(each, pair), places, diameters) for pair in pairs
+        )
+        error, again = (
+            np.where(flags[:, None], where - places, np.nan)[wanted]
+            for flags, where in ((located, seen), (once_more, moved))
+        )
+        number, depth = np.full(int(wanted.sum()), tree), places[wanted, 2]
+        found.append(Sightings(number, depth, pairs[0].visible[wanted], located[wanted], error, again, 1, len(false)))
+    return found
+
+
+def tabulated(seen: Sightings, ranges: int, parts: int) -> dict[str, Any]:
+    """The numbers of a table as its file gives them, with 95 % intervals over trees.
+
+    Args:
+        seen: Of many trees.
+        ranges: Equal parts of the fruit by distance.
+        parts: Equal parts of the located fruit of each range, by the size of its error.
+
+    Raises:
+        InputError: If a part holds fewer than three fruit.
+    """
+    edges = np.quantile(seen.depth, np.arange(1, ranges) / ranges)
+    row = np.searchsorted(edges, seen.depth)
+    both = np.isfinite(seen.error).all(axis=1) & np.isfinite(seen.again).all(axis=1)
+    pair = [max(float(np.corrcoef(seen.error[both, i], seen.again[both, i])[0, 1]), 0.0) for i in range(3)]
+    table: dict[str, Any] = {
+        "trees": len(np.unique(seen.tree)),
+        "pictures": seen.pictures,
+        "fruit": len(seen.tree),
+        "edges_mm": _rounded(edges * 1e3, 1),
+        "false_per_picture": _rounded(seen.false / max(seen.pictures, 1), 4),
+        "lasting": _rounded(np.mean(pair), 3),
+    }
+    for r in range(ranges):
+        for name, value in _range_numbers(seen, np.flatnonzero(row == r), parts).items():
+            table.setdefault(name, []).append(value)
+    return table
+
+
+def _range_numbers(seen: Sightings, some: NDArray[np.intp], parts: int) -> dict[str, Any]:
+    """Numbers of the fruit of one range."""
+    found = some[seen.found[some]]
+    if len(found) < 3 * parts:
+        raise InputError(f"only {len(found)} fruit were located in one range of the table; render more trees")
+    error = 1e3 * seen.error[found]
+    recall = _ends(share_of(seen.tree[some], seen.found[some]))
+    bias = [_ends(error_measure(seen.tree[found], error[:, i], mean_error)) for i in range(3)]
+    spread = [_ends(error_measure(seen.tree[found], error[:, i], _deviation)) for i in range(3)]
+    cells = [error[rows] for rows in np.array_split(np.argsort(np.linalg.norm(error, axis=1), kind="stable"), parts)]
+    ends = tuple(enumerate(("", "_low", "_high")))
+    return {
+        "visible": _rounded(seen.visible[some].mean(), 3),
+        "in_sight": _rounded((seen.visible[some] > 0).mean(), 4),
+        **{f"recall{end}": _rounded(recall[i], 4) for i, end in ends},
+        **{f"bias{end}_mm": _rounded([b[i] for b in bias], 2) for i, end in ends},
+        **{f"spread{end}_mm": _rounded([max(w[i], 0.0) for w in spread], 2) for i, end in ends},
+        "correlation": _correlations(error),
+        "part_bias_mm": [_rounded(cell.mean(axis=0), 2) for cell in cells],
+        "part_spread_mm": [_rounded(cell.std(axis=0), 2) for cell in cells],
+        "part_correlation": [_correlations(cell) for cell in cells],
+    }
+
+
+def _correlations(error: Array) -> list[float]:
+    whole: Array = np.asarray(np.corrcoef(error.T))
+    return [float(np.round(whole[a, b], 3)) for a, b in PAIRS]
+
+
+Ended = tuple[float, tuple[float, float] | None]
+"""A number and its 95 % interval, where there is one."""
+
+
+def _ends(measured: Ended) -> tuple[float, float, float]:
+    """A number and the ends of its interval, both the number itself where it has none."""
+    value, interval = measured
+    return value, *(interval or (value, value))
+
+
+def share_of(tree: NDArray[np.int64], flags: NDArray[np.bool_]) -> Ended:
+    """A share of fruit, and its interval over trees."""
+    _, at = np.unique(tree, return_inverse=True)
+    taken, tried = (np.bincount(at, weights=w) for w in (flags.astype(np.float64), np.ones(len(at))))
+    return float(taken.sum() / max(float(tried.sum()), 1.0)), clustered_share_interval(taken, tried)
+
+
+def error_measure(tree: NDArray[np.int64], error: Array, measure: Callable[[Array], float]) -> Ended:
+    """A mean or a root of squares of errors (n,), and its interval over trees; ``measure`` reads n, Σe and Σe²."""
+    _, at = np.unique(tree, return_inverse=True)
+    parts = [np.bincount(at, weights=w) for w in (np.ones(len(at)), error, error**2)]
+    sums = np.stack(parts, axis=1).astype(np.float64)
+    return measure(sums), statistic_interval(sums, measure)
+
+
+def mean_error(sums: Array) -> float:
+    """For `error_measure`."""
+    count, first, _ = sums.sum(axis=0)
+    return float(first / count)
+
+
+def _deviation(sums: Array) -> float:
+    count, first, second = sums.sum(axis=0)
+    return float(np.sqrt(max(second / count - (first / count) ** 2, 0.0)))
+
+
+def root_mean_square(sums: Array) -> float:
+    """For `error_measure`."""
+    count, _, second = sums.sum(axis=0)
+    return float(np.sqrt(second / count))
+
+
+def _rounded(value: Any, digits: int) -> Any:
+    return np.round(np.asarray(value, dtype=float), digits).tolist()
 
 
 @dataclass(frozen=True)
@@ -111,7 +279,7 @@ def text_of(found: Sequence[Measured], command: str) -> str:
     for one in found:
         canopy = one.eyes.canopy
         lines += [
-            f"[{errors_name(canopy.name, one.eyes.detector)}]",
+            f"[{canopy.name}-{one.eyes.detector}]",
             f'source = "{command}: canopy {canopy.name}, fruit map {FRUIT_MAPS[canopy.name]}, fruit of 60 mm"',
             f'canopy = "{canopy.name}"',
             f'detector = "{one.eyes.detector}"',

@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.harvester import pick_point, timetable, zone_work
-from pickenv.harvester.arm_paths import echoes, slave_joints_at, ultrasonic_hold
-from pickenv.harvester.rules import li_rule
+from pickenv.harvester import assign, pick_point, slave_joints_at, timetable, ultrasonic_hold, zone_work
+from pickenv.harvester.arm_paths import echoes
 
 MIDDLE = 1
 RADIUS = 0.04
@@ -127,7 +126,7 @@ def test_a_plan_of_lis_holds_side_arms_where_fruit_hangs_level_and_never_the_mid
         fruit = corner + np.array([0.7, 0.4, 0.2]) * rng.random((10, 3))
         work = zone_work(machine, pick_point(machine, fruit).master, fruit)
         work = replace(work, conflict=np.zeros_like(work.conflict), first=rng.uniform(0.0, 4.0, 10))
-        times = timetable(work, li_rule(work), hold=ultrasonic_hold(machine, work, rng))
+        times = timetable(work, assign(work, "li"), hold=ultrasonic_hold(machine, work, rng))
         assert (times.held[times.arm == MIDDLE] < 1e-9).all()
         held, picks = held + int((times.held > 1e-9).sum()), picks + len(times.arm)
     assert 0 < held < picks / 2

@@ -8,12 +8,18 @@ import numpy as np
 import pytest
 
 from pickenv.base import InputError
-from pickenv.harvester import assign, load_machine, pick_point, timetable, zone_work
-from pickenv.harvester.arm_paths import ultrasonic_hold
-from pickenv.harvester.joint_motion import travel_time
+from pickenv.harvester import (
+    Work,
+    assign,
+    load_machine,
+    lower_bound,
+    pick_point,
+    timetable,
+    travel_time,
+    ultrasonic_hold,
+    zone_work,
+)
 from pickenv.harvester.optimiser import _changed
-from pickenv.harvester.rules import li_rule, lower_bound
-from pickenv.harvester.work import Work
 
 
 def hold_of(machine, work):
@@ -71,7 +77,7 @@ def test_one_arm_at_a_time_does_one_pick_at_a_time(machine):
 
 def test_li_picks_by_falling_height_in_the_middle_and_rising_height_beside(machine):
     work = zone(machine, np.random.default_rng(3), 15)
-    for arm, queue in enumerate(li_rule(work)):
+    for arm, queue in enumerate(assign(work, "li")):
         rising = np.diff(work.joints[0, list(queue), 0])
         assert (rising <= 0).all() if arm == 1 else (rising >= 0).all()
 

@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from pickenv.harvester import Controller, Grid, Strategy, Tree, harvest, load_picking
-from pickenv.harvester.picking import Luck
+from pickenv.harvester import Controller, Grid, Luck, Strategy, Tree, harvest, load_picking
 from pickenv.orchard import load_canopy, load_eyes
 
 SURE, EYES = replace(load_picking(), push=0.0), load_eyes("ideal", load_canopy("li2016"))

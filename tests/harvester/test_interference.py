@@ -3,9 +3,18 @@
 import numpy as np
 import pytest
 
-from pickenv.harvester import assign, load_machine, pick_point, timetable, zone_work
-from pickenv.harvester.arm_paths import closest_approach, slave_joints_at, ultrasonic_hold
-from pickenv.harvester.interference import arm_distances, excursion_distances, segment_distance
+from pickenv.harvester import (
+    arm_distances,
+    assign,
+    load_machine,
+    pick_point,
+    slave_joints_at,
+    timetable,
+    ultrasonic_hold,
+    zone_work,
+)
+from pickenv.harvester.arm_paths import closest_approach
+from pickenv.harvester.interference import excursion_distances, segment_distance
 
 
 def zone(machine, rng, count):

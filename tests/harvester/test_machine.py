@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from papers.li2016.comparison import joint_curves, workspace
 from pickenv.arm import forward, load_arm
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
 from pickenv.base import InputError
-from pickenv.harvester import load_machine
-from pickenv.harvester.joint_motion import joint_curves, profile, travel_time, workspace
+from pickenv.harvester import load_machine, profile, travel_time
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
 PICK_POINT = np.array([-80, -660, 1220]) * 1e-3
@@ -24,7 +23,7 @@ def random_joints(machine, rng, count=500):
 def whole_arm(machine, i):
     """The serial chain of the master and slave ``i``: six joints from base to cup."""
     master, slave = machine.master.nominal, machine.slaves[i].nominal
-    tables = (*LINK_PARAMETERS, "lower", "upper")
+    tables = ("alpha", "a", "theta", "d", "beta", "lower", "upper")
     numbers = {name: np.concatenate([getattr(master, name), getattr(slave, name)]) for name in tables}
     names, kinds = master.joint_names + slave.joint_names, master.prismatic + slave.prismatic
     return replace(master, joint_names=names, prismatic=kinds, tool=slave.tool, **numbers)

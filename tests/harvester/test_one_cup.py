@@ -10,7 +10,8 @@ from pickenv.envs import HarvestEnv
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.harvester.picking import attempt, displacements, draw_luck, pushes
+from pickenv.harvester import attempt, draw_luck, pushes
+from pickenv.harvester.picking import displacements
 
 AWAY = np.array([0.0, 0.0, 9.0])
 

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from pickenv.base import InputError
-from pickenv.harvester import Grid, load_grid, pick_point
+from pickenv.harvester import Grid, cut, load_grid, pick_point
 from pickenv.harvester.pick_points import METHODS, Search, border_indices, searched
-from pickenv.harvester.zones import cut
 
 TARGETS = np.array([[420, -1400, 1000], [96, -1450, 1280], [-500, -1386, 1500]]) * 1e-3
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.harvester import load_orchard, load_picking
-from pickenv.harvester.picking import attempt, displacements, draw_luck, in_the_way
-from pickenv.harvester.trees import sample_image, sample_tree
+from pickenv.harvester import attempt, draw_luck, load_orchard, load_picking, sample_image, sample_tree
+from pickenv.harvester.picking import displacements, in_the_way
 from pickenv.orchard import coupling, swing
 
 NOTHING = np.zeros((0, 3))

@@ -10,12 +10,9 @@ import pytest
 from scipy.optimize import milp
 
 from pickenv.base import InputError
-from pickenv.harvester import Grid, assign, optimiser, pick_point, timetable
+from pickenv.harvester import Grid, Work, assign, cut, lower_bound, optimiser, pick_point, timetable
 from pickenv.harvester.optimiser import cp_sat, local_search
 from pickenv.harvester.pick_points import _heights, _point_costs, border_indices, pick_heading
-from pickenv.harvester.rules import lower_bound
-from pickenv.harvester.work import Work
-from pickenv.harvester.zones import cut
 
 
 def made_up(rng, arms, count, reach=0.8, conflict=0.0):
@@ -112,7 +109,7 @@ def test_the_bound_is_the_most_even_share_of_picks_with_their_least_ways(arms, m
 
     With all the time that the solver asks for: cut off early, its bound is only lower.
     """
-    monkeypatch.setattr("pickenv.harvester.rules.milp", lambda *given, options, **more: milp(*given, **more))
+    monkeypatch.setattr("pickenv.harvester.optimiser.milp", lambda *given, options, **more: milp(*given, **more))
     for seed in range(8):
         work = made_up(np.random.default_rng(seed), arms, 5)
         ways = [min(work.first[j], *(work.travel[i, j] for i in range(5) if i != j)) for j in range(5)]

@@ -12,20 +12,20 @@ import pytest
 from pickenv.base import InputError
 from pickenv.harvester import (
     Controller,
+    Nominal,
+    Work,
+    Zone,
     assign,
     load_machine,
     load_true_machine,
+    lower_bound,
     optimiser,
     pick_point,
-    rules,
     timetable,
 )
 from pickenv.harvester.optimiser import _ticks, cp_sat, local_search
 from pickenv.harvester.pick_points import Search, _heights, _point_costs, _search, pick_heading, searched
-from pickenv.harvester.rules import lower_bound
-from pickenv.harvester.true_machine import Nominal
-from pickenv.harvester.work import Work
-from pickenv.harvester.zones import AHEAD, Zone
+from pickenv.harvester.zones import AHEAD
 
 POINTS = sys.modules[searched.__module__]
 
@@ -139,7 +139,7 @@ def test_the_bound_is_the_solvers_proof_not_its_find(monkeypatch):
             asked.append(given["options"])
             return SimpleNamespace(mip_dual_bound=proof, fun=find)
 
-        monkeypatch.setattr(rules, "milp", solve)
+        monkeypatch.setattr(optimiser, "milp", solve)
 
     answering(30.0, 40.0)
     assert lower_bound(work) == 30.0 and lower_bound(work, integral=False) == 40.0

@@ -27,7 +27,7 @@ from pickenv.harvester import (
 from pickenv.harvester.arm_paths import slave_joints_at
 from pickenv.harvester.harvest_run import Round
 from pickenv.harvester.interference import arm_distances
-from pickenv.harvester.joint_motion import profile, travel_time
+from pickenv.harvester.machine import profile, travel_time
 from pickenv.inspect import inspect_harvest
 from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL
 from pickenv.inspect.recordings.harvest_recording import FATES

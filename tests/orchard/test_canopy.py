@@ -10,12 +10,11 @@ from pickenv.orchard import (
     depth_behind_face,
     foliage_path,
     foliage_transmission,
-    in_canopy,
     load_canopy,
     occlusion,
     shipped,
 )
-from pickenv.orchard.occlusions import disc_cover
+from pickenv.orchard.canopy import disc_cover
 
 quick = settings(deadline=None, derandomize=True)
 
@@ -52,7 +51,11 @@ def test_the_way_through_foliage_is_what_small_steps_measure(a: tuple, b: tuple)
     canopy = load_canopy("v_trellis")
     along = np.linspace(a, b, 2001)
     along[:, 0] = 0.0  # foliage goes on along the row
-    steps = in_canopy(canopy, (along[1:] + along[:-1]) / 2).mean() * np.linalg.norm(np.subtract(a, b))
+    middles = (along[1:] + along[:-1]) / 2
+    behind = depth_behind_face(canopy, middles)
+    inside = (behind >= 0.0) & (behind <= canopy.depth)
+    inside &= (middles[:, 2] >= canopy.bottom) & (middles[:, 2] <= canopy.top)
+    steps = inside.mean() * np.linalg.norm(np.subtract(a, b))
     assert foliage_path(canopy, a, b) == pytest.approx(steps, abs=0.01)
 
 

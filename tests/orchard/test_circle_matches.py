@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from pickenv.orchard import load_circle_search, load_stereo_camera
-from pickenv.orchard.circles import _Edges, _matched, _taken, _voted, _window
+from pickenv.orchard.vision import _Edges, _matched, _taken, _voted, _window
 
 CAMERA, SEARCH = load_stereo_camera("li2016"), load_circle_search("li2016")
 REACH = CAMERA.focal_length * CAMERA.baseline

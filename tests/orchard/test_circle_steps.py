@@ -8,7 +8,6 @@ import pytest
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from pickenv.orchard import (
-    circles as circles_module,
     fruit_circles,
     load_circle_search,
     load_look,
@@ -16,8 +15,9 @@ from pickenv.orchard import (
     locate_circles,
     render_stereo,
     triangulate,
+    vision,
 )
-from pickenv.orchard.circles import _Edges, _edges, _fitted, _taken, _voted, summit
+from pickenv.orchard.vision import _Edges, _edges, _fitted, _taken, _voted, summit
 
 CAMERA, SEARCH = load_stereo_camera("li2016"), load_circle_search("li2016")
 PLACES = np.array([[-0.2, 0.0, 1.1], [0.2, 0.1, 1.2]])
@@ -214,9 +214,9 @@ def test_what_is_at_four_fifths_of_a_radius_is_another_fruit():
 def circles_of(monkeypatch, voted, fitted=None, filled=1.0, search=SEARCH):
     """Circles of a picture where the votes, and the fits to them, are these."""
     if fitted is not None:
-        monkeypatch.setattr(circles_module, "_fitted", lambda search, edges, *circle: fitted[voted.index(circle)])
-    monkeypatch.setattr(circles_module, "_voted", lambda *given: voted)
-    monkeypatch.setattr(circles_module, "_filled", lambda *given: filled)
+        monkeypatch.setattr(vision, "_fitted", lambda search, edges, *circle: fitted[voted.index(circle)])
+    monkeypatch.setattr(vision, "_voted", lambda *given: voted)
+    monkeypatch.setattr(vision, "_filled", lambda *given: filled)
     found = fruit_circles(search, PAIR.left)
     return [(*centre, radius) for centre, radius in zip(found.centres.tolist(), found.radii.tolist(), strict=True)]
 
@@ -255,14 +255,14 @@ def test_detections_are_the_circles_that_match_well_enough(monkeypatch):
     least = CAMERA.least_correlation
     matches = [(60.0, least), (70.0, least - 1e-9), (80.0, 1.0), (50.0, 0.9)]
     centres = np.array([[100.0, 90.0], [150.0, 90.0], [300.0, 120.0], [310.5, 30.25]])
-    found = circles_module.Circles(centres, np.full(4, 10.0), np.zeros((2, 2), dtype=bool))
-    monkeypatch.setattr(circles_module, "fruit_circles", lambda search, image: found)
-    monkeypatch.setattr(circles_module, "_matched", lambda *given: matches[centres[:, 0].tolist().index(given[5][0])])
+    found = vision.Circles(centres, np.full(4, 10.0), np.zeros((2, 2), dtype=bool))
+    monkeypatch.setattr(vision, "fruit_circles", lambda search, image: found)
+    monkeypatch.setattr(vision, "_matched", lambda *given: matches[centres[:, 0].tolist().index(given[5][0])])
     seen = locate_circles(CAMERA, SEARCH, PAIR.left, PAIR.right)
     expected = [[*centres[k], matches[k][0]] for k in (0, 2, 3)]
     np.testing.assert_array_equal(seen.positions, triangulate(CAMERA, expected))
     assert seen.confidence.tolist() == [least, 1.0, 0.9] and seen.fruit.tolist() == [-1, -1, -1]
     monkeypatch.setattr(
-        circles_module, "fruit_circles", lambda search, image: replace(found, centres=centres[:0], radii=np.zeros(0))
+        vision, "fruit_circles", lambda search, image: replace(found, centres=centres[:0], radii=np.zeros(0))
     )
     assert len(locate_circles(CAMERA, SEARCH, PAIR.left, PAIR.right)) == 0

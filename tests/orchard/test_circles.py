@@ -18,7 +18,7 @@ from pickenv.orchard import (
     render_stereo,
     sample_leaves,
 )
-from pickenv.orchard.circles import _Edges, _edges, _filled, _fitted, summit
+from pickenv.orchard.vision import _Edges, _edges, _filled, _fitted, summit
 
 CAMERA, LOOK, SEARCH = load_stereo_camera("li2016"), load_look("red_apples"), load_circle_search("li2016")
 NONE = np.zeros((0, 3))

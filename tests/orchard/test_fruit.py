@@ -1,7 +1,7 @@
 """Fruit is clumped and bottom-heavy, as in a digitised V-trellis row; a uniform sampler is not."""
 
 import csv
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +9,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from pickenv.orchard import (
-    Clumping,
     FruitMap,
     FruitSize,
-    clumping,
     fit_fruit_map,
     fruit_masses,
     load_canopy,
@@ -35,6 +33,37 @@ STATISTICS = ("density", "variance_ratio", "k", "empty_share", "bottom_share")
 def mapped_row(data_folder: Path) -> np.ndarray:
     """Apples per 0.3 m block, 4 rows from top to bottom, 50.1 m long."""
     return np.loadtxt(data_folder / "corobotic-fruitmap" / "fruit_dist.map")
+
+
+@dataclass(frozen=True, eq=False)
+class Clumping:
+    """Statistics of apple counts; each has the leading shape of the counts.
+
+    Attributes:
+        density: Apples per metre of row.
+        variance_ratio: Variance/mean over all blocks.
+        k: Moment estimate of the negative binomial's dispersion, mean²/(variance − mean).
+        empty_share: Share of blocks without an apple.
+        row_shares: Share of the apples in each row of blocks, top to bottom, shape (..., rows).
+    """
+
+    density: np.ndarray
+    variance_ratio: np.ndarray
+    k: np.ndarray
+    empty_share: np.ndarray
+    row_shares: np.ndarray
+
+
+def clumping(counts: np.ndarray, block: float = 0.3) -> Clumping:
+    """How clumped apple counts (..., rows, columns) are."""
+    mean, variance = counts.mean(axis=(-2, -1)), counts.var(axis=(-2, -1))
+    return Clumping(
+        density=counts.sum(axis=(-2, -1)) / (counts.shape[-1] * block),
+        variance_ratio=variance / mean,
+        k=mean**2 / (variance - mean),
+        empty_share=(counts == 0).mean(axis=(-2, -1)),
+        row_shares=counts.sum(axis=-1) / counts.sum(axis=(-2, -1))[..., None],
+    )
 
 
 def values(found: Clumping) -> dict[str, np.ndarray]:

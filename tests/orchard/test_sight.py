@@ -28,12 +28,8 @@ from pickenv.orchard import (
     shipped,
     sighted,
 )
-from pickenv.orchard.sight import _matched, picture, sightings
-from pickenv.orchard.sight_errors import (
-    share_of,
-    tabulated,
-    together,
-)
+from pickenv.orchard.sight import located_fruit, picture
+from scripts.studies.measure_sight import share_of, sightings, tabulated, together
 
 LEAFY = load_canopy("li2016")
 VIEW = Viewpoint(np.array([0.1, -1.0, 1.6]), np.array([0.0, 1.0, 0.0]))
@@ -187,14 +183,14 @@ def test_a_detection_is_of_fruit_in_sight_within_a_diameter_of_it():
     pair = StereoPair(black, black, np.zeros((2, 2), dtype=np.int64), visible)
     seen = places[[3, 2, 0]] + [[0.0, 0.0601, 0.0], [0.0, 0.0599, 0.0], [0.0, 0.0, 0.0]]
     found, sizes = Detections(seen, np.full(3, -1), np.ones(3)), [0.02, 0.06, 0.05, 0.03]
-    located, where, false = _matched(pair, found, places, sizes)
+    located, where, false = located_fruit(pair, found, places, sizes)
     assert located.dtype == bool and located.tolist() == [False, True, True, False]
     np.testing.assert_array_equal(where, [places[0], seen[2], seen[1], places[3]])
     np.testing.assert_array_equal(false, seen[:1])
     hidden = replace(pair, visible=np.zeros(4))
-    located, where, false = _matched(hidden, found, places, sizes)
+    located, where, false = located_fruit(hidden, found, places, sizes)
     assert not located.any() and np.array_equal(where, places) and np.array_equal(false, seen)
-    located, where, false = _matched(pair, Detections(seen[:0], np.full(0, -1), np.ones(0)), places, sizes)
+    located, where, false = located_fruit(pair, Detections(seen[:0], np.full(0, -1), np.ones(0)), places, sizes)
     assert not located.any() and np.array_equal(where, places) and len(false) == 0
 
 

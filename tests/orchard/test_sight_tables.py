@@ -7,7 +7,7 @@ import pytest
 
 from pickenv.base import InputError, clustered_share_interval, statistic_interval
 from pickenv.orchard import Chances, load_sight_errors, shipped, sighted
-from pickenv.orchard.sight_errors import (
+from scripts.studies.measure_sight import (
     Sightings,
     _deviation,
     _ends,

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from pickenv.pictures import drawers
-from pickenv.pictures.lettering import lettered
-from pickenv.pictures.plain_drawer import draw_plainly
+from pickenv.pictures.drawers import draw_plainly, lettered
 from pickenv.pictures.solids import chequered
 from pickenv.pictures.stage import Balls, Dial, Eye, Rods, Stage, Words, backdrop, rgba
 

@@ -7,7 +7,6 @@ import numpy as np
 from pickenv.arm import Array, Frame, Geometry
 from pickenv.envs.picking.pick_scene import PickScene, PickSetting, to_base
 from pickenv.envs.shared.arm_env import GHOST_WORDS, arm_at_work, staged, standing, tool_dial
-from pickenv.orchard.gripper import lateral_tolerance
 from pickenv.pictures.arm_shapes import Solids, cup_solids, frustum_solids, hand_solids, joined_solids
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
@@ -47,7 +46,7 @@ def draw_pick(
         Words(GHOST_WORDS, "bottom left"),
     ]
     still = (*standing(nominal, ground_of(orchard), dark), *trees_of(orchard))
-    dial = tool_dial(axis, offset, 1e3 * lateral_tolerance(orchard.gripper))
+    dial = tool_dial(axis, offset, 1e3 * orchard.gripper.tolerance)
     return staged(solids, still, pick_eye(orchard), tuple(words), dial, dark)
 
 

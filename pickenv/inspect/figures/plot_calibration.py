@@ -43,10 +43,8 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
         for axes, (label, values) in zip(panels, series.items(), strict=True):
             axes.semilogy(values, "o-", color=blue, markersize=4.0)
             for i in sorted({0, len(values) - 1}):
-                text = f"{values[i]:.3g}"
-                axes.annotate(
-                    text, (i, values[i]), (5, 6), textcoords="offset points", ha="left" if i == 0 else "right"
-                )
+                side = "left" if i == 0 else "right"
+                axes.annotate(f"{values[i]:.3g}", (i, values[i]), (5, 6), textcoords="offset points", ha=side)
             axes.set(xlabel="iteration (number)", ylabel=label)
             axes.margins(y=0.12)
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -81,7 +79,7 @@ def parameter_spectrum(
     names: Sequence[str] | None = None,
     threshold: float | None = None,
 ) -> Figure:
-    """What the poses can tell about each parameter: the diagonal of R of a pivoted QR, or singular values.
+    """Identifiability of each parameter from the poses: the diagonal of R of a pivoted QR, or singular values.
 
     Args:
         magnitudes: |R_ii| of a pivoted QR, or singular values ``(P,)``, all in one (scaled) unit.
@@ -93,45 +91,40 @@ def parameter_spectrum(
     if kept.shape != values.shape or (names is not None and len(names) != len(values)):
         raise InputError(f"there are {len(values)} magnitudes; give as many kept flags and names")
     floor = max(float(values.max()), 1e-300) * 1e-18
-    drawn, place = np.maximum(values, floor), np.arange(len(values))
+    heights, place = np.maximum(values, floor), np.arange(len(values))
+    bottom = heights.min() / 3.0
     blue, red = rgb([*policy_colours(["ls"]), RED])
     diagonal = names is not None
-    shown = style.spaced(names or (), NAME_ROOM, WIDTH - 0.9)
-    with new_figure(WIDTH, 2.6 + 0.065 * max(map(len, ("8 points", *shown)))) as figure:
+    room = WIDTH - 0.9
+    labels = style.spaced(names or [str(i + 1) for i in place], NAME_ROOM if diagonal else NUMBER_ROOM, room)
+    with new_figure(WIDTH, 2.6 + 0.065 * max(map(len, ("8 points", *labels)))) as figure:
         axes = figure.add_subplot(ylabel=f"{'|R_ii|' if diagonal else 'singular value'} (scaled, –)")
         axes.set_xlabel("parameter" if diagonal else "singular value (number)")
         condition = float(values[kept].max() / values[kept].min()) if kept.any() else np.inf
-        told = (
-            f"{int(kept.sum())} of {len(values)} parameters kept" if diagonal else f"condition number {condition:.3g}"
-        )
-        style.headline(axes, f"Identifiability: {told}")
-        for chosen, colour, marker, label in ((kept, blue, "o", "kept"), (~kept, red, "x", "dropped")):
-            if not chosen.any():
-                continue
-            axes.vlines(place[chosen], drawn.min() / 3.0, drawn[chosen], color=colour, linewidth=1.0, alpha=0.5)
-            axes.plot(
-                place[chosen], drawn[chosen], marker, color=colour, label=f"{label} ({int(chosen.sum())})", markersize=5
-            )
+        count = f"{int(kept.sum())} of {len(values)} parameters kept"
+        style.headline(axes, f"Identifiability: {count if diagonal else f'condition number {condition:.3g}'}")
+        for rows, colour, marker, label in ((kept, blue, "o", "kept"), (~kept, red, "x", "dropped")):
+            if rows.any():
+                axes.vlines(place[rows], bottom, heights[rows], color=colour, linewidth=1.0, alpha=0.5)
+                label = f"{label} ({int(rows.sum())})"
+                axes.plot(place[rows], heights[rows], marker, color=colour, label=label, markersize=5)
         if threshold is not None:
             axes.axhline(threshold, color=SOFT, linestyle="--", linewidth=1.2, label=f"threshold {threshold:.2g}")
-        axes.set(yscale="log", xlim=(-0.7, len(values) - 0.3), ylim=(drawn.min() / 3.0, drawn.max() * 3.0))
+        axes.set(yscale="log", xlim=(-0.7, len(values) - 0.3), ylim=(bottom, heights.max() * 3.0))
         axes.grid(axis="x", visible=False)
-        if names is not None:
-            axes.set_xticks(place, shown, rotation=90, fontsize=8)
-            if "" in shown:
-                axes.set_xlabel(f"parameter ({len(names) - shown.count('')} of {len(names)} are named)")
-            for tick, chosen in zip(axes.get_xticklabels(), kept, strict=True):
-                tick.set_color(INK if chosen else red)
-        else:
-            numbers = style.spaced([str(i + 1) for i in place], NUMBER_ROOM, WIDTH - 0.9)
-            axes.set_xticks(place, numbers, fontsize=8)
+        axes.set_xticks(place, labels, rotation=90 if diagonal else 0, fontsize=8)
+        if diagonal:
+            if "" in labels:
+                axes.set_xlabel(f"parameter ({len(labels) - labels.count('')} of {len(labels)} are named)")
+            for tick, keep in zip(axes.get_xticklabels(), kept, strict=True):
+                tick.set_color(INK if keep else red)
         plain_decades(axes.yaxis)
         figure.legend(loc="outside lower center", ncols=3)
     return figure
 
 
 def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
-    """Where poses lie within the joint limits: a line per joint, and a mark on it for each pose.
+    """Places of poses within the joint limits: a line per joint, and a mark on it for each pose.
 
     Args:
         geometry: Gives the joints' names, kinds and limits.
@@ -148,11 +141,10 @@ def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
             mark = np.tile([row - 0.3, row + 0.3, np.nan], len(place) // 3)
             axes.plot(place, mark, color=blue, linewidth=0.7, alpha=0.6)
         spans = np.ptp(share, axis=0)
-        said = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (spans.min(), spans.max())))
-        style.headline(axes, f"Each joint moves over {said} % of its range", beside=1.2)
+        style.headline(axes, f"Each joint moves over {_from_to(spans)} % of its range", beside=1.2)
         ends = zip(geometry.joint_names, lower, upper, units, strict=True)
-        named = [f"{name}  {low:.0f} to {high:.0f} {unit}".replace("-", "−") for name, low, high, unit in ends]
-        axes.set_yticks(range(geometry.joints), named)
+        labels = [f"{name}  {low:.0f} to {high:.0f} {unit}".replace("-", "−") for name, low, high, unit in ends]
+        axes.set_yticks(range(geometry.joints), labels)
         axes.set_ylim(geometry.joints - 0.5, -0.5)
         axes.tick_params(axis="y", length=0.0)
         axes.spines["left"].set_visible(False)
@@ -168,8 +160,8 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
         uncertainty_mm: Standard uncertainty ``(N,)``, mm.
         cells: Cells along the longer side.
     """
-    given = {"distance": distance_mm, "height": height_mm, "uncertainty": uncertainty_mm}
-    x, y, values = finite_series(given).values()
+    series = {"distance": distance_mm, "height": height_mm, "uncertainty": uncertainty_mm}
+    x, y, values = finite_series(series).values()
     step = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9) / cells
     edges = [v.min() + step * np.arange(int(np.ptp(v) // step) + 2) for v in (x, y)]
     count, total = (np.histogram2d(x, y, edges, weights=weights)[0].T for weights in (None, values))
@@ -186,17 +178,16 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
 
 
 def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
-    """How pose sets fill the ranges that were measured: each joint's distribution, and each pair of joints.
+    """Coverage of the measured joint ranges by pose sets: each joint's distribution, and each pair of joints.
 
     Args:
         geometry: Gives the joints' names, kinds and limits; the title says what share of those was measured.
         sets: For each set, by label (identification, training, test), its joints ``(N, n)``, rad or m.
     """
     n = geometry.joints
-    scale = _scale(geometry)
     least, most, units = _limits(geometry)
-    shown = {label: np.asarray(q, dtype=float).reshape(-1, n) * scale for label, q in sets.items()}
-    every = np.concatenate([*shown.values(), np.full((1, n), np.nan)])
+    poses = {label: np.asarray(q, dtype=float).reshape(-1, n) * _scale(geometry) for label, q in sets.items()}
+    every = np.concatenate([*poses.values(), np.full((1, n), np.nan)])
     lower, upper = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
     shares = 100.0 * (upper - lower) / (most - least)
     rim = np.where(upper > lower, 0.05 * (upper - lower), 0.01 * (most - least))
@@ -210,14 +201,13 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
                 axes.set_axis_off()
                 continue
             axes.set_xlim(lower[column], upper[column])
-            for q, colour in zip(shown.values(), colours, strict=False):
+            for q, colour in zip(poses.values(), colours, strict=False):
                 if row == column:
                     bins = np.linspace(lower[row], upper[row], 13)
                     axes.hist(q[:, row], bins, density=True, histtype="step", color=colour, linewidth=1.2)
                 else:
-                    axes.scatter(
-                        q[:, column], q[:, row], s=3.0, color=colour, alpha=0.6, linewidths=0.0, rasterized=True
-                    )
+                    dots: dict[str, Any] = {"s": 3.0, "alpha": 0.6, "linewidths": 0.0, "rasterized": True}
+                    axes.scatter(q[:, column], q[:, row], color=colour, **dots)
             if row == column:
                 axes.set_yticks([])
                 axes.spines["left"].set_visible(False)
@@ -231,14 +221,19 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
                 axes.set_ylabel(f"q{row + 1}\n({units[row]})")
         grid[0, 0].set_ylabel("density\n(relative)")
         figure.align_ylabels(grid[:, 0])
-        said = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (shares.min(), shares.max())))
-        figure.suptitle(f"Poses span {said} % of the joint ranges; shown is what they span", fontweight="bold")
+        title = f"Poses span {_from_to(shares)} % of the joint ranges; shown is what they span"
+        figure.suptitle(title, fontweight="bold")
         handles = [
             Line2D([], [], color=colour, marker="o", markersize=4, label=f"{label} ({len(q)})")
-            for (label, q), colour in zip(shown.items(), colours, strict=False)
+            for (label, q), colour in zip(poses.items(), colours, strict=False)
         ]
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.97, 0.93), fontsize=9.5)
     return figure
+
+
+def _from_to(values: Array) -> str:
+    """The least and the largest of some numbers: 20 to 80, or 80 where both are written alike."""
+    return " to ".join(dict.fromkeys(f"{end:.0f}" for end in (values.min(), values.max())))
 
 
 def _scale(geometry: Geometry) -> Array:

@@ -14,19 +14,28 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
 from pickenv.base import InputError
-from pickenv.inspect.colours import RED, policy_colours, viridis
+from pickenv.inspect.colours import RED, viridis
 from pickenv.inspect.figures import style
-from pickenv.inspect.figures.field_figure import colour_bar, field_gain
+from pickenv.inspect.figures.field_figure import QUIVER, colour_bar, field_gain
 from pickenv.inspect.figures.style import SOFT, WIDTH, change, new_figure
 from pickenv.inspect.runs.comparison_summary import round_step, scale_end
 
-# Error arrows over slices of the workspace: a row per method, a column per slice, one colour scale and one gain.
+ARROWS: dict[str, Any] = QUIVER | {"scale": 1.0, "width": 0.008, "zorder": 2.0}
+BOXES: dict[str, Any] = {
+    "medianprops": {"color": style.INK, "linewidth": 1.4},
+    "meanprops": {"marker": "D", "markerfacecolor": style.PAPER, "markeredgecolor": style.INK, "markersize": 4.0},
+    "flierprops": {"marker": "o", "markersize": 2.5, "markeredgecolor": style.SOFT, "alpha": 0.7},
+    "whiskerprops": {"color": style.SOFT},
+    "capprops": {"color": style.SOFT},
+}
+WIDEST = 16
+"""Characters of a label beside others, above which what is added by + stands on lines of its own."""
 
 
 def error_slices(
     points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: float, axis: int | None = None, slices: int = 3
 ) -> Figure:
-    """Quiver plot of position errors over slices of a regular grid of tool positions.
+    """Quiver plot of position errors over slices of a regular grid: a row per method, one colour scale and one gain.
 
     Arrows show the two components within the slice; their colour is the whole length of the error.
 
@@ -48,51 +57,35 @@ def error_slices(
     first = next(iter(fields.values()))
     axis = int(np.argmin(np.mean(first**2, axis=0))) if axis is None else axis
     layer = np.rint((points[:, axis] - points[:, axis].min()) / step).astype(int)
-    known = np.unique(layer)
-    inner = np.rint(np.linspace(0, len(known) - 1, slices + 2)[1:-1]).astype(int)
-    chosen = known if len(known) <= slices else known[inner]
-    across, up = [i for i in range(3) if i != axis]
+    layers = np.unique(layer)
+    if len(layers) > slices:
+        layers = layers[np.rint(np.linspace(0, len(layers) - 1, slices + 2)[1:-1]).astype(int)]
+    across, up = plane = [i for i in range(3) if i != axis]
     lengths = {label: np.linalg.norm(field, axis=1) * 1e3 for label, field in fields.items()}
     top = scale_end(np.linalg.norm(first, axis=1) * 1e3)
     gain = field_gain(step, top)
     low, high = points.min(axis=0) - step, points.max(axis=0) + step
-    height = (WIDTH - 0.9) / len(chosen) * (high[up] - low[up]) / (high[across] - low[across])
+    height = (WIDTH - 0.9) / len(layers) * (high[up] - low[up]) / (high[across] - low[across])
     with new_figure(WIDTH, 1.4 + len(fields) * (height + 0.1), **{"axes.titlelocation": "center"}) as figure:
-        panels: Any = figure.subplots(len(fields), len(chosen), squeeze=False, sharex=True, sharey=True)
+        panels: Any = figure.subplots(len(fields), len(layers), squeeze=False, sharex=True, sharey=True)
         for row, (label, field) in enumerate(fields.items()):
-            for column, number in enumerate(chosen):
-                axes, here = panels[row, column], layer == number
-                _arrows(
-                    axes, points[here][:, (across, up)], field[here][:, (across, up)] * gain, lengths[label][here], top
-                )
+            for column, number in enumerate(layers):
+                axes, rows = panels[row, column], layer == number
+                places, colours = points[rows][:, plane].T, viridis(lengths[label][rows] / top) / 255.0
+                axes.plot(*places, ".", color=SOFT, markersize=1.2, zorder=1.0)
+                axes.quiver(*places, *(field[rows][:, plane] * gain).T, color=colours, **ARROWS)
                 axes.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]), aspect="equal")
                 if row == 0:
-                    axes.set_title(f"{'xyz'[axis]} = {points[here][0, axis]:.2f} m".replace("-", "−"))
+                    axes.set_title(f"{'xyz'[axis]} = {points[rows][0, axis]:.2f} m".replace("-", "−"))
                 if row == len(fields) - 1:
                     axes.set_xlabel(f"{'xyz'[across]} (m)")
                 if column == 0:
                     axes.set_ylabel(f"{label}\n{'xyz'[up]} (m)")
         colour_bar(figure, panels, top, next(iter(fields)))
-        shown = np.isin(layer, chosen)
-        means = change({label: float(mm[shown].mean()) for label, mm in lengths.items()}, "mm")
+        rows = np.isin(layer, layers)
+        means = change({label: float(mm[rows].mean()) for label, mm in lengths.items()}, "mm")
         figure.suptitle(f"Mean error in slices: {means}; arrows ×{gain:g}", fontweight="bold", fontsize=9.0)
     return figure
-
-
-def _arrows(axes: Any, points: Array, arrows: Array, lengths: Array, top: float) -> None:
-    axes.plot(*points.T, ".", color=SOFT, markersize=1.2, zorder=1.0)
-    axes.quiver(
-        *points.T,
-        *arrows.T,
-        color=viridis(lengths / top) / 255.0,
-        angles="xy",
-        scale_units="xy",
-        scale=1.0,
-        width=0.008,
-        headwidth=3.5,
-        minlength=0.0,
-        zorder=2.0,
-    )
 
 
 def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position error", unit: str = "mm") -> Figure:
@@ -118,10 +111,6 @@ def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position
     return figure
 
 
-WIDEST = 16
-"""Characters of a label beside others, above which what is added by + stands on lines of its own."""
-
-
 def error_by_method(
     errors: Mapping[str, ArrayLike],
     *,
@@ -140,29 +129,18 @@ def error_by_method(
         counted: What the numbers under the labels count.
     """
     series = style.finite_series(errors)
-    colours = style.rgb(policy_colours(list(series)))
     with style.new_figure(max(style.COLUMN, 1.2 + 0.9 * len(series)), 2.9) as figure:
         axes = figure.add_subplot(ylabel=f"{quantity} ({unit})", xlabel=f"method (number of {counted})")
         means = style.change({label: float(values.mean()) for label, values in series.items()}, unit)
         style.headline(axes, f"Mean {quantity}{' of reaches' * (counted == 'reaches')}: {means}", pad=16.0)
-        boxes = axes.boxplot(
-            list(series.values()),
-            widths=0.55,
-            patch_artist=True,
-            showmeans=True,
-            medianprops={"color": style.INK, "linewidth": 1.4},
-            meanprops={"marker": "D", "markerfacecolor": style.PAPER, "markeredgecolor": style.INK, "markersize": 4.0},
-            flierprops={"marker": "o", "markersize": 2.5, "markeredgecolor": style.SOFT, "alpha": 0.7},
-            whiskerprops={"color": style.SOFT},
-            capprops={"color": style.SOFT},
-        )
-        for box, colour in zip(boxes["boxes"], colours, strict=True):
+        boxes = axes.boxplot(list(series.values()), widths=0.55, patch_artist=True, showmeans=True, **BOXES)
+        names = []
+        for box, (label, values, colour) in zip(boxes["boxes"], style.coloured(series), strict=True):
             box.set(facecolor=(*colour, 0.75), edgecolor=style.SOFT)
-        for i, values in enumerate(series.values(), start=1):
-            axes.annotate(f"{values.mean():.3g}", (i + 0.3, values.mean()), va="center", fontsize=7.5)
-        shown = [label if len(label) <= WIDEST else label.replace("+", "\n+") for label in series]
-        counts = [len(values) for values in series.values()]
-        axes.set_xticks(range(1, len(series) + 1), [f"{name}\n({n})" for name, n in zip(shown, counts, strict=True)])
+            name = label if len(label) <= WIDEST else label.replace("+", "\n+")
+            names.append(f"{name}\n({len(values)})")
+            axes.annotate(f"{values.mean():.3g}", (len(names) + 0.3, values.mean()), va="center", fontsize=7.5)
+        axes.set_xticks(range(1, len(names) + 1), names)
         axes.grid(axis="x", visible=False)
         if logarithmic:
             axes.set_yscale("log")
@@ -187,9 +165,8 @@ def error_histogram(errors_mm: Mapping[str, ArrayLike]) -> Figure:
         for label, values, colour in style.coloured(series):
             edges = width * np.arange(int(values.max() / width) + 2)
             share = np.full(len(values), 100.0 / len(values))
-            axes.hist(
-                values, edges.tolist(), weights=share, color=(*colour, 0.35), edgecolor=colour, histtype="stepfilled"
-            )
+            look: dict[str, Any] = {"color": (*colour, 0.35), "edgecolor": colour, "histtype": "stepfilled"}
+            axes.hist(values, edges.tolist(), weights=share, **look)
             axes.plot([], [], color=colour, linewidth=5.0, alpha=0.7, label=label)
         axes.set_xlim(left=0.0)
         figure.legend(loc="outside lower center", ncols=2)
@@ -264,8 +241,8 @@ def error_against(
         axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
         last, values = list(series.items())[-1]
         ends = [(values[part].mean(), x[part].mean()) for part in (parts[0], parts[-1])]
-        said = ", ".join(f"{style.short(mean)} mm at {style.short(place)} {unit}" for mean, place in ends)
-        style.headline(axes, f"{last}: {said}", pad=16.0)
+        text = ", ".join(f"{style.short(mean)} mm at {style.short(place)} {unit}" for mean, place in ends)
+        style.headline(axes, f"{last}: {text}", pad=16.0)
         axes.annotate("dots: poses, line: means of groups", (0.0, 1.02), xycoords="axes fraction", fontsize=7.5)
         for label, values, colour in style.coloured(series):
             axes.plot(x, values, ".", color=colour, markersize=3.0, alpha=0.45)

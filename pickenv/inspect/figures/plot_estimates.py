@@ -1,17 +1,21 @@
-"""Figures of numbers with their 95 % intervals: whiskers side by side, or lines with bands along a number."""
+"""Figures of numbers with their 95 % intervals: whiskers side by side, or lines with bands along a number.
+
+Among these are a calibration's errors along the conditions of work.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from pickenv.base import Estimate
-from pickenv.inspect.colours import policy_colours, policy_label
-from pickenv.inspect.figures.style import WIDTH, change, new_figure, plain_decades, rgb, whisker
+from pickenv.base import Estimate, InputError
+from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, policy_colours, policy_label
+from pickenv.inspect.figures.style import LINES, WIDTH, alike, change, new_figure, plain_decades, rgb, short, whisker
 
 Row = Mapping[str, Any]
 UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
@@ -19,6 +23,11 @@ UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
 
 LINE_INCHES = 0.17
 """Height of a whisker with the room around it."""
+
+METHODS = (BLUE, GREEN, *OTHERS[:2], GREY)
+"""Colours of what is not raw, in turn."""
+ALIKE = 0.01
+"""Methods whose errors differ nowhere by more than this share are drawn once."""
 
 
 def estimates_figure(
@@ -45,27 +54,28 @@ def estimates_figure(
         scale: Factor on the numbers.
     """
     free = [name for name in by if name not in (x, panels)]
-    colour = colour or (free[-1] if free else None)
-    keys = [] if colour is None else list(dict.fromkeys(row[colour] for row in rows))
-    colours = dict(zip(keys, rgb(policy_colours([str(key) for key in keys])), strict=True))
+    colour = colour or (free[-1] if free else "")
+    rows = [{**row, "estimate": _scaled(row["estimate"], scale)} for row in rows]
+    keys = list(dict.fromkeys(row.get(colour, "") for row in rows))
+    colours = dict(zip(keys, rgb(policy_colours([str(key) for key in keys])) if colour else [None], strict=True))
     groups: dict[Any, list[Row]] = {}
     for row in rows:
         groups.setdefault(row[panels] if panels else "", []).append(row)
-    places = list(dict.fromkeys(tuple(row[name] for name in free if name != colour) for row in rows))
-    height = 3.2 if x else 1.0 + LINE_INCHES * len(places) * max(len(keys), 1)
+    names = [name for name in free if name != colour]
+    places = list(dict.fromkeys(tuple(row[name] for name in names) for row in rows))
+    height = 3.2 if x else 1.0 + LINE_INCHES * len(places) * len(keys)
     with new_figure(WIDTH, height) as figure:
         axes: Any = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
         for axis, (title, some) in zip(axes, groups.items(), strict=True):
             axis.set_title(str(title))
             if x is not None:
-                _lines(axis, some, x, free, colours, colour, scale)
+                _lines(axis, some, x, free, colour, colours)
                 axis.set(xlabel=_in_words(x), yscale="log" if log else "linear")
             else:
-                _whiskers(axis, some, places, [name for name in free if name != colour], colours, colour, scale)
+                _whiskers(axis, some, places, names, colour, colours)
                 axis.set_xscale("log" if log else "linear")
-            for one in (axis.xaxis, axis.yaxis):
-                if one.get_scale() == "log":
-                    plain_decades(one)
+            if log:
+                plain_decades(axis.xaxis if x is None else axis.yaxis)
         if x is None:
             unit = "".join(re.findall(r"\(.*?\)", label))  # there is room for all words once
             for number, axis in enumerate(axes):
@@ -74,23 +84,23 @@ def estimates_figure(
             axes[0].set_ylabel(label)
         for key, shade in colours.items():
             axes[0].plot([], [], color=shade, linewidth=3.0, label=policy_label(str(key)))
-        figure.suptitle(_result(rows, x, colour, panels, scale), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
+        figure.suptitle(_result(rows, x, colour, panels), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
         if len(colours) > 1:
             figure.legend(loc="outside lower center", ncols=min(len(colours), 4))
     return figure
 
 
-def _result(rows: Sequence[Row], x: str | None, colour: str | None, panels: str | None, scale: float) -> str:
-    """What the first line of numbers says, or what the lines of the first panel end at."""
+def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None) -> str:
+    """The numbers of the first line, or those that the lines of the first panel end at."""
     first = [row for row in rows if panels is None or row[panels] == rows[0][panels]]
     if x is not None:
         last = max(float(row[x]) for row in first)
         first = [row for row in first if float(row[x]) == last]
     values: dict[str, float] = {}
     for row in first:
-        values.setdefault(policy_label(str(row[colour])) if colour else "", scale * row["estimate"].value)
-    where = [] if panels is None else [str(rows[0][panels])]
-    return ": ".join([*where, change(values, "").strip()])
+        values.setdefault(policy_label(str(row.get(colour, ""))), row["estimate"].value)
+    panel = [] if panels is None else [str(rows[0][panels])]
+    return ": ".join([*panel, change(values, "").strip()])
 
 
 def _in_words(column: str) -> str:
@@ -99,30 +109,25 @@ def _in_words(column: str) -> str:
     return f"{name.replace('_', ' ')} ({unit})" if unit in UNITS and name else f"{column} (number)"
 
 
-def _ends(found: Estimate, scale: float) -> tuple[float, float]:
-    low, high = found.ci95 or (None, None)
-    return scale * (found.value if low is None else low), scale * (found.value if high is None else high)
+def _scaled(number: Estimate, scale: float) -> Estimate:
+    low, high = (None if end is None else scale * end for end in number.ci95 or (None, None))
+    return replace(number, value=scale * number.value, ci95=number.ci95 and (low, high))
 
 
 def _lines(
-    axis: Any,
-    rows: Sequence[Row],
-    x: str,
-    free: Sequence[str],
-    colours: Mapping[Any, Any],
-    colour: str | None,
-    scale: float,
+    axis: Any, rows: Sequence[Row], x: str, names: Sequence[str], colour: str, colours: Mapping[Any, Any]
 ) -> None:
+    """A line with its band for each combination of the columns ``names``."""
     series: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
-        series.setdefault(tuple(row[name] for name in free), []).append(row)
-    for some in series.values():
-        some = sorted(some, key=lambda row: float(row[x]))
-        shade = colours[some[0][colour]] if colour else None
-        places = [float(row[x]) for row in some]
-        axis.plot(places, [scale * row["estimate"].value for row in some], color=shade)
-        low, high = np.transpose([_ends(row["estimate"], scale) for row in some])
-        axis.fill_between(places, low, high, color=shade, alpha=0.2, linewidth=0)
+        series.setdefault(tuple(row[name] for name in names), []).append(row)
+    for line in series.values():
+        line.sort(key=lambda row: float(row[x]))
+        shade, places = colours[line[0].get(colour, "")], [float(row[x]) for row in line]
+        numbers: list[Estimate] = [row["estimate"] for row in line]
+        axis.plot(places, [number.value for number in numbers], color=shade)
+        ends = [[n.value if end is None else end for end in n.ci95 or (None, None)] for n in numbers]
+        axis.fill_between(places, *np.transpose(ends), color=shade, alpha=0.2, linewidth=0)
 
 
 def _whiskers(
@@ -130,18 +135,52 @@ def _whiskers(
     rows: Sequence[Row],
     places: Sequence[tuple[Any, ...]],
     names: Sequence[str],
+    colour: str,
     colours: Mapping[Any, Any],
-    colour: str | None,
-    scale: float,
 ) -> None:
+    """A whisker for each row, at the height of its place: a combination of the columns ``names``."""
     keys = list(colours)
     for row in rows:
-        key = row[colour] if colour else None
-        beside = 0.0 if key is None else (keys.index(key) + 0.5) / len(keys) - 0.5
-        y = places.index(tuple(row[name] for name in names)) + 0.8 * beside
-        shade = colours.get(key)
-        number: Estimate = row["estimate"]
-        ends = None if number.ci95 is None else [None if end is None else scale * end for end in number.ci95]
-        whisker(axis, y, scale * number.value, ends, shade)
+        key, number = row.get(colour, ""), row["estimate"]
+        y = places.index(tuple(row[name] for name in names)) + 0.8 * ((keys.index(key) + 0.5) / len(keys) - 0.5)
+        whisker(axis, y, number.value, number.ci95, colours[key])
     axis.set_yticks(range(len(places)), [", ".join(map(str, place)) for place in places])
     axis.set_ylim(len(places) - 0.5, -0.5)
+
+
+def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[str, str]) -> Figure:
+    """Mean position error against each condition, a panel each, a line per method with its 95 % interval.
+
+    Args:
+        sweeps: For each condition, its levels and for each method a mean and an interval (or None) at every level, mm.
+        names: What each axis is called.
+    """
+    sweeps = {name: sweep for name, sweep in sweeps.items() if len(sweep["levels"]) > 1}
+    if not sweeps:
+        raise InputError("no condition was varied; give a payload, a weather or hours above zero")
+    methods = list(next(iter(sweeps.values()))["methods"])
+    means = {method: [n["mean_mm"] for s in sweeps.values() for n in s["methods"][method]] for method in methods}
+    groups = alike({method: np.log(values) for method, values in means.items()}, ALIKE)
+    with new_figure(WIDTH, 3.3) as figure:
+        panels: Any = figure.subplots(1, len(sweeps), sharey=True, squeeze=False)[0]
+        for axes, (name, sweep) in zip(panels, sweeps.items(), strict=True):
+            levels = np.asarray(sweep["levels"], dtype=float)
+            for i, group in enumerate(groups):
+                numbers, label = sweep["methods"][group[0]], " = ".join(group)
+                colour = rgb([ORANGE if group[0] == "raw" else METHODS[(i - 1) % len(METHODS)]])[0]
+                line: dict[str, Any] = {"linestyle": LINES[i % len(LINES)], "marker": "o", "markersize": 3.0}
+                axes.plot(levels, [number["mean_mm"] for number in numbers], color=colour, label=label, **line)
+                ends = [number["ci95_mm"] for number in numbers]
+                if None not in ends:
+                    axes.fill_between(levels, *np.transpose(ends), color=colour, alpha=0.15, linewidth=0.0)
+            axes.set(xlabel=names.get(name, name))
+        panels[0].set_ylabel("mean position error (mm)")
+        panels[0].set_yscale("log")
+        plain_decades(panels[0].yaxis)
+        least = min(methods, key=lambda method: max(means[method]))
+        span = " to ".join(short(end(means[least])) for end in (min, max))
+        title = f"{least}: {span} mm under conditions that no fit has seen"
+        figure.suptitle(title[:1].upper() + title[1:], x=0.01, ha="left", fontweight="bold", fontsize=9.0)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    return figure

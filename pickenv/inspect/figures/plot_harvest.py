@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pickenv.base import InputError
 from pickenv.harvester import Measure
 from pickenv.inspect import colours
-from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, change, headline, new_figure, rgb
+from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, change, coloured, headline, new_figure, rgb
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 
 (RED,) = rgb([colours.RED])
@@ -62,10 +62,8 @@ def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
             for arm in range(arms):
                 mine = tree.collected & (tree.by_arm == arm)
                 axes.scatter(*tree.fruit[mine][:, (0, 2)].T, s=18, color=_colour(arm))
-            left_over = ~tree.collected
-            axes.scatter(*tree.fruit[left_over][:, (0, 2)].T, s=16, marker="x", color=RED, linewidths=1.0)
-            title = f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} collected"
-            headline(axes, title)
+            axes.scatter(*tree.fruit[~tree.collected][:, (0, 2)].T, s=16, marker="x", color=RED, linewidths=1.0)
+            headline(axes, f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} collected")
             axes.set(xlabel="x along the row (m)", aspect="equal")
             axes.invert_xaxis()
         panels[0].set_ylabel("z above the base (m)")
@@ -86,13 +84,13 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
     width = 0.84 / len(funnels)
     with new_figure(WIDTH, 3.0) as figure:
         axes = figure.add_subplot(ylabel="share of fruit present (%)")
-        ends = {name: 100.0 * counts[stages[-1]] / max(counts[stages[0]], 1) for name, counts in funnels.items()}
+        counts = {name: np.array([numbers[stage] for stage in stages]) for name, numbers in funnels.items()}
+        shares = {name: 100.0 * numbers / max(numbers[0], 1) for name, numbers in counts.items()}
+        ends = {name: float(share[-1]) for name, share in shares.items()}
         headline(axes, f"Of the fruit {stages[0]}, {stages[-1]}: {change(ends, '%')}")
-        drawn = rgb(colours.policy_colours(list(funnels)))
-        for i, (name, counts) in enumerate(funnels.items()):
-            share = np.array([100.0 * counts[stage] / max(counts[stages[0]], 1) for stage in stages])
+        for i, (name, share, colour) in enumerate(coloured(shares)):
             place = np.arange(len(stages)) + width * (i - (len(funnels) - 1) / 2.0)
-            axes.bar(place, share, 0.92 * width, color=drawn[i], label=f"{name}: {share[-1]:.1f} %")
+            axes.bar(place, share, 0.92 * width, color=colour, label=f"{name}: {share[-1]:.1f} %")
         axes.set_xticks(range(len(stages)), stages)
         axes.set_ylim(0.0, 101.0)
         axes.grid(axis="x", visible=False)
@@ -118,14 +116,14 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
 
 
 def _throughput_words(throughput: Mapping[str, Mapping[int, Measure]]) -> str:
-    """What the last density's picks per hour grow to with the arms."""
+    """The growth of the last density's picks per hour with the arms."""
     label, measures = list(throughput.items())[-1]
     ends = [f"{measures[n].value:.0f}/h with {n}" for n in dict.fromkeys((min(measures), max(measures)))]
     return f"{label}: {', '.join(ends)} arm{'s' * (max(measures) > 1)}"
 
 
 def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]] = ()) -> Figure:
-    """Where the cups get to, from above and from the side.
+    """The cups' workspace, from above and from the side.
 
     Args:
         cloud: Cups at joints drawn evenly within the limits ``(N, arms, 3)``, m.
@@ -168,8 +166,7 @@ def joint_displacements(curves: JointCurves) -> Figure:
                 axes.plot(curves.time, curves.moved[name] * scale, color=shades[part], linestyle=line, label=name)
         for axes, kind, unit in ((slides, "Sliding", "mm"), (turns, "Turning", "deg")):
             most = max((float(np.ptp(np.asarray(line.get_ydata()))) for line in axes.get_lines()), default=0.0)
-            title = f"{kind} joints: up to {most:.0f} {unit}" if axes.lines else f"No {kind.lower()} joint"
-            headline(axes, title)
+            headline(axes, f"{kind} joints: up to {most:.0f} {unit}" if axes.lines else f"No {kind.lower()} joint")
             axes.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
         figure.legend(loc="outside lower center", ncols=6, fontsize=7.0)
     return figure
@@ -188,6 +185,6 @@ def _box(axes: Any, left: float, right: float, bottom: float, top: float, **look
     axes.plot([left, right, right, left, left], [bottom, bottom, top, top, bottom], **look)
 
 
-def _something(given: Mapping[str, Any]) -> None:
-    if not given:
+def _something(data: Mapping[str, Any]) -> None:
+    if not data:
         raise InputError("there is nothing to draw; give at least one strategy")

@@ -23,79 +23,74 @@ from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, Comparison
 from pickenv.inspect.runs.episode_summary import episode_misses, outcome_sentence
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 
-# Figures of a comparison of policies: distance over time, fruit by fruit, and where which of two misses less.
-
-
 SMALLEST = 1e-3
-"""Distances below are drawn here, mm."""
+"""Errors below a micrometre are drawn there, mm."""
 HEIGHTS = 3
 """Layers of the workspace that a map of differences shows."""
 
 
 def distance_over_time(episodes: RecordedEpisodes) -> Figure:
     """Distance between tool and fruit in every episode, on a logarithmic axis, with what the gripper forgives."""
-    keys = [policy.key for policy in episodes.policies]
     with style.new_figure(style.WIDTH, 3.2) as figure:
         axes = figure.add_subplot(xlabel="time in the episode (s)", ylabel="distance to the fruit (mm)", yscale="log")
-        for policy, colour in zip(episodes.policies, style.rgb(policy_colours(keys)), strict=True):
+        for policy, colour in zip(episodes.policies, _episode_colours(episodes), strict=True):
             for distance, moments in zip(policy.position_error_mm, policy.moments, strict=True):
-                shown = np.maximum(distance[:moments], SMALLEST)
-                axes.plot(episodes.period * np.arange(moments), shown, color=colour, linewidth=0.7, alpha=0.7)
+                distance = np.maximum(distance[:moments], SMALLEST)
+                axes.plot(episodes.period * np.arange(moments), distance, color=colour, linewidth=0.7, alpha=0.7)
             axes.plot([], [], color=colour, linewidth=3.0, label=policy.label)
-        _forgiven(axes, episodes)
-        axes.set_title(outcome_sentence(episodes))
-        style.plain_decades(axes.yaxis)
-        figure.legend(loc="outside lower center", ncols=len(keys) + 1)
+        _title_and_tolerance(axes, episodes, outcome_sentence(episodes))
     return figure
 
 
-def _forgiven(axes: Any, episodes: RecordedEpisodes) -> None:
-    """What the gripper forgives, as a line."""
-    name = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
-    axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=name)
+def _episode_colours(episodes: RecordedEpisodes) -> list[tuple[float, float, float]]:
+    return style.rgb(policy_colours([policy.key for policy in episodes.policies]))
+
+
+def _title_and_tolerance(axes: Any, episodes: RecordedEpisodes, title: str) -> None:
+    """Set a panel's title and legend, and draw what the gripper forgives as a line."""
+    label = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
+    axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=label)
+    axes.set_title(title)
+    style.plain_decades(axes.yaxis)
+    axes.figure.legend(loc="outside lower center", ncols=len(episodes.policies) + 1)
 
 
 def misses_by_fruit(episodes: RecordedEpisodes) -> Figure:
     """The miss at each fruit with every policy, fruit in the order of the first policy's miss."""
     first, last = episodes.policies[0], episodes.policies[-1]
     order = np.argsort(episode_misses(first))
-    keys = [policy.key for policy in episodes.policies]
+    nearer = int(np.sum(episode_misses(last) < episode_misses(first)))
     with style.new_figure(style.WIDTH, 2.8) as figure:
-        axes = figure.add_subplot(
-            xlabel=f"fruit, by the miss of {first.label} (number)", ylabel="miss (mm)", yscale="log"
-        )
-        for policy, colour in zip(episodes.policies, style.rgb(policy_colours(keys)), strict=True):
+        axes = figure.add_subplot(ylabel="miss (mm)", yscale="log")
+        axes.set_xlabel(f"fruit, by the miss of {first.label} (number)")
+        for policy, colour in zip(episodes.policies, _episode_colours(episodes), strict=True):
             misses = np.maximum(episode_misses(policy)[order], SMALLEST)
             axes.plot(np.arange(1, len(order) + 1), misses, "o", color=colour, markersize=4, label=policy.label)
-        _forgiven(axes, episodes)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        nearer = int(np.sum(episode_misses(last) < episode_misses(first)))
-        axes.set_title(f"{last.label} misses less than {first.label} at {nearer} of {len(order)} fruit")
-        style.plain_decades(axes.yaxis)
-        figure.legend(loc="outside lower center", ncols=len(keys) + 1)
+        title = f"{last.label} misses less than {first.label} at {nearer} of {len(order)} fruit"
+        _title_and_tolerance(axes, episodes, title)
     return figure
 
 
 def difference_map(comparison: Comparison) -> Figure:
-    """Where the last policy misses less than the first: layers of the workspace seen from above."""
+    """Map of the places where the last policy misses less than the first: layers of the workspace seen from above."""
     first, last = comparison.policies[0], comparison.policies[-1]
     change, points = field_mm(last) - field_mm(first), comparison.field_points
     top = float(np.percentile(np.abs(change), SCALE_PERCENTILE)) or 1.0
-    better, worse = style.rgb(policy_colours([first.key, last.key]))[::-1]
-    shades = LinearSegmentedColormap.from_list("nearer", [better, (0.82, 0.82, 0.84), worse])
+    worse, better = style.rgb(policy_colours([first.key, last.key]))
+    colours = LinearSegmentedColormap.from_list("nearer", [better, (0.82, 0.82, 0.84), worse])
     layers = np.array_split(np.unique(comparison.field_index[:, 2]), HEIGHTS)
-    shown = [np.isin(comparison.field_index[:, 2], layer) for layer in layers if len(layer)]
+    rows = [np.isin(comparison.field_index[:, 2], layer) for layer in layers if len(layer)]
     corner, step = comparison.grid_origin - comparison.grid_step / 2.0, comparison.grid_step
     width, depth = comparison.grid_shape[:2]
     edges = corner[0] + step * np.arange(width + 1), corner[1] + step * np.arange(depth + 1)
     with style.new_figure(style.WIDTH, 2.4) as figure:
-        panels: Any = figure.subplots(1, len(shown), squeeze=False, sharex=True, sharey=True)[0]
-        marks: Any = None
-        for axes, layer in zip(panels, shown, strict=True):
+        panels: Any = figure.subplots(1, len(rows), squeeze=False, sharex=True, sharey=True)[0]
+        for axes, layer in zip(panels, rows, strict=True):
             cells, mean = cell_means(comparison.field_index[layer] * np.array([1, 1, 0]), change[layer])
             grid = np.full((width, depth), np.nan)
             grid[cells[:, 0], cells[:, 1]] = mean
-            marks = axes.pcolormesh(*edges, grid.T, cmap=shades, norm=TwoSlopeNorm(0.0, -top, top))
+            marks = axes.pcolormesh(*edges, grid.T, cmap=colours, norm=TwoSlopeNorm(0.0, -top, top))
             low, high = points[layer, 2].min(), points[layer, 2].max()
             axes.set_title(f"z {low:.2f} to {high:.2f} m", weight="normal")
             axes.set(xlabel="x (m)", aspect="equal")
@@ -103,15 +98,10 @@ def difference_map(comparison: Comparison) -> Figure:
         panels[0].set_ylabel("y (m)")
         bar = figure.colorbar(marks, ax=list(panels), location="bottom", shrink=0.6, aspect=40)
         bar.set_label(f"miss of {last.label} minus {first.label}, mean over the layer (mm)")
-        count = int(np.sum(change < 0.0))
-        figure.suptitle(
-            f"{last.label} misses less than {first.label} at {count} of {len(change)} goals", fontsize=9, weight="bold"
-        )
+        title = f"{last.label} misses less than {first.label} at {int(np.sum(change < 0.0))} of {len(change)} goals"
+        figure.suptitle(title, fontsize=9, weight="bold")
     return figure
 
-
-SMALLEST_MM = 1e-3
-"""Errors below a micrometre are drawn there."""
 
 Estimated = tuple[float, tuple[float | None, float | None] | None]
 """A number and the ends of its 95 % interval: an open end is None, and so is an interval that cannot be given."""
@@ -119,7 +109,7 @@ Estimated = tuple[float, tuple[float | None, float | None] | None]
 
 @dataclass(frozen=True, eq=False)
 class CycleCurve:
-    """How the error falls over a cycle.
+    """The error over a cycle.
 
     Attributes:
         policy: Gives the line's pattern.
@@ -145,20 +135,18 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
     if not panels or not all(panels.values()):
         raise InputError("there is nothing to draw; give at least one scene with one statistic")
     statistics = list(next(iter(panels.values())))
-    names = list(dict.fromkeys(p for row in panels.values() for column in row.values() for p in column))
-    keys = list(
-        dict.fromkeys(k for row in panels.values() for column in row.values() for line in column.values() for k in line)
-    )
-    colours = dict(zip(keys, style.rgb(policy_colours(keys)), strict=True))
+    lines = [(name, line) for row in panels.values() for column in row.values() for name, line in column.items()]
+    names = list(dict.fromkeys(name for name, _ in lines))
+    colours = style.shades(dict.fromkeys(key for _, line in lines for key in line))
     with style.new_figure(style.WIDTH, 0.7 + len(panels) * (0.65 + 0.4 * len(names))) as figure:
         axes: Any = figure.subplots(len(panels), len(statistics), squeeze=False, sharex=True, sharey=True)
         for row, (scene, columns) in enumerate(panels.items()):
             for column, (title, policies) in enumerate(columns.items()):
                 axis = axes[row, column]
                 for y, policy in enumerate(names):
-                    for i, (key, found) in enumerate(policies.get(policy, {}).items()):
-                        place = y + 0.18 * (i - (len(policies[policy]) - 1) / 2.0)
-                        style.whisker(axis, place, *found, colours[key], least=SMALLEST_MM)
+                    for i, (key, estimated) in enumerate(policies.get(policy, {}).items()):
+                        height = y + 0.18 * (i - (len(policies[policy]) - 1) / 2.0)
+                        style.whisker(axis, height, *estimated, colours[key], least=SMALLEST)
                 axis.set_xscale("log")
                 axis.set_title(f"{scene}: {title}" if column == 0 else title)
                 axis.set_yticks(range(len(names)), names)
@@ -167,20 +155,21 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
                     axis.set_xlabel("final position error (mm)")
         style.plain_decades(axes[0, 0].xaxis)
         figure.suptitle(_worth(panels), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
-        handles = [axes[0, 0].plot([], [], color=colours[key], linewidth=3.0, label=key)[0] for key in keys]
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+        for key, colour in colours.items():
+            axes[0, 0].plot([], [], color=colour, linewidth=3.0, label=key)
+        figure.legend(loc="outside lower center", ncols=len(colours))
     return figure
 
 
 def _worth(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> str:
-    """What the compensations do for the first policy in each scene, by the first statistic."""
-    said = []
+    """The effect of the compensations on the first policy in each scene, by the first statistic."""
+    sentences = []
     for scene, statistics in panels.items():
         name, policies = next(iter(statistics.items()))
         policy, line = next(iter(policies.items()))
-        values = style.change({key: found[0] for key, found in line.items()}, "mm")
-        said.append(f"{' '.join(policy.split())} on {scene}: {name} {values}")
-    return "\n".join(said)
+        values = style.change({key: value for key, (value, _) in line.items()}, "mm")
+        sentences.append(f"{' '.join(policy.split())} on {scene}: {name} {values}")
+    return "\n".join(sentences)
 
 
 def success_against_misalignment(
@@ -193,10 +182,10 @@ def success_against_misalignment(
         curves: For each gripper, misalignment ``(N,)``, mm, and probability of success ``(N,)``.
         points: For each policy, by gripper, its mean error, mm, and its share of successes with its interval.
     """
-    colours = style.rgb(policy_colours(list(points)))
+    colours = style.shades(points)
     with style.new_figure(style.WIDTH, 2.8) as figure:
         axes = figure.add_subplot(xlabel="lateral misalignment (mm)", ylabel="success (%)")
-        shares = {policy: {g: 100.0 * found[1][0] for g, found in at.items()} for policy, at in points.items()}
+        shares = {policy: {g: 100.0 * share for g, (_, (share, _)) in at.items()} for policy, at in points.items()}
         grippers = list(dict.fromkeys(g for at in shares.values() for g in at))
         taken = [f"{g} {style.change({p: at[g] for p, at in shares.items() if g in at}, '%')}" for g in grippers]
         style.headline(axes, f"Taken by {'; by '.join(taken)}")
@@ -204,16 +193,14 @@ def success_against_misalignment(
         for (gripper, (x, y)), line in zip(curves.items(), style.LINES * len(curves), strict=False):
             axes.plot(x, 100.0 * np.asarray(y), linestyle=line, color=style.SOFT)
             axes.plot([], [], linestyle=line, color=style.SOFT, marker=marks[gripper], markersize=5, label=gripper)
-        for (policy, places), colour in zip(points.items(), colours, strict=True):
-            for gripper, (error, (share, ends)) in places.items():
+        for policy, colour in colours.items():
+            look: dict[str, Any] = {"color": colour, "markersize": 6}
+            for gripper, (error, (share, ends)) in points[policy].items():
                 if ends is not None:
-                    axes.plot(
-                        [error, error], [100.0 * (share if end is None else end) for end in ends], color=colour, lw=2.0
-                    )
-                axes.plot(
-                    [error], [100.0 * share], marks[gripper], color=colour, markersize=6, markeredgecolor=style.INK
-                )
-            axes.plot([], [], "o", color=colour, markersize=6, label=f"{policy}: mean error, success")
+                    interval = [100.0 * (share if end is None else end) for end in ends]
+                    axes.plot([error, error], interval, color=colour, lw=2.0)
+                axes.plot([error], [100.0 * share], marks[gripper], markeredgecolor=style.INK, **look)
+            axes.plot([], [], "o", label=f"{policy}: mean error, success", **look)
         farthest = max((error for at in points.values() for error, _ in at.values()), default=0.0)
         axes.set(ylim=(-3.0, 103.0), xlim=(0.0, _seen_to(curves, farthest)))
         figure.legend(loc="outside lower center", ncols=3)
@@ -238,39 +225,27 @@ def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, 
     Raises:
         InputError: If there is no curve, or one is empty or not finite.
     """
-    shown = [
-        next(iter(style.finite_series({f"{c.policy}, {c.compensation}": c.error_mm}).values())).clip(SMALLEST_MM)
-        for c in curves
-    ]
-    if not shown:
+    if not curves:
         raise InputError("there is no curve to draw; give at least one")
+    series = style.finite_series({f"{c.policy}, {c.compensation}": c.error_mm for c in curves})
+    errors = [error.clip(SMALLEST) for error in series.values()]
     patterns = dict(zip(dict.fromkeys(c.policy for c in curves), style.LINES * len(curves), strict=False))
-    names = list(dict.fromkeys(c.compensation for c in curves))
-    colours = dict(zip(names, style.rgb(policy_colours(names)), strict=True))
-    shortest = min(len(error) for error in shown)
+    colours = style.shades(dict.fromkeys(c.compensation for c in curves))
+    shortest = min(map(len, errors))
+    times = period * np.arange(1, 1 + max(map(len, errors)))
     with style.new_figure(style.WIDTH, 3.2) as figure:
         axes = figure.add_subplot(xlabel="cycle time (s)", ylabel="mean position error (mm)", yscale="log")
-        for curve, error in zip(curves, shown, strict=True):
-            axes.plot(
-                period * np.arange(1, len(error) + 1),
-                error,
-                linestyle=patterns[curve.policy],
-                color=colours[curve.compensation],
-            )
-        front = np.minimum.accumulate(np.min([error[:shortest] for error in shown], axis=0))
-        ends = {
-            c.compensation: float(e[-1]) for c, e in zip(curves, shown, strict=True) if c.policy == curves[0].policy
-        }
-        who = f"{curves[0].policy} on {title}" if title else curves[0].policy
-        style.headline(axes, f"{who} after {period * len(shown[0]):.1f} s: {style.change(ends, 'mm')}", beside=1.2)
-        axes.plot(
-            period * np.arange(1, shortest + 1),
-            front,
-            color=style.rgb([GREY])[0],
-            linewidth=6,
-            zorder=0,
-            label="best so far",
-        )
+        ends = {}
+        for curve, error in zip(curves, errors, strict=True):
+            look = {"linestyle": patterns[curve.policy], "color": colours[curve.compensation]}
+            axes.plot(times[: len(error)], error, **look)
+            if curve.policy == curves[0].policy:
+                ends[curve.compensation] = float(error[-1])
+        front = np.minimum.accumulate(np.min([error[:shortest] for error in errors], axis=0))
+        policy = f"{curves[0].policy} on {title}" if title else curves[0].policy
+        style.headline(axes, f"{policy} after {period * len(errors[0]):.1f} s: {style.change(ends, 'mm')}", beside=1.2)
+        grey = style.rgb([GREY])[0]
+        axes.plot(times[:shortest], front, color=grey, linewidth=6, zorder=0, label="best so far")
         for policy, pattern in patterns.items():
             axes.plot([], [], linestyle=pattern, color=style.SOFT, label=policy)
         for name, colour in colours.items():
@@ -314,8 +289,8 @@ def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Fi
     series = style.finite_series(accuracy_mm)
     with style.new_figure(style.COLUMN, 2.6) as figure:
         axes = figure.add_subplot(xlabel="time since switched on (h)", ylabel="AP at P1 (mm)")
-        moved = {label: float(np.abs(values - values[0]).max()) for label, values in series.items()}
-        style.headline(axes, f"Drift of AP at P1: {style.change(moved, 'mm')}")
+        drifts = {label: float(np.abs(values - values[0]).max()) for label, values in series.items()}
+        style.headline(axes, f"Drift of AP at P1: {style.change(drifts, 'mm')}")
         for label, values, colour in style.coloured(series):
             axes.plot(np.asarray(hours, dtype=float), values, color=colour, label=label)
         axes.set_ylim(0.0, 1.2 * max(float(values.max()) for values in series.values()) or 1.0)

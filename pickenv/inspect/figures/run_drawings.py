@@ -1,9 +1,10 @@
-"""Which figures a run's numbers allow, each with a caption, and which are left out and why."""
+"""The figures that a run's numbers allow, each with a caption, and those that are left out, with the reason."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,7 @@ from matplotlib.figure import Figure
 from pickenv.arm import Array
 from pickenv.base import clustered_share_interval
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
-from pickenv.inspect.figures import plot_calibration, plot_errors, plot_pixels, plot_policies
-from pickenv.inspect.figures.field_figure import error_fields
-from pickenv.inspect.figures.plot_errors import error_slices
+from pickenv.inspect.figures import field_figure, plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import Comparison
@@ -97,13 +96,13 @@ def write_drawings(
     for suffix in formats:
         check_format(suffix, folder)
     todo = [drawing for drawing in drawings if isinstance(drawing, Drawing)]
-    written = []
-    for done, drawing in enumerate(todo, start=1):
+    paths = []
+    for number, drawing in enumerate(todo, start=1):
         figure = drawing.draw()
-        written += [save_figure(figure, folder / f"{drawing.name}.{suffix}") for suffix in formats]
+        paths += [save_figure(figure, folder / f"{drawing.name}.{suffix}") for suffix in formats]
         if progress is not None:
-            progress("drawing", done, len(todo))
-    return written
+            progress("drawing", number, len(todo))
+    return paths
 
 
 def norms_mm(errors: Mapping[str, Array]) -> dict[str, Array]:
@@ -111,9 +110,9 @@ def norms_mm(errors: Mapping[str, Array]) -> dict[str, Array]:
     return {label: np.asarray(np.linalg.norm(error[:, :3], axis=1) * 1e3) for label, error in errors.items()}
 
 
-def captioned(name: str, draw: Callable[[], Figure]) -> Drawing:
-    """A figure of which `CAPTIONS` says what it shows."""
-    return Drawing(name, CAPTIONS[name], draw)
+def captioned(name: str, draw: Callable[..., Figure], /, *data: Any, **options: Any) -> Drawing:
+    """A figure of which `CAPTIONS` says what it shows: ``draw`` makes it of data and options."""
+    return Drawing(name, CAPTIONS[name], partial(draw, *data, **options))
 
 
 def comparison_drawings(comparison: Comparison) -> Drawings:
@@ -121,77 +120,68 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
     fields = {policy.label: policy.field_errors for policy in comparison.policies}
     mm = {policy.label: policy.position_error_mm for policy in comparison.policies}
     degrees = {policy.label: policy.attitude_error_deg for policy in comparison.policies}
-    look: dict[str, Any] = {"counted": "reaches"}
-    found: list[Drawing | NotDrawn] = []
-    if len(comparison.field_points):
-        points, step = comparison.field_points, comparison.grid_step
-        found.append(captioned("error_fields", lambda: error_fields(comparison)))
-        found.append(captioned("error_slices", lambda: error_slices(points, fields, step=step)))
-    else:
-        found.append(NotDrawn("error_fields", "the comparison has no field points; take a finer grid"))
+    reaches: dict[str, Any] = {"counted": "reaches"}
+    attitude = {"quantity": "attitude error", "unit": "deg", **reaches}
+    drawings: list[Drawing | NotDrawn] = [
+        captioned("error_fields", field_figure.error_fields, comparison),
+        captioned("error_slices", plot_errors.error_slices, comparison.field_points, fields, step=comparison.grid_step),
+    ]
+    if not len(comparison.field_points):
+        drawings = [NotDrawn("error_fields", "the comparison has no field points; take a finer grid")]
     if not len(comparison.fruit):
-        return [*found, NotDrawn("reach_errors", "the comparison has no reaches; run some")]
-    attitude = {"quantity": "attitude error", "unit": "deg", **look}
+        return [*drawings, NotDrawn("reach_errors", "the comparison has no reaches; run some")]
     return [
-        *found,
-        captioned("position_error_by_policy", lambda: plot_errors.error_by_method(mm, **look)),
-        captioned("attitude_error_by_policy", lambda: plot_errors.error_by_method(degrees, **attitude)),
+        *drawings,
+        captioned("position_error_by_policy", plot_errors.error_by_method, mm, **reaches),
+        captioned("attitude_error_by_policy", plot_errors.error_by_method, degrees, **attitude),
         captioned(
-            "reach_errors_cumulative",
-            lambda: plot_errors.error_cumulative(mm, tolerance=comparison.tolerance_mm, **look),
+            "reach_errors_cumulative", plot_errors.error_cumulative, mm, tolerance=comparison.tolerance_mm, **reaches
         ),
-        captioned("success_against_misalignment", lambda: _success(comparison)),
+        captioned("success_against_misalignment", _success, comparison),
     ]
 
 
 def _success(comparison: Comparison) -> Figure:
     points = {
         label: {
-            name: (float(held.lateral_mm.mean()), (float(p.mean()), clustered_share_interval(p, 1)))
-            for name, p in held.success.items()
+            name: (float(grips.lateral_mm.mean()), (float(p.mean()), clustered_share_interval(p, 1)))
+            for name, p in grips.success.items()
         }
-        for label, held in gripped(comparison).items()
+        for label, grips in gripped(comparison).items()
     }
     return plot_policies.success_against_misalignment(gripper_curves(), points)
 
 
 def trace_drawings(trace: CalibrationTrace) -> Drawings:
     """Figures of a calibration: held-out errors, what they depend on, convergence, identifiability, coverage."""
-    mm, loss = norms_mm(trace.errors), trace.loss
+    mm, threshold = norms_mm(trace.errors), REDUNDANCY_TOLERANCE * float(trace.r_diagonal.max())
     attitude = None if trace.attitude_rms is None else np.degrees(trace.attitude_rms)
-    spectrum: dict[str, Any] = {"names": trace.names, "threshold": REDUNDANCY_TOLERANCE * float(trace.r_diagonal.max())}
+    diagonal: dict[str, Any] = {"names": trace.names, "threshold": threshold}
     every = np.ones(len(trace.singular_values), dtype=bool)
     return [
-        captioned("error_per_test_pose", lambda: plot_errors.error_per_pose(mm)),
-        captioned("error_by_stage", lambda: plot_errors.error_by_method(mm)),
-        captioned("error_histogram", lambda: plot_errors.error_histogram(mm)),
-        captioned("error_cumulative", lambda: plot_errors.error_cumulative(mm)),
+        captioned("error_per_test_pose", plot_errors.error_per_pose, mm),
+        captioned("error_by_stage", plot_errors.error_by_method, mm),
+        captioned("error_histogram", plot_errors.error_histogram, mm),
+        captioned("error_cumulative", plot_errors.error_cumulative, mm),
         _against("extension", "m", trace.extension, mm),
         *(_against(name, unit, getattr(trace, name), mm) for name, unit in CONDITIONS.items()),
         captioned(
-            "least_squares_convergence",
-            lambda: plot_calibration.least_squares_convergence(trace.position_rms * 1e3, attitude),
+            "least_squares_convergence", plot_calibration.least_squares_convergence, trace.position_rms * 1e3, attitude
         ),
         NotDrawn("network_convergence", "no network was trained")
-        if loss is None
-        else captioned("network_convergence", lambda: plot_calibration.network_convergence(loss)),
-        captioned(
-            "parameter_spectrum", lambda: plot_calibration.parameter_spectrum(trace.r_diagonal, trace.kept, **spectrum)
-        ),
-        captioned("singular_values", lambda: plot_calibration.parameter_spectrum(trace.singular_values, every)),
-        captioned("joint_coverage", lambda: plot_calibration.joint_coverage(trace.nominal, trace.sets)),
+        if trace.loss is None
+        else captioned("network_convergence", plot_calibration.network_convergence, trace.loss),
+        captioned("parameter_spectrum", plot_calibration.parameter_spectrum, trace.r_diagonal, trace.kept, **diagonal),
+        captioned("singular_values", plot_calibration.parameter_spectrum, trace.singular_values, every),
+        captioned("joint_coverage", plot_calibration.joint_coverage, trace.nominal, trace.sets),
         *view_drawings(trace.views),
     ]
 
 
 def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
     """Figures of views with their reprojection errors; none without views."""
-    if not views:
-        return []
-    return [
-        captioned("corner_errors", lambda: plot_pixels.corner_errors(views)),
-        captioned("view_errors", lambda: plot_pixels.view_errors(views)),
-    ]
+    figures = {"corner_errors": field_figure.corner_errors, "view_errors": field_figure.view_errors}
+    return [captioned(name, draw, views) for name, draw in figures.items()] if views else []
 
 
 def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing | NotDrawn:
@@ -201,4 +191,4 @@ def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str,
         return NotDrawn(drawing, f"no {name} was recorded with the held-out poses; measure it with them")
     if name in CONDITIONS and not np.ptp(values) > 0.0:
         return NotDrawn(drawing, f"every held-out pose had the same {name}, {values[0]:g} {unit}; vary it")
-    return captioned(drawing, lambda: plot_errors.error_against(values, errors_mm, name=name, unit=unit))
+    return captioned(drawing, plot_errors.error_against, values, errors_mm, name=name, unit=unit)

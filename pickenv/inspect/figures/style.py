@@ -1,4 +1,4 @@
-"""How figures look, and how they are written: for papers and reports, readable at column width, by anyone's eyes.
+"""The look of figures, and their files: for papers and reports, readable at column width, by anyone's eyes.
 
 No global state of matplotlib is used, so figures can be made anywhere, also without a screen. Axes name their units.
 """
@@ -6,7 +6,7 @@ No global state of matplotlib is used, so figures can be made anywhere, also wit
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
@@ -40,14 +40,6 @@ THEME: dict[str, str] = {INK: "--ink", SOFT: "--soft", RULE: "--rule", PAPER: "-
     for colour, variable in ((BLUE, "--after"), (GREEN, "--best"), (RED, "--bad"))
 }
 """Colours of figures that a page's style sheet replaces, by its variable; all others are seen on both backgrounds."""
-DARK: dict[str, str] = dict(
-    zip(THEME, ("#e8eaed", "#a4adb8", "#343a41", "#14171a", "#56b4e9", "#35c99b", "#ff7b7f"), strict=True)
-)
-"""What a dark page puts in their place."""
-
-BEFORE_SAVING: list[Callable[[Figure, str], None]] = []
-"""Told of every figure, with its name, before it is written or set into a page, such as by `figure_lint.linting`."""
-
 STYLE: dict[str, Any] = {
     "font.size": 8.0,
     "axes.titlesize": 9.0,
@@ -83,22 +75,15 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
     check_format(path.suffix.lstrip("."), path)
     undated = {".png": {"Software": None}, ".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
     metadata: Any = undated.get(path.suffix.lower())
-    announce(figure, path.stem)
     with style():
         return write_whole(path, lambda temporary: figure.savefig(temporary, dpi=PIXELS_PER_INCH, metadata=metadata))
 
 
-def announce(figure: Figure, name: str) -> None:
-    """Tell `BEFORE_SAVING` that a figure is about to be written under a name."""
-    for told in BEFORE_SAVING:
-        told(figure, name)
-
-
 def check_format(suffix: str, path: str | Path) -> None:
     """Refuse a picture format that matplotlib does not know; ``path`` is what could not be written."""
-    known = sorted(FigureCanvasBase.get_supported_filetypes())
-    if suffix.lower() not in known:
-        raise InputError(f"cannot write {path}: '{suffix}' is no picture format; give one of {', '.join(known)}")
+    formats = sorted(FigureCanvasBase.get_supported_filetypes())
+    if suffix.lower() not in formats:
+        raise InputError(f"cannot write {path}: '{suffix}' is no picture format; give one of {', '.join(formats)}")
 
 
 @contextmanager
@@ -143,8 +128,8 @@ def headline(axes: Any, message: str, pad: float | None = None, beside: float = 
 
 def change(series: Mapping[str, float], unit: str) -> str:
     """The first and the last of some figures, as a title says them: raw 1.92, LS 0.5 mm."""
-    shown = list(series.items())
-    ends = shown if len(shown) < 3 else [shown[0], shown[-1]]
+    ends = list(series.items())
+    ends = ends if len(ends) < 3 else [ends[0], ends[-1]]
     return ", ".join(f"{label} {short(value)}" for label, value in ends) + f" {unit}"
 
 
@@ -190,10 +175,15 @@ def plain_decades(axis: Any) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
+def shades(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
+    """The colour of each policy or method, by its key or label."""
+    names = list(names)
+    return dict(zip(names, rgb(policy_colours(names)), strict=True))
+
+
 def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float, float, float]]]:
     """Label, values and colour of each series, by the policy or method that it belongs to."""
-    colours = rgb(policy_colours(list(series)))
-    return [(label, values, colour) for (label, values), colour in zip(series.items(), colours, strict=True)]
+    return [(label, series[label], colour) for label, colour in shades(series).items()]
 
 
 def whisker(

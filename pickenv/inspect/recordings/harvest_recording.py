@@ -19,7 +19,7 @@ from pickenv.harvester import Harvest, Machine
 from pickenv.harvester.arm_paths import slave_joints_at
 from pickenv.harvester.harvest_run import Round
 from pickenv.harvester.interference import arm_distances
-from pickenv.harvester.joint_motion import master_time, profile
+from pickenv.harvester.machine import master_time, profile
 from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL, Rgb, arm_colour
 from pickenv.inspect.recordings.blueprint import layout, seen_from
 from pickenv.inspect.recordings.scribe import Scribe, f32, write_recording

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pickenv.inspect.figures import plot_conditions
+from pickenv.inspect.figures import plot_estimates
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict
@@ -25,7 +25,7 @@ def drawings(run: Run) -> Drawings:
         Drawing(
             "error_by_condition",
             "Mean position error under each condition, the others as at the reference; bands are 95 % intervals.",
-            lambda: plot_conditions.error_by_condition(sweeps, SWEEPS),
+            lambda: plot_estimates.error_by_condition(sweeps, SWEEPS),
         )
     ]
 

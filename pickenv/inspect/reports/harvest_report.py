@@ -7,7 +7,7 @@ from typing import Any
 
 from pickenv.base.intervals import LEAST
 from pickenv.harvester import Measure
-from pickenv.harvester.joint_motion import dense_workspace
+from pickenv.harvester.machine import dense_workspace
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.plain_report import plain_report

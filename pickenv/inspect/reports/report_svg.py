@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from pickenv.inspect.figures.style import THEME, announce, style
+from pickenv.inspect.figures.style import THEME, style
 
 PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
 """Sizes at which a figure's text is as large as the page's, and still legible: a small screen scrolls then."""
@@ -47,7 +47,6 @@ def inline_svg(figure: Figure, name: str) -> InlineSvg:
         figure: The figure, drawn in the house's style.
         name: Goes before its ids, so that several figures share a page.
     """
-    announce(figure, name)
     buffer = io.StringIO()
     undated = dict.fromkeys(("Date", "Creator", "Format", "Type"))
     with style(**{"svg.fonttype": "none"}):

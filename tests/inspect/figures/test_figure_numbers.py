@@ -20,12 +20,10 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from pickenv.harvester import Measure
-from pickenv.inspect import Comparison, comparison_drawings
+from pickenv.inspect import Comparison, CycleCurve, comparison_drawings, error_fields, error_slices
 from pickenv.inspect.colours import arm_colour, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
-from pickenv.inspect.figures.field_figure import error_fields, field_gain, round_down, thinned
-from pickenv.inspect.figures.plot_errors import error_slices
-from pickenv.inspect.figures.plot_policies import CycleCurve
+from pickenv.inspect.figures.field_figure import field_gain, round_down, thinned
 from pickenv.inspect.figures.style import WIDTH
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box

@@ -10,15 +10,13 @@ import pytest
 
 from pickenv.base import InputError
 from pickenv.harvester import Measure
-from pickenv.inspect import Comparison, save_figure
+from pickenv.inspect import Comparison, CycleCurve, error_fields, error_slices, save_figure
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
-from pickenv.inspect.figures.field_figure import error_fields
-from pickenv.inspect.figures.plot_errors import error_slices
-from pickenv.inspect.figures.plot_policies import CycleCurve
 from pickenv.inspect.figures.style import INK, PIXELS_PER_INCH, WIDTH, style
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 from pickenv.inspect.runs.matters import gripper_curves
+from tests.inspect.figures.figure_lint import figure_faults
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -104,7 +102,7 @@ def texts(figure: Figure) -> str:
 
 
 @pytest.mark.parametrize("name", PLOTS)
-def test_axes_name_their_units_and_the_file_is_written(name: str, tmp_path: Path) -> None:
+def test_axes_name_their_units_the_file_is_written_and_nothing_is_at_fault(name: str, tmp_path: Path) -> None:
     make, units = PLOTS[name]
     figure = make()
     for unit in units:
@@ -114,6 +112,8 @@ def test_axes_name_their_units_and_the_file_is_written(name: str, tmp_path: Path
     assert [label for label in labels if "(" not in label] == []
     path = save_figure(figure, tmp_path / "figure.png")
     assert path.read_bytes()[:4] == b"\x89PNG"
+    if name != "box, attitude":
+        assert figure_faults(figure) == []
 
 
 def test_dropped_parameters_are_named_in_red() -> None:

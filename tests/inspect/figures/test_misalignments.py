@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pickenv.inspect.figures.plot_policies import success_against_misalignment
+from pickenv.inspect import success_against_misalignment
 
 X = np.arange(0.0, 12.0, 2.0)
 NARROW, WIDE = (X, [0.8, 0.6, 0.41, 0.4, 0.2, 0.0]), (X, [1.0, 1.0, 0.9, 0.8, 0.7, 0.6])

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from pickenv.harvester import Measure
-from pickenv.inspect import Run, drawings_of, page_of
-from pickenv.inspect.figures.run_drawings import Drawing
+from pickenv.inspect import Drawing, Run, drawings_of, page_of
 from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
 from pickenv.inspect.runs.run_folder import ISO9283, recorded_run, save_part
 

@@ -19,15 +19,9 @@ from pickenv.calibration import Result, calibrate
 from pickenv.calibration.camera.boards import Board
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses, pose_carrier
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
-from pickenv.inspect import trace_drawings
+from pickenv.inspect import Drawing, corner_errors, trace_drawings, view_errors
 from pickenv.inspect.colours import viridis
-from pickenv.inspect.figures.plot_pixels import (
-    MOST_VIEWS,
-    corner_errors,
-    faint_picture,
-    view_errors,
-)
-from pickenv.inspect.figures.run_drawings import Drawing
+from pickenv.inspect.figures.field_figure import MOST_VIEWS, faint_picture
 from pickenv.inspect.reports.calibration_report import calibration_page
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.saved import load_numbers, save_numbers

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from pickenv.base import Estimate
-from pickenv.inspect.figures.figure_lint import figure_faults
-from pickenv.inspect.figures.plot_estimates import estimates_figure
+from pickenv.inspect import estimates_figure
+from tests.inspect.figures.figure_lint import figure_faults
 
 ROWS = [
     {"plant": plant, "method": method, "pick": pick, "estimate": Estimate(value, ends)}

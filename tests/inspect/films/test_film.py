@@ -9,9 +9,18 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.base import InputError
-from pickenv.inspect.films.film_plan import MOST_MOMENTS, attempts_of, plan_film
-from pickenv.inspect.films.film_stage import FilmSet, film_stage
-from pickenv.inspect.films.make_film import GAP, HALF, STRIP, film_pictures
+from pickenv.inspect.films.film import (
+    GAP,
+    HALF,
+    MOST_MOMENTS,
+    STRIP,
+    FilmSet,
+    attempts_of,
+    film_pictures,
+    film_stage,
+    plan_film,
+    write_film,
+)
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.pictures.arm_shapes import GAIN
 
@@ -172,8 +181,6 @@ def test_one_policy_alone_can_be_filmed_and_unknown_ones_are_named():
 def test_files_hold_every_frame(tmp_path):
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     from PIL import Image
-
-    from pickenv.inspect.films.make_film import write_film
 
     episodes = run(many=True)
     plan = plan_film(episodes, seconds=1.0)

@@ -12,10 +12,21 @@ import pytest
 from pickenv.arm import forward, load_arm
 from pickenv.arm.kinematics.forward import nominal_points
 from pickenv.base import InputError
+from pickenv.inspect import film
 from pickenv.inspect.colours import RED
-from pickenv.inspect.films import make_film
-from pickenv.inspect.films.film_plan import Attempt, FilmPlan, attempts_of, grasp_offset, plan_film
-from pickenv.inspect.films.film_stage import FilmSet, arm_parts, film_stage, seen_along, tool_axis
+from pickenv.inspect.films import film as film_module
+from pickenv.inspect.films.film import (
+    Attempt,
+    FilmPlan,
+    FilmSet,
+    arm_parts,
+    attempts_of,
+    film_stage,
+    grasp_offset,
+    plan_film,
+    seen_along,
+    tool_axis,
+)
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.pictures.arm_shapes import GAIN, hand_solids
 from pickenv.pictures.stage import Eye
@@ -277,32 +288,32 @@ def test_an_offset_is_seen_across_the_tool_from_where_the_eye_stands():
 
 def test_a_film_goes_into_folders_that_are_made_or_there_and_says_what_it_states(film_set, tmp_path, monkeypatch):
     kinds = iter(["comparison", "comparison", "demo"])
-    monkeypatch.setattr(make_film, "read_run", lambda path: SimpleNamespace(kind=next(kinds)))
-    monkeypatch.setattr(make_film, "load_part", lambda run, part: film_set.episodes)
-    monkeypatch.setattr(make_film, "write_film", lambda pictures, path, fps: path.write_text(f"{fps}"))
+    monkeypatch.setattr(film_module, "read_run", lambda path: SimpleNamespace(kind=next(kinds)))
+    monkeypatch.setattr(film_module, "load_part", lambda run, part: film_set.episodes)
+    monkeypatch.setattr(film_module, "write_film", lambda pictures, path, fps: path.write_text(f"{fps}"))
     out = tmp_path / "some" / "where" / "film.mp4"
     for fps in (5, 20):
-        made = make_film.film(tmp_path, out, policies=["LS"], seconds=2.0, frames_per_second=fps)
+        made = film(tmp_path, out, policies=["LS"], seconds=2.0, frames_per_second=fps)
         assert made.path == out and out.read_text() == str(fps)
         assert made.plan == plan_film(film_set.episodes, ["LS"], 2.0, fps)
     with pytest.raises(InputError, match="is a run of kind 'demo'"):
-        make_film.film(tmp_path, out)
+        film(tmp_path, out)
     with pytest.raises(InputError, match=r"let it end in \.gif or \.mp4"):
-        make_film.film(tmp_path, "film.avi")
+        film(tmp_path, "film.avi")
 
 
 def test_a_film_is_as_dark_as_it_is_asked_to_be_and_tells_how_far_it_is(film_set, tmp_path, monkeypatch):
     """All that is drawn from is passed on, and light is what nobody asks to be dark."""
     drawn: list[tuple[object, ...]] = []
-    monkeypatch.setattr(make_film, "read_run", lambda path: SimpleNamespace(kind="comparison"))
-    monkeypatch.setattr(make_film, "load_part", lambda run, part: film_set.episodes)
-    monkeypatch.setattr(make_film, "write_film", lambda pictures, path, fps: None)
+    monkeypatch.setattr(film_module, "read_run", lambda path: SimpleNamespace(kind="comparison"))
+    monkeypatch.setattr(film_module, "load_part", lambda run, part: film_set.episodes)
+    monkeypatch.setattr(film_module, "write_film", lambda pictures, path, fps: None)
     monkeypatch.setattr(
-        make_film,
+        film_module,
         "film_pictures",
         lambda episodes, plan, dark=False, progress=None: drawn.append((episodes, plan, dark, progress)),
     )
     plan = plan_film(film_set.episodes, (), 2.0, 10)
     for given, dark, progress in (({}, False, None), ({"dark": True, "progress": print}, True, print)):
-        make_film.film(tmp_path, tmp_path / "film.gif", seconds=2.0, **given)
+        film(tmp_path, tmp_path / "film.gif", seconds=2.0, **given)
         assert drawn.pop() == (film_set.episodes, plan, dark, progress)

@@ -8,9 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.inspect.films import make_film
-from pickenv.inspect.films.film_plan import FilmPlan, plan_film
-from pickenv.inspect.films.film_stage import FilmSet, halves
+from pickenv.inspect import film
+from pickenv.inspect.films import film as film_module
+from pickenv.inspect.films.film import FilmPlan, FilmSet, film_pictures, film_stage, plan_film
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 
 A = [0.5, 0.0, 0.3]
@@ -49,7 +49,8 @@ def test_each_half_says_whose_it_is_what_is_picked_and_how_far_it_is(
 ) -> None:
     film_set = FilmSet(episodes, plan, (400, 360), dark=False)
     for frame in plan.frames:
-        for side, (half, miss, ends) in enumerate(zip(halves(film_set, frame), (7.0, 2.0), (6, 5), strict=True)):
+        for side, (miss, ends) in enumerate(((7.0, 6), (2.0, 5))):
+            half = film_stage(film_set, frame, side)
             now = min(frame.moment, ends - 1)
             closed = now >= 3
             name, picked, away, ghost, *missed = half.words
@@ -80,13 +81,13 @@ def test_halves_stand_side_by_side_above_a_line(
         return line
 
     drawn: list[str] = []
-    monkeypatch.setattr(make_film, "strip", strip)
+    monkeypatch.setattr(film_module, "strip", strip)
     monkeypatch.setattr(
-        make_film, "painted",
+        film_module, "painted",
         lambda stage: drawn.append(stage.words[0].text) or np.full((360, 400, 3), 50 + len(drawn), dtype=np.uint8),
     )  # fmt: skip
     told: list[tuple[str, int, int]] = []
-    pictures = list(make_film.film_pictures(shown, plan, dark=dark, progress=lambda *each: told.append(each)))
+    pictures = list(film_pictures(shown, plan, dark=dark, progress=lambda *each: told.append(each)))
     width = 400 * count + 4 * (count - 1)
     named = f", plant {plant}" if plant else ""
     said = f"x/Reach{named}, gripper li_cup: the same fruit, {plan.speed:.1f} × as fast as the arm"
@@ -100,14 +101,14 @@ def test_halves_stand_side_by_side_above_a_line(
         for side in range(count - 1):
             assert np.all(picture[:360, 404 * side + 400 : 404 * side + 404] == [1, 2, 3])
         assert picture[360, 0].tolist() == [1, 2, 3] and np.all(picture[361, 2:] == 7)
-    assert next(make_film.film_pictures(shown, plan)).shape == (388, width, 3) and lines[-1][2] is False
+    assert next(film_pictures(shown, plan)).shape == (388, width, 3) and lines[-1][2] is False
 
 
 def test_a_film_is_twelve_seconds_of_ten_frames_if_not_told_else(
     episodes: RecordedEpisodes, monkeypatch: pytest.MonkeyPatch, tmp_path: object
 ) -> None:
-    monkeypatch.setattr(make_film, "read_run", lambda path: SimpleNamespace(kind="comparison"))
-    monkeypatch.setattr(make_film, "load_part", lambda run, part: episodes)
-    monkeypatch.setattr(make_film, "write_film", lambda pictures, path, fps: None)
-    made = make_film.film(str(tmp_path), f"{tmp_path}/film.GIF")
+    monkeypatch.setattr(film_module, "read_run", lambda path: SimpleNamespace(kind="comparison"))
+    monkeypatch.setattr(film_module, "load_part", lambda run, part: episodes)
+    monkeypatch.setattr(film_module, "write_film", lambda pictures, path, fps: None)
+    made = film(str(tmp_path), f"{tmp_path}/film.GIF")
     assert (len(made.plan.frames), made.plan.frames_per_second, made.plan.policies) == (120, 10, (0, 1))

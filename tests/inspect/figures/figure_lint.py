@@ -1,7 +1,7 @@
 """What is wrong with a figure before anyone sees it: writing that collides, series that hide one another, and the like.
 
 `figure_faults` judges one figure as it will be drawn. Inside `linting` every figure that is saved or set into a page is
-judged on its way out, and so is what only a run's figures together can do wrong: two with the same title.
+judged on its way out.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
+from unittest import mock
 
 import numpy as np
 from matplotlib.artist import Artist
@@ -26,8 +27,12 @@ from matplotlib.text import Text
 
 from pickenv.arm import Array
 from pickenv.inspect.colours import BY_KEY, policy_key
-from pickenv.inspect.figures.style import BEFORE_SAVING, DARK, INK, PAPER, SOFT, style
+from pickenv.inspect.figures.style import INK, PAPER, SOFT, THEME, style
 
+DARK: dict[str, str] = dict(
+    zip(THEME, ("#e8eaed", "#a4adb8", "#343a41", "#14171a", "#56b4e9", "#35c99b", "#ff7b7f"), strict=True)
+)
+"""Colours that a dark page puts in place of those of a figure."""
 LEAST_TEXT, LEAST_SERIES = 4.5, 2.0
 """Contrast with the paper, light and dark: of writing (WCAG 2, level AA), and of what a legend names. Okabe and Ito's
 orange and sky blue have 2.2 and 2.3 on white; patterns, marks or labels beside them say the same once more."""
@@ -41,25 +46,16 @@ BACKDROP = 2.5
 
 @contextmanager
 def linting() -> Iterator[list[str]]:
-    """Judge every figure that is written inside; what is wrong is added to the list, with the figure's name."""
-    found: list[str] = []
-    headings: dict[str, str] = {}
+    """Judge every figure that is written or set into a page inside; the list has what is wrong, by the title."""
+    faults: list[str] = []
+    save = Figure.savefig
 
-    def judge(figure: Figure, name: str) -> None:
-        if name in headings:  # the same figure in another format
-            return
-        heading = heading_of(figure)
-        twin = next((other for other, said in headings.items() if said == heading), None)
-        headings[name] = heading
-        found.extend(f"{name}: {fault}" for fault in figure_faults(figure))
-        if twin is not None and heading:
-            found.append(f"{name}: has the title of {twin}, '{heading}'")
+    def judged(figure: Figure, *args: Any, **options: Any) -> None:
+        faults.extend(f"{heading_of(figure)}: {fault}" for fault in figure_faults(figure))
+        save(figure, *args, **options)
 
-    BEFORE_SAVING.append(judge)
-    try:
-        yield found
-    finally:
-        BEFORE_SAVING.remove(judge)
+    with mock.patch.object(Figure, "savefig", judged):
+        yield faults
 
 
 def figure_faults(figure: Figure) -> list[str]:

@@ -1,0 +1,524 @@
+"""Films of comparisons: which moments they show and what they state of them, their pictures, and GIF or MP4 files.
+
+What a frame states (`plan_film`) is what is drawn and what tests read. Units: m, s; mm in what is stated.
+"""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from pickenv.arm import Array
+from pickenv.arm.kinematics.forward import nominal_points, true_points
+from pickenv.base import InputError, require
+from pickenv.inspect.colours import RED, policy_colours
+from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
+from pickenv.inspect.runs.run_folder import load_part, read_run
+from pickenv.pictures.arm_shapes import (
+    CUP_RADIUS,
+    GAIN,
+    Solids,
+    arm_look,
+    arm_solids,
+    cup_solids,
+    ghost_points,
+    ghost_solids,
+    hand_solids,
+    joined_solids,
+)
+from pickenv.pictures.drawers import painted, strip
+from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words, fitted_eye
+from pickenv.pictures.tree_shapes import (
+    MISSED_FRUIT,
+    crate,
+    fruit_colours,
+    fruit_solids,
+    ground_around,
+    pedestal,
+    row_of_trees,
+    sprig,
+)
+
+MOST_MOMENTS = 3.0
+"""Moments from one frame to the next at most: with more, nobody could follow."""
+PAUSE = 9
+"""Moments for which an episode's end stays in sight."""
+STILL_STEP = 5e-4
+"""A tool that moves less than this between two moments has arrived, m."""
+FALLEN = 0.06
+"""A fruit that is this far from where it was a moment before is another fruit, m."""
+MISS: dict[bool, Rgb] = {False: RED, True: (255, 128, 128)}
+"""Of words about a miss, on light and on dark pages."""
+FRUIT = 0.06
+"""Diameter that is drawn; recordings know of places alone."""
+SAME_FRUIT = 0.045
+"""Fruit nearer to one another than this, when a tool sets out for them, are one."""
+LEAVES = 1.25
+"""Leaf area of the trees that are drawn, m²/m³: that of the canopy `li2016`."""
+AROUND = 0.16
+HALF = (400, 360)
+"""Width and height of one half, px."""
+STRIP = 28
+"""Height of the line of words below the halves, px."""
+GAP = 4
+KINDS = {
+    ".gif": (
+        "-filter_complex",
+        "split[a][b];[a]palettegen=max_colors=112:stats_mode=full[p];[b][p]paletteuse=dither=none:diff_mode=rectangle",
+        "-loop",
+        "0",
+    ),
+    ".mp4": ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "22", "-movflags", "+faststart"),
+}
+"""How ffmpeg writes each kind of file."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One fruit that a policy goes for, in one episode.
+
+    Attributes:
+        begin: First moment at which it does.
+        close: Moment at which the gripper closes; the fruit was where it is `begin` to `close` - 1.
+        end: Last moment: the fruit is collected, or the gripper closed beside it.
+        taken: Whether it was collected.
+    """
+
+    begin: int
+    close: int
+    end: int
+    taken: bool
+
+
+@dataclass(frozen=True)
+class FilmCaption:
+    """The statement of a frame on one policy.
+
+    Attributes:
+        label: Name of the policy.
+        distance_mm: From the tool to the fruit that it goes for, now.
+        miss_mm: From the tool to the fruit when the gripper closed last; None before it has.
+        picked: Fruit collected since the film began.
+        tried: Fruit on which the gripper has closed since then.
+    """
+
+    label: str
+    distance_mm: float
+    miss_mm: float | None
+    picked: int
+    tried: int
+
+
+@dataclass(frozen=True)
+class FilmFrame:
+    """One frame.
+
+    Attributes:
+        episode: Number of the episode in the run.
+        moment: Number of the moment; a policy whose episode is over stays at its last one.
+        stated: One entry per policy.
+    """
+
+    episode: int
+    moment: int
+    stated: tuple[FilmCaption, ...]
+
+
+@dataclass(frozen=True)
+class FilmPlan:
+    """A film, but for its pictures.
+
+    Attributes:
+        frames: In their order.
+        frames_per_second: How fast they follow one another.
+        speed: How many times as fast as the arms moved.
+        policies: Numbers of the policies in the run, left first.
+        reaching: Whether each episode is for one fruit.
+    """
+
+    frames: tuple[FilmFrame, ...]
+    frames_per_second: int
+    speed: float
+    policies: tuple[int, ...]
+    reaching: bool
+
+
+def plan_film(
+    episodes: RecordedEpisodes, labels: Sequence[str] = (), seconds: float = 12.0, frames_per_second: int = 10
+) -> FilmPlan:
+    """Choose the moments of a film: the first episodes of the run, as many as can be followed.
+
+    Args:
+        episodes: The run's episodes.
+        labels: Policies to show, left first; the first and the last of the run where none are named.
+        seconds: Length of the film.
+        frames_per_second: Frames of each second.
+
+    Raises:
+        InputError: If a policy is not in the run, or the length is impossible.
+    """
+    if not 1.0 <= seconds <= 120.0 or not 1 <= frames_per_second <= 60:
+        raise InputError(
+            f"a film of {seconds:g} s at {frames_per_second} frames/s is impossible; give 1 to 120 s, 1 to 60"
+        )
+    labels_of_run = [policy.label for policy in episodes.policies]
+    for label in labels:
+        if label not in labels_of_run:
+            raise InputError(f"there is no policy '{label}' in this run; give one of {', '.join(labels_of_run)}")
+    numbers = tuple(map(labels_of_run.index, labels)) or tuple(dict.fromkeys((0, len(labels_of_run) - 1)))
+    policies = [episodes.policies[number] for number in numbers]
+    reaching = not any((np.diff(policy.picked, axis=1) > 0).sum(axis=1).max() > 1 for policy in policies)
+    reaching &= all(np.isfinite(policy.miss_mm).sum(axis=1).max() <= 1 for policy in policies)
+    ways = [_way(policies, episode, reaching) for episode in range(len(episodes.seeds))]
+    count = round(seconds * frames_per_second)
+    total = np.cumsum([len(way) for way in ways])
+    last = max(int((total <= count * MOST_MOMENTS).sum()), 1)
+    moments = [moment for way in ways[:last] for moment in way]
+    picks = np.round(np.linspace(0, len(moments) - 1, count)).astype(int)
+    frames = tuple(
+        FilmFrame(episode, moment, tuple(_caption(policy, episode, moment) for policy in policies))
+        for episode, moment in (moments[index] for index in picks)
+    )
+    speed = len(moments) * episodes.period * frames_per_second / count
+    return FilmPlan(frames, frames_per_second, speed, numbers, reaching)
+
+
+def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> list[tuple[int, int]]:
+    """The moments of one episode that are shown: until all tools stand, then its end for a while."""
+    last = max(int(policy.moments[episode]) for policy in policies) - 1
+    arrived = last
+    if reaching:
+        moving = [np.linalg.norm(np.diff(p.tool_position[episode], axis=0), axis=-1) > STILL_STEP for p in policies]
+        steps = np.flatnonzero(np.any(moving, axis=0))
+        arrived = min(last, int(steps[-1]) + 1 if steps.size else 0)
+    return [(episode, moment) for moment in [*range(arrived + 1), *[last] * PAUSE]]
+
+
+def attempts_of(policy: RecordedPolicy, episode: int) -> list[Attempt]:
+    """The fruit that a policy goes for in an episode, one after the other."""
+    last = int(policy.moments[episode]) - 1
+    picked, fruit = policy.picked[episode], policy.fruit_position[episode]
+    closes = [int(t) for t in np.flatnonzero(np.isfinite(policy.miss_mm[episode, : last + 1]))]
+    attempts, begin = [], 0
+    for close, until in zip(closes, [*closes[1:], last + 1], strict=False):
+        before = picked[close - 1] if close else 0
+        gains = [t for t in range(close, until) if picked[t] > before]
+        jumps = [t for t in range(close + 1, until) if np.linalg.norm(fruit[t] - fruit[t - 1]) > FALLEN]
+        end = gains[0] if gains else jumps[0] - 1 if jumps and _follows(policy, episode, close) else close
+        attempts.append(Attempt(begin, close, end, bool(gains)))
+        begin = min(end + 1, last)
+    return attempts
+
+
+def _follows(policy: RecordedPolicy, episode: int, close: int) -> bool:
+    """Whether the fruit that the tool went for is still the one after the gripper has closed."""
+    fruit = policy.fruit_position[episode]
+    return bool(close and np.linalg.norm(fruit[close] - fruit[close - 1]) < FALLEN)
+
+
+def _caption(policy: RecordedPolicy, episode: int, moment: int) -> FilmCaption:
+    last = policy.moments - 1
+    now = min(moment, int(last[episode]))
+    past = np.concatenate([policy.miss_mm[:episode].ravel(), policy.miss_mm[episode, : now + 1]])
+    past = past[np.isfinite(past)]
+    return FilmCaption(
+        label=policy.label,
+        distance_mm=float(policy.position_error_mm[episode, now]),
+        miss_mm=float(past[-1]) if len(past) else None,
+        picked=int(policy.picked[np.arange(episode), last[:episode]].sum() + policy.picked[episode, now]),
+        tried=len(past),
+    )
+
+
+def grasp_offset(policy: RecordedPolicy, episode: int, attempt: Attempt) -> Array:
+    """From the fruit to the tool when the gripper closed ``(3,)``, m."""
+    close = attempt.close
+    before = close if _follows(policy, episode, close) else max(close - 1, 0)
+    return np.asarray(policy.tool_position[episode, close] - policy.fruit_position[episode, before])
+
+
+@dataclass(frozen=True, eq=False)
+class FilmSet:
+    """The parts that stay the same throughout a film.
+
+    Attributes:
+        episodes: The run's episodes.
+        plan: The film's frames.
+        size: Width and height of one half, px.
+        dark: Whether the background is dark.
+    """
+
+    episodes: RecordedEpisodes
+    plan: FilmPlan
+    size: tuple[int, int]
+    dark: bool
+
+    @cached_property
+    def shown(self) -> list[int]:
+        """Episodes that are shown."""
+        return sorted({frame.episode for frame in self.plan.frames})
+
+    @cached_property
+    def policies(self) -> list[RecordedPolicy]:
+        """The film's policies, left first."""
+        return [self.episodes.policies[number] for number in self.plan.policies]
+
+    @cached_property
+    def attempts(self) -> list[list[list[Attempt]]]:
+        """Of each policy of the film and each episode of the run up to the last one shown."""
+        return [[attempts_of(policy, e) for e in range(self.shown[-1] + 1)] for policy in self.policies]
+
+    @cached_property
+    def fruit(self) -> dict[int, Array]:
+        """Fruit of each episode shown ``(N, 3)``, wherever a policy of the film goes for it."""
+        fruit = {}
+        for episode in self.shown:
+            places: list[Array] = []
+            for policy, attempts in zip(self.policies, self.attempts, strict=True):
+                track = policy.fruit_position[episode]
+                for place in [track[0], *(track[attempt.begin] for attempt in attempts[episode])]:
+                    if all(np.linalg.norm(place - neighbour) > SAME_FRUIT for neighbour in places):
+                        places.append(place)
+            fruit[episode] = np.array(places)
+        return fruit
+
+    @cached_property
+    def points(self) -> Array:
+        """Points that must be in sight ``(N, 3)``: fruit, tools, and the arm's base."""
+        parts = [np.concatenate(list(self.fruit.values()))]
+        for policy in self.policies:
+            parts += [policy.tool_position[self.shown].reshape(-1, 3)]
+            if self.episodes.nominal is not None:
+                some = policy.joint_command[self.shown][:, ::10].reshape(-1, self.episodes.nominal.joints)
+                parts += [nominal_points(self.episodes.nominal, some).reshape(-1, 3)]
+        return np.concatenate(parts)
+
+    @cached_property
+    def ground(self) -> float:
+        """Height of the ground."""
+        return float(np.floor(2.0 * (self.points[:, 2].min() - 0.2)) / 2.0)
+
+    @cached_property
+    def eye(self) -> Eye:
+        """From behind the arm, to its side and above it, near enough to see all."""
+        base = np.zeros(3) if self.episodes.nominal is None else np.asarray(self.episodes.nominal.base.position)
+        ahead = np.concatenate(list(self.fruit.values())).mean(axis=0) - base
+        ahead = np.array([ahead[0], ahead[1], 0.0]) / max(float(np.hypot(ahead[0], ahead[1])), 1e-9)
+        side = np.cross([0.0, 0.0, 1.0], ahead)
+        points = np.concatenate([self.points, self.points + np.array([0.0, 0.0, 0.06])])
+        return fitted_eye(points, -0.9 * ahead + 0.75 * side + np.array([0.0, 0.0, 0.42]), self.size)
+
+    @cached_property
+    def still(self) -> tuple[Mesh, ...]:
+        """Ground, pedestal, and trees around the fruit."""
+        middle = self.points.mean(axis=0)
+        parts: tuple[Mesh, ...] = (ground_around(float(middle[0]), float(middle[1]), self.ground, self.dark),)
+        if self.episodes.nominal is not None:
+            x, y, z = (float(value) for value in self.episodes.nominal.base.position)
+            parts += (pedestal(x, y, self.ground, z, float(arm_look(self.episodes.nominal).radius[0])),)
+        if not self.plan.reaching:
+            fruit = np.concatenate(list(self.fruit.values()))
+            low, high = fruit.min(axis=0) - AROUND, fruit.max(axis=0) + AROUND
+            parts += row_of_trees(tuple(low.tolist()), tuple(high.tolist()), LEAVES, self.ground)
+        return parts
+
+
+def film_stage(film_set: FilmSet, frame: FilmFrame, side: int) -> Stage:
+    """One half of a frame.
+
+    Args:
+        film_set: What stays the same.
+        frame: The frame.
+        side: Number of the policy among those of the film.
+    """
+    policy, caption = film_set.policies[side], frame.stated[side]
+    (colour,) = policy_colours([policy.key])
+    now = min(frame.moment, int(policy.moments[frame.episode]) - 1)
+    solids = joined_solids(
+        arm_parts(film_set.episodes, policy, frame.episode, now, colour),
+        _fruit(film_set, side, frame.episode, now, caption.picked),
+    )
+    words = (
+        Words(policy.label, large=True),
+        Words(f"picked {caption.picked} of {caption.tried}"),
+        Words(f"{caption.distance_mm:.1f} mm to the fruit", "top right"),
+        Words(f"ghost: the arm as believed, deviation × {GAIN}", "bottom left"),
+        *_missed(film_set, side, frame.episode, now),
+    )
+    label = "no grasp yet" if caption.miss_mm is None else f"miss {caption.miss_mm:.1f} mm"
+    dial = Dial(_marks_mm(film_set, side, frame.episode, now), film_set.episodes.tolerance_mm, colour, label)
+    return Stage(film_set.eye, *solids, film_set.still, words, dial, film_set.size, film_set.dark)
+
+
+def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, moment: int, colour: Rgb) -> Solids:
+    """The true arm in its policy's colour with its gripper, and the ghost; the gripper alone where there is no arm."""
+    tool, axis = policy.tool_position[episode, moment], tool_axis(policy, episode, moment)
+    closed = bool(np.isfinite(policy.miss_mm[episode, : moment + 1]).any())
+    hand = "hand" in episodes.gripper
+    gripper = hand_solids(tool, axis, CUP_RADIUS, closed) if hand else cup_solids(tool, axis, CUP_RADIUS)
+    if episodes.nominal is None:
+        return gripper
+    look, command = arm_look(episodes.nominal), policy.joint_command[episode, moment]
+    believed = nominal_points(episodes.nominal, policy.joint_target[episode, moment])[-1]
+    true = arm_solids(look, true_points(episodes.nominal, command, tool), axis, colour)
+    return joined_solids(true, gripper, ghost_solids(look, ghost_points(episodes.nominal, command, tool, believed)))
+
+
+def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
+    """Direction in which the tool points ``(3,)``; upwards where its attitude is not known."""
+    axis = policy.tool_rotation[episode, moment, :, 2]
+    return axis if np.isfinite(axis).all() else np.array([0.0, 0.0, 1.0])
+
+
+def _fruit(film_set: FilmSet, side: int, episode: int, now: int, picked: int) -> Solids:
+    """Fruit of the episode as this policy has left it, and a crate with what it has picked."""
+    track, places = film_set.policies[side].fruit_position[episode], film_set.fruit[episode].copy()
+    present, in_cup, missed = np.ones(len(places), dtype=bool), *np.zeros((2, len(places)), dtype=bool)
+    for attempt in film_set.attempts[side][episode]:
+        number = int(np.argmin(np.linalg.norm(film_set.fruit[episode] - track[attempt.begin], axis=1)))
+        if attempt.begin <= now <= attempt.end and (now < attempt.close or attempt.taken):
+            places[number], in_cup[number] = track[now], attempt.taken and now >= attempt.close
+        present[number] = not (attempt.taken and now >= attempt.end + film_set.plan.reaching)  # a reach ends in the cup
+        missed[number] = not attempt.taken and now >= attempt.close
+    colours = fruit_colours(len(places))
+    colours[missed] = MISSED_FRUIT
+    loose = present & in_cup
+    hanging = present & ~in_cup
+    parts = [
+        fruit_solids(places[hanging], FRUIT, colours[hanging]),
+        fruit_solids(places[loose], FRUIT, colours[loose], stems=False),
+        crate(film_set.eye, film_set.size, picked, FRUIT, film_set.ground),
+    ]
+    if film_set.plan.reaching:
+        parts += [sprig(place, FRUIT) for place in film_set.fruit[episode][:1]]
+    return joined_solids(*parts)
+
+
+def _missed(film_set: FilmSet, side: int, episode: int, now: int) -> Iterator[Words]:
+    """The length of each miss, in words at its fruit."""
+    policy = film_set.policies[side]
+    for attempt in film_set.attempts[side][episode]:
+        if not attempt.taken and attempt.close <= now:
+            place = policy.fruit_position[episode, attempt.begin] - [0.0, 0.0, 0.75 * FRUIT]
+            yield Words(f"missed by {policy.miss_mm[episode, attempt.close]:.1f} mm", place, MISS[film_set.dark])
+
+
+def _marks_mm(film_set: FilmSet, side: int, episode: int, now: int) -> Array:
+    """The tool's places ``(K, 2)``, mm, seen from the fruit, whenever the gripper has closed so far."""
+    policy, attempts = film_set.policies[side], film_set.attempts[side]
+    closed = [(e, a) for e in range(episode) for a in attempts[e]]
+    closed += [(episode, a) for a in attempts[episode] if a.close <= now]
+    marks = [seen_along(tool_axis(policy, e, a.close), grasp_offset(policy, e, a), film_set.eye) for e, a in closed]
+    return 1e3 * np.reshape(marks, (-1, 2))
+
+
+def seen_along(axis: Array, offset: Array, eye: Eye) -> Array:
+    """The part of an offset across the tool's axis, to the right and away from the eye ``(2,)``."""
+    right = np.cross(eye.axes()[2], axis)
+    right /= max(float(np.linalg.norm(right)), 1e-9)
+    return np.array([offset @ right, offset @ np.cross(axis, right)])
+
+
+@dataclass(frozen=True)
+class Film:
+    """A film that was written.
+
+    Attributes:
+        path: The file.
+        plan: What each of its frames states.
+    """
+
+    path: Path
+    plan: FilmPlan
+
+
+def film(
+    run: str | Path,
+    out: str | Path = "film.gif",
+    *,
+    policies: Sequence[str] = (),
+    seconds: float = 12.0,
+    frames_per_second: int = 10,
+    dark: bool = False,
+    progress: Progress | None = None,
+) -> Film:
+    """Write a film of a comparison: the same fruit, one policy beside the other.
+
+    Args:
+        run: Folder of a run of `pickenv compare`.
+        out: The film; its ending says what it is, .gif or .mp4.
+        policies: Labels of the policies to show, left first; the run's first and last where none are named.
+        seconds: Length of the film.
+        frames_per_second: Frames of each second.
+        dark: Whether the background is dark.
+        progress: Called with (stage, done, in all).
+
+    Raises:
+        InputError: If the run is no comparison, a policy is not in it, or the file's ending is unknown.
+        MissingExtra: If what draws or writes films is not installed.
+    """
+    require("matplotlib", "imageio_ffmpeg")
+    path = Path(out)
+    if path.suffix.lower() not in KINDS:
+        raise InputError(f"{path} is no name of a film; let it end in {' or '.join(KINDS)}")
+    record = read_run(Path(run))
+    if record.kind != "comparison":
+        raise InputError(f"{run} is a run of kind '{record.kind}'; give the folder of a run of `pickenv compare`")
+    episodes = load_part(record, RecordedEpisodes)
+    plan = plan_film(episodes, policies, seconds, frames_per_second)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_film(film_pictures(episodes, plan, dark=dark, progress=progress), path, frames_per_second)
+    return Film(path, plan)
+
+
+def film_pictures(
+    episodes: RecordedEpisodes, plan: FilmPlan, *, dark: bool = False, progress: Progress | None = None
+) -> Iterator[Pixels]:
+    """The frames of a film, ``(height, width, 3)``."""
+    film_set = FilmSet(episodes, plan, HALF, dark)
+    width = len(plan.policies) * (HALF[0] + GAP) - GAP
+    plant = f", plant {episodes.plant}" if episodes.plant else ""
+    below = strip(
+        f"{episodes.env_id}{plant}, gripper {episodes.gripper}: the same fruit, {plan.speed:.1f} × as fast as the arm",
+        (width, STRIP),
+        dark,
+    )
+    gap = np.full((HALF[1], GAP, 3), below[0, 0], dtype=np.uint8)
+    for number, frame in enumerate(plan.frames, start=1):
+        halves = (painted(film_stage(film_set, frame, side)) for side in range(len(plan.policies)))
+        parts = [part for half in halves for part in (half, gap)][:-1]
+        yield np.concatenate([np.concatenate(parts, axis=1), below])
+        if progress is not None:
+            progress("frames", number, len(plan.frames))
+
+
+def write_film(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -> None:
+    """Let ffmpeg write the pictures into a file.
+
+    Raises:
+        InputError: If it cannot; with its last words.
+    """
+    import imageio_ffmpeg  # type: ignore[import-untyped]
+
+    first = next(pictures)
+    height, width = first.shape[:2]
+    size = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(frames_per_second))
+    quiet = (imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error")
+    command = [*quiet, *size, "-i", "-", *KINDS[path.suffix.lower()], str(path)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        with suppress(BrokenPipeError):  # then ffmpeg has given up, and says why
+            for pixels in chain([first], pictures):
+                process.stdin.write(np.ascontiguousarray(pixels).tobytes())
+        errors = process.communicate()[1].decode(errors="replace").strip().splitlines()
+    if process.returncode != 0:
+        raise InputError(f"{path} could not be written: {errors[-1] if errors else 'ffmpeg failed'}")
