@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.arm_file import ARMS, read_arm
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
-from pickenv.arm.files.xml_values import xml_number
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, xml_number
 from pickenv.arm.kinematics.geometry import Pose, identity_pose
 from pickenv.base import RAD, InputError, M, file_named, read_text, register, shipped_in, shortened, yaml_content
 from pickenv.base.registry import get, names
