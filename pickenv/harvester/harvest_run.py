@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
-from pickenv.arm.plant.tree import leaves
+from pickenv.arm.plant.plant_batch import leaves
 from pickenv.base import InputError
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
 from pickenv.harvester.joint_motion import master_time

@@ -45,7 +45,7 @@ class Features:
         outputs: Number of outputs O: 3 (position) or 6 (pose).
     """
 
-    shared: ClassVar[bool] = True  # `pickenv.arm.plant.tree` leaves it as it is
+    shared: ClassVar[bool] = True  # `pickenv.arm.plant.plant_batch` leaves it as it is
 
     frequency: Single
     centre: tuple[float, ...]

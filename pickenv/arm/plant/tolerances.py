@@ -17,7 +17,7 @@ import numpy as np
 from pickenv.arm.effects.effect import Draws, standard_normal_of
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.twin_arms import twin_arms
+from pickenv.arm.plant.twin_file import twin_arms
 from pickenv.base import InputError, toml_tables
 
 TOLERANCES = Path(__file__).parent / "tolerance_classes"

@@ -20,9 +20,8 @@ from pickenv.arm import (
 from pickenv.arm.effects.effect import Load
 from pickenv.arm.effects.structure import BoomBending, JointCompliance, driven_joints
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
-from pickenv.arm.plant.plant_batch import arrays_of, with_links
+from pickenv.arm.plant.plant_batch import arrays_of, tree_map, with_links
 from pickenv.arm.plant.plant_file import shipped_effects
-from pickenv.arm.plant.tree import tree_map
 
 EFFECTS = shipped_effects()
 
