@@ -108,10 +108,10 @@ class Passage:
         """Where the tool is; joints and links are what they are from here on."""
         if self._frame is None:
             bends = [effect.flexure(self) for effect in self.bends]
-            both = (
+            bend = (
                 bends[0] if len(bends) == 1 else lambda i, frame: reduce(lambda bent, one: one(i, bent), bends, frame)
             )
-            self._frame = tool_frame(self.m, self.chain, self.joints, both if bends else None)
+            self._frame = tool_frame(self.m, self.chain, self.joints, bend if bends else None)
         return self._frame
 
     @frame.setter
@@ -210,8 +210,8 @@ class Effect:
 
     def own_sizes(self) -> tuple[Scalar, ...]:
         """The numbers that differ from arm to arm by random numbers of the effect's own."""
-        own = (name for name, spread in self.spreads.items() if isinstance(spread, float))
-        return tuple(number for name in own for number in _numbers(getattr(self, name)))
+        names = (name for name, spread in self.spreads.items() if isinstance(spread, float))
+        return tuple(number for name in names for number in _numbers(getattr(self, name)))
 
     def drawn(self, draws: Draws) -> Self:
         """The effect of many arms, its `spreads` drawn about its own."""
@@ -255,10 +255,10 @@ def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[We
     weights: list[Weight] = [(mass, moment_x, moment_y)]
     for i in reversed(range(len(chain.links))):
         xx, xy, _, yx, yy, _, zx, zy, _, px, py, _ = frames[i + 1]
-        own, (cx, cy, cz) = load.mass[i], load.centre[i]
-        mass = mass + own
-        moment_x = moment_x + own * (px + cx * xx + cy * yx + cz * zx)
-        moment_y = moment_y + own * (py + cx * xy + cy * yy + cz * zy)
+        link_mass, (cx, cy, cz) = load.mass[i], load.centre[i]
+        mass = mass + link_mass
+        moment_x = moment_x + link_mass * (px + cx * xx + cy * yx + cz * zx)
+        moment_y = moment_y + link_mass * (py + cx * xy + cy * yy + cz * zy)
         weights.append((mass, moment_x, moment_y))
     return weights[::-1]
 

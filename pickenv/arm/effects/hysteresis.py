@@ -14,6 +14,7 @@ from types import ModuleType
 from typing import Annotated, Any
 
 from pickenv.arm.effects.effect import BEND, GEAR, Components, Draws, Effect, Passage, Weight
+from pickenv.arm.effects.structure import Boom
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.joint_keys import BOOM, TRAVEL, joint_table
 from pickenv.arm.kinematics.backend import chosen, clipped
@@ -132,64 +133,41 @@ def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar
 
 @register("effect", "boom_couple")
 @toml_table
-class BoomCouple(Effect, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural_rigidity"}, needs_load=True):
+class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural_rigidity"}, needs_load=True):
     """Masses that hang beside a boom's tip bend it by their couple: delta = M L^2 / 2EI, slope = M L / EI.
 
     Attributes:
-        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
-        length: Free length at zero displacement, m; the displacement adds to it.
         flexural_rigidity: EI, N*m^2.
     """
 
-    joint: Annotated[int, WHOLE, BOOM]
-    length: Annotated[Scalar, MM.not_negative]
     flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
 
-    def flexure(self, at: Passage) -> Flexure:
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Bend the boom under the part across it of the moment about its tip."""
-        weights, length = at.loads.weights, at.joints[self.joint] + self.length
-        turn = length / self.flexural_rigidity
-
-        def bend(i: int, frame: Frame) -> Frame:
-            if i != self.joint:
-                return frame
-            zx, zy, zz, px, py, _ = frame[6:]
-            mx, my = moment_about(weights[i + 1], px, py)
-            along = mx * zx + my * zy
-            wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
-            return displaced_frame(at.m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
-
-        return bend
+        zx, zy, zz, px, py, _ = frame[6:]
+        mx, my = moment_about(at.loads.weights[self.joint + 1], px, py)
+        along, turn = mx * zx + my * zy, length / self.flexural_rigidity
+        wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
+        return displaced_frame(at.m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
 
 
 @register("effect", "boom_torsion")
 @toml_table
-class BoomTorsion(Effect, place=BEND + 0.6, spreads={"torsional_rigidity": "flexural_rigidity"}, needs_load=True):
+class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexural_rigidity"}, needs_load=True):
     """Masses that hang beside a boom twist it: angle = M L / GJ.
 
     Attributes:
-        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
-        length: Free length at zero displacement, m; the displacement adds to it.
         torsional_rigidity: GJ, N*m^2.
     """
 
-    joint: Annotated[int, WHOLE, BOOM]
-    length: Annotated[Scalar, MM.not_negative]
     torsional_rigidity: Annotated[Scalar, Unit("N_m2").positive]
 
-    def flexure(self, at: Passage) -> Flexure:
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Twist the boom under the part along it of the moment about its tip."""
-        weights, turn = at.loads.weights, (at.joints[self.joint] + self.length) / self.torsional_rigidity
-
-        def twist(i: int, frame: Frame) -> Frame:
-            if i != self.joint:
-                return frame
-            zx, zy, zz, px, py, _ = frame[6:]
-            mx, my = moment_about(weights[i + 1], px, py)
-            angle = turn * (mx * zx + my * zy)
-            return displaced_frame(at.m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
-
-        return twist
+        zx, zy, zz, px, py, _ = frame[6:]
+        mx, my = moment_about(at.loads.weights[self.joint + 1], px, py)
+        angle = length / self.torsional_rigidity * (mx * zx + my * zy)
+        return displaced_frame(at.m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
 
 
 @toml_table
@@ -246,8 +224,8 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
             turn = 2.0 / (bearing.stiffness * span * span)
             sunk = GRAVITY * weights[i][0] / (2.0 * bearing.stiffness)
             # Gravity across z is (zx zz, zy zz, zz^2 - 1).
-            moved = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
-            return displaced_frame(at.m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), moved))
+            sag = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
+            return displaced_frame(at.m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), sag))
 
         return give
 

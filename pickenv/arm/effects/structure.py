@@ -32,67 +32,78 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
         at.joints = [value + torque / k for value, torque, k in numbers]
 
 
-@register("effect", "boom_bending")
 @toml_table
-class BoomBending(Effect, place=BEND + 0.2, spreads={"flexural_rigidity": "flexural_rigidity"}):
-    """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
+class Boom(Effect, place=BEND):
+    """What a telescopic boom does to its tip: base of effects that say how in ``bent``.
 
     Attributes:
         joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
         length: Free length at zero displacement, m; the displacement adds to it.
+    """
+
+    joint: Annotated[int, WHOLE, BOOM]
+    length: Annotated[Scalar, MM.not_negative]
+
+    def flexure(self, at: Passage) -> Flexure:
+        """Bend the boom, and no other link."""
+        length = at.joints[self.joint] + self.length
+        return lambda i, frame: self.bent(at, frame, length) if i == self.joint else frame
+
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
+        """The frame of the tip, of a boom that is ``length`` metres long, once bent."""
+        raise NotImplementedError
+
+
+@register("effect", "boom_bending")
+@toml_table
+class BoomBending(Boom, place=BEND + 0.2, spreads={"flexural_rigidity": "flexural_rigidity"}):
+    """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
+
+    Attributes:
         flexural_rigidity: EI, N*m^2.
         end_mass: Mass carried at the tip without payload, kg.
         mass_per_length: Mass of the boom, kg/m.
     """
 
-    joint: Annotated[int, WHOLE, BOOM]
-    length: Annotated[Scalar, MM.not_negative]
     flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
     end_mass: Annotated[Scalar, KG.not_negative]
     mass_per_length: Annotated[Scalar, KG_PER_M.not_negative]
 
-    def flexure(self, at: Passage) -> Flexure:
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Lower and tilt the boom's tip under gravity; only the part across the boom bends it."""
-        length = at.joints[self.joint] + self.length
-        end, own = self.end_mass + (at.load.payload if at.load else 0.0), self.mass_per_length
+        end, boom = self.end_mass + (at.load.payload if at.load else 0.0), self.mass_per_length
         stiffness = self.flexural_rigidity / GRAVITY
-        sag = length * length * length * (end / (3.0 * stiffness) + length * (own / (8.0 * stiffness)))
-        slope = length * length * (end / (2.0 * stiffness) + length * (own / (6.0 * stiffness)))
-        return lowered_tip(self.joint, sag, slope)
+        sag = length * length * length * (end / (3.0 * stiffness) + length * (boom / (8.0 * stiffness)))
+        slope = length * length * (end / (2.0 * stiffness) + length * (boom / (6.0 * stiffness)))
+        return lowered_tip(frame, sag, slope)
 
 
 @register("effect", "roller_play")
 @toml_table
-class RollerPlay(Effect, place=BEND + 0.8, spreads={"clearance": "roller_clearance"}):
+class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance"}):
     """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
 
     Attributes:
-        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
-        length: Free length at zero displacement, m; the displacement adds to it.
         clearance: Clearance between boom and rollers, m.
         overlap: Length inside the rollers at zero displacement, m; the displacement is taken off it.
     """
 
-    joint: Annotated[int, WHOLE, BOOM]
-    length: Annotated[Scalar, MM.not_negative]
     clearance: Annotated[Scalar, MM.not_negative]
     overlap: Annotated[Scalar, MM.positive]
 
-    def flexure(self, at: Passage) -> Flexure:
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Let the boom tip down in its rollers: fully when level, less as it is raised."""
         angle = self.clearance / (self.overlap - at.joints[self.joint])
-        return lowered_tip(self.joint, angle * (at.joints[self.joint] + self.length), angle)
+        return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
         """An overlap that the boom runs out of."""
         limit = arm.nominal.upper[self.joint]
+        if self.overlap > limit:
+            return ""
         return (
-            ""
-            if self.overlap > limit
-            else (
-                f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
-                f"that joint {self.joint + 1} runs out"
-            )
+            f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm that joint "
+            f"{self.joint + 1} runs out"
         )
 
 
@@ -163,25 +174,19 @@ def with_waves(
     m: ModuleType, harmonics: Sequence[Harmonic], q: Sequence[Scalar], driven: Sequence[Scalar]
 ) -> list[Scalar]:
     """Joint displacements ``driven`` with the periodic errors at the motor positions ``q`` on top."""
-    found = list(driven)
+    joints = list(driven)
     for term in harmonics:
         angle = q[term.joint] * (math.tau / term.period) + term.phase
-        found[term.joint] = found[term.joint] + term.amplitude * m.sin(angle)
-    return found
+        joints[term.joint] = joints[term.joint] + term.amplitude * m.sin(angle)
+    return joints
 
 
-def lowered_tip(joint: int, sag: Scalar, slope: Scalar) -> Flexure:
-    """A `Flexure` that lowers the tip of a level link ``joint`` by ``sag`` (m) and tilts it down by ``slope`` (rad)."""
-
-    def bend(i: int, frame: Frame) -> Frame:
-        if i != joint:
-            return frame
-        *axes, zx, zy, zz, px, py, pz = frame
-        # Gravity across the boom is (zx zz, zy zz, zz^2 - 1); the slope turns z towards it, about z x (0, 0, -1).
-        turned = turn_horizontally((*axes, zx, zy, zz), -slope * zy, slope * zx)
-        return (*turned, px + sag * zx * zz, py + sag * zy * zz, pz + sag * (zz * zz - 1.0))
-
-    return bend
+def lowered_tip(frame: Frame, sag: Scalar, slope: Scalar) -> Frame:
+    """The frame of a link's tip, lowered where the link is level by ``sag`` (m) and tilted down by ``slope`` (rad)."""
+    *axes, zx, zy, zz, px, py, pz = frame
+    # Gravity across the boom is (zx zz, zy zz, zz^2 - 1); the slope turns z towards it, about z x (0, 0, -1).
+    turned = turn_horizontally((*axes, zx, zy, zz), -slope * zy, slope * zx)
+    return (*turned, px + sag * zx * zz, py + sag * zy * zz, pz + sag * (zz * zz - 1.0))
 
 
 def turn_horizontally(
