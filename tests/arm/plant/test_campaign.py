@@ -117,14 +117,14 @@ def test_the_first_stop_is_come_to_from_the_middle_of_the_joints_ranges(sign):
 
 
 def test_the_pace_is_the_instruments_and_one_arm_runs_on_floats(monkeypatch):
-    paces, kinds, stop = [], [], campaign.stopped
+    paces, kinds, move = [], [], campaign.moved
 
     def noted(plant, m, state, here, target, pace, *more):
         paces.append(pace)
         kinds.append(m)
-        return stop(plant, m, state, here, target, pace, *more)
+        return move(plant, m, state, here, target, pace, *more)
 
-    monkeypatch.setattr(campaign, "stopped", noted)
+    monkeypatch.setattr(campaign, "moved", noted)
     slow = replace(EXACT, period=0.25, dwell=7.0)
     visited(ORCHARD, np, anywhere(2), slow, np.zeros((2, 2, 6)))
     many = draw_plants(ORCHARD, load_tolerances("medium"), 2, np.random.default_rng(0))
