@@ -17,7 +17,7 @@ import numpy as np
 from pickenv.arm import Array, Geometry, Plant, PlantState, Pose, forward, inverse, load_instrument, pose_error
 from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.kinematics.workspace import Cube, largest_cube
+from pickenv.arm.kinematics.inverse import Cube, largest_cube
 from pickenv.arm.plant.campaign import TRACKER, Instrument, Pace, move_time, moved, switched_on
 from pickenv.base import Ends, InputError, statistic_interval
 

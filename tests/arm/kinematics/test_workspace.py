@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Geometry, Pose, forward, inverse, load_arm, shipped_arms
-from pickenv.arm.kinematics.workspace import Cube, farthest, largest_cube
+from pickenv.arm.kinematics.inverse import Cube, farthest, largest_cube
 from pickenv.base import InputError
 
 

@@ -24,7 +24,7 @@ from pickenv.arm import (
 )
 from pickenv.arm.effects.drives import MeasurementNoise, read_frame
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.kinematics.workspace import largest_cube
+from pickenv.arm.kinematics.inverse import largest_cube
 from pickenv.arm.plant import campaign
 from pickenv.arm.plant.campaign import Pace, normal_draws, visited
 from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283

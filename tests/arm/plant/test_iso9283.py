@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.spatial import cKDTree
 
 from pickenv.arm import load_arm, load_instrument, load_plant
-from pickenv.arm.kinematics.workspace import largest_cube
+from pickenv.arm.kinematics.inverse import largest_cube
 from pickenv.arm.plant.campaign import Pace
 from pickenv.arm.plant.iso9283 import NORM_OF_NOISE, Iso9283Settings, _pose_performance, iso9283
 from pickenv.arm.plant.plant_file import shipped_effects
