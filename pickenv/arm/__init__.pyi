@@ -1,6 +1,6 @@
 from .effects.effect import Effect as Effect, Passage as Passage
 from .files.arm import Arm as Arm
-from .files.load import load_arm as load_arm, shipped_arms as shipped_arms
+from .files.arm_file import load_arm as load_arm, shipped_arms as shipped_arms
 from .kinematics.forward import Frame as Frame, forward as forward, forward_torch as forward_torch
 from .kinematics.geometry import (
     Array as Array,
@@ -27,10 +27,9 @@ from .plant.campaign import (
     load_instrument as load_instrument,
     shipped_instruments as shipped_instruments,
 )
-from .plant.named_plants import load_plant as load_plant
 from .plant.plant import Plant as Plant, PlantState as PlantState
 from .plant.plant_batch import plant_at as plant_at, plants_on as plants_on
-from .plant.plant_file import shipped_plants as shipped_plants
+from .plant.plant_file import load_plant as load_plant, shipped_plants as shipped_plants
 from .plant.tolerances import (
     Tolerances as Tolerances,
     draw_plants as draw_plants,

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm.effects.drives import MeasurementNoise, read_frame
 from pickenv.arm.effects.effect import BESIDE
-from pickenv.arm.effects.hysteresis import one_stop
+from pickenv.arm.effects.structure import one_stop
 from pickenv.arm.kinematics.forward import Frame, Scalar, forward, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.plant.plant import Plant, PlantState, Ready

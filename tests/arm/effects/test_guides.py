@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at, rotation_matrix
 from pickenv.arm.effects.effect import GRAVITY, Load, Loads
-from pickenv.arm.effects.hysteresis import (
+from pickenv.arm.effects.structure import (
     Bearing,
+    BoomBending,
     BoomCouple,
     BoomTorsion,
     SlideCompliance,
 )
-from pickenv.arm.effects.structure import BoomBending
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
 
 BARE = load_plant("geometry_only")

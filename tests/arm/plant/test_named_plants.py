@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, load_arm, load_plant, load_tolerances, plant_at, shipped_arms, shipped_plants
-from pickenv.arm.plant.named_plants import class_of, draw_arms, rods
 from pickenv.arm.plant.plant_batch import plant_count
+from pickenv.arm.plant.plant_file import class_of, draw_arms, rods
 from pickenv.base import GRAVITY, InputError
 
 BARE = sorted(set(shipped_arms()) - set(shipped_plants()))
