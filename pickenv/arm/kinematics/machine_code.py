@@ -167,7 +167,7 @@ class Traced:
 
 # What `numpy` is to arrays.
 
-PI, PI_REST = float.fromhex("0x1.921fb544p+1"), float.fromhex("0x1.0b4611a626331p-33")
+PI, PI_RESIDUE = float.fromhex("0x1.921fb544p+1"), float.fromhex("0x1.0b4611a626331p-33")
 """Half a turn, rad: its first 33 bits, of which many times are exact, and what is missing."""
 
 TERMS = 11
@@ -179,21 +179,21 @@ INTRINSICS = {"round": "rint", "abs": "fabs"} | {name: name for name in ("sqrt",
 
 def sine(m: Any, angle: Scalar) -> Scalar:
     """The sine of an angle, rad, by its series; ``m`` has the rounding: ``numpy`` or `SYMBOLS`."""
-    sign, rest = _reduced(m, angle)
-    return sign * (rest * _summed(rest * rest, 1))
+    sign, residue = _reduced(m, angle)
+    return sign * (residue * _summed(residue * residue, 1))
 
 
 def cosine(m: Any, angle: Scalar) -> Scalar:
     """The cosine of an angle, as `sine`."""
-    sign, rest = _reduced(m, angle)
-    return sign * _summed(rest * rest, 0)
+    sign, residue = _reduced(m, angle)
+    return sign * _summed(residue * residue, 0)
 
 
 def _reduced(m: Any, angle: Scalar) -> tuple[Scalar, Scalar]:
     """The sign that an angle's whole half turns give to its sine and cosine, and what is left without them."""
     halves = m.round(angle * (1.0 / math.pi))
     odd = halves - 2.0 * m.round(0.5 * halves)
-    return 1.0 - 2.0 * (odd * odd), (angle - PI * halves) - PI_REST * halves
+    return 1.0 - 2.0 * (odd * odd), (angle - PI * halves) - PI_RESIDUE * halves
 
 
 def _summed(square: Scalar, first: int) -> Scalar:
@@ -482,7 +482,7 @@ def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, lis
     features = sorted(binding.get_host_cpu_features().items())
     target = binding.Target.from_default_triple().create_target_machine(
         cpu=binding.get_host_cpu_name(),
-        features=",".join(f"{'+' if there else '-'}{feature}" for feature, there in features),
+        features=",".join(f"{'+' if present else '-'}{feature}" for feature, present in features),
         opt=2 if thorough else 0,
     )
     module = binding.parse_assembly(code)

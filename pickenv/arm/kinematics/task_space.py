@@ -95,15 +95,16 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
         In memory the poses lie next to each other.
     """
     n = geometry.links
-    found, tool_frame, shape = _frames(geometry, q)
+    frame_list, tool_frame, shape = _frames(geometry, q)
     links, tool = np.empty((12, n + 1, *shape)), np.empty((3, *shape))  # components first
-    for i, frame in enumerate(found):
+    for i, frame in enumerate(frame_list):
         for component, value in enumerate(frame):
             links[component, i] = value
     for component, value in enumerate(tool_frame[9:]):
         tool[component] = value
     jacobian = np.zeros((6, 5 * n + 12, *shape))
-    twist = [_per_link(values, shape) for values in (np.cos(geometry.alpha), np.sin(geometry.alpha), geometry.a)]
+    angles = np.cos(geometry.alpha), np.sin(geometry.alpha), geometry.a
+    twist = [np.moveaxis(np.broadcast_to(values, (*shape, n)), -1, 0) for values in angles]
     before, after, origin = tuple(links[:, :-1]), tuple(links[:, 1:]), tuple(tool)
     for k, kind in enumerate(LINK_PARAMETERS):
         for row, value in enumerate(link_column(kind, before, after, origin, twist)):
@@ -128,11 +129,6 @@ def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple
     chain = chain_of(geometry, math if geometry.alpha.ndim == 1 else np)
     links = frames(m, chain, joints if shape else [value.item() for value in joints])
     return links, attach(links[-1], chain.tool), shape
-
-
-def _per_link(values: Array, shape: tuple[int, ...]) -> Array:
-    """Link parameters ``(..., n)`` as ``(n, ...)``, for poses of this shape."""
-    return np.moveaxis(np.broadcast_to(values, (*shape, values.shape[-1])), -1, 0)
 
 
 DIRECTION_TOLERANCE = 5e-3
