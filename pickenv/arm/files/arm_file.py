@@ -142,9 +142,10 @@ class ArmFile:
         numbers = [joint.number for joint in self.joints]
         for number in range(1, self.joint_count + 1):
             if numbers.count(number) != 1:
-                fault = "is missing" if number not in numbers else "is given twice"
-                asked = f"joint_count = {self.joint_count} asks for joints 1 to {self.joint_count}, once each"
-                raise InputError(f"joint {number} {fault}; {asked}")
+                raise InputError(
+                    f"joint {number} {'is given twice' if number in numbers else 'is missing'}; joint_count = "
+                    f"{self.joint_count} asks for joints 1 to {self.joint_count}, once each"
+                )
         if len(numbers) != self.joint_count:
             extra = next(number for number in numbers if not 1 <= number <= self.joint_count)
             raise InputError(f"joint number {extra} is not in 1..{self.joint_count}; correct it or joint_count")
@@ -152,8 +153,10 @@ class ArmFile:
         for joint in self.joints:
             if isinstance(joint, Follower):
                 if joint.follows not in leaders:
-                    wanted = "give the number of a joint that does not follow another"
-                    raise InputError(f"joint {joint.number} follows {joint.follows}; {wanted}")
+                    raise InputError(
+                        f"joint {joint.number} follows {joint.follows}; give the number of a joint that does not "
+                        "follow another"
+                    )
             elif joint.lower >= joint.upper:
                 raise InputError(f"joint {joint.number} has a lower limit that is not below its upper limit")
             for key in COLUMNS if self.simulated else ():
@@ -179,7 +182,7 @@ def read_arm(path: Path) -> Arm:
     """
     file = read_toml(ArmFile, path)
     links = sorted(file.joints, key=lambda joint: joint.number)
-    moved = [link for link in links if not isinstance(link, Follower)]
+    leaders = [link for link in links if not isinstance(link, Follower)]
     names = tuple(link.name if link.name is not None else f"J{link.number}" for link in links)
     slides = tuple(link.type == "P" for link in links)
 
@@ -190,24 +193,24 @@ def read_arm(path: Path) -> Arm:
     numbers: dict[str, Any] = {key: column(key) for key in COLUMNS}
     if file.convention == "modified":
         build, numbers["beta"] = Geometry, column("beta")
-    limits = {key: column(key, moved) for key in ("lower", "upper")}
+    limits = {key: column(key, leaders) for key in ("lower", "upper")}
     nominal: Geometry = build(names, slides, **numbers, **limits, base=file.base.pose(), tool=file.tool.pose())
     nominal = replace(
         nominal,
-        joint_names=tuple(names[link.number - 1] for link in moved),
-        prismatic=tuple(slides[link.number - 1] for link in moved),
-        coupling=_coupling(links, moved, slides),
+        joint_names=tuple(names[link.number - 1] for link in leaders),
+        prismatic=tuple(slides[link.number - 1] for link in leaders),
+        coupling=_coupling(links, leaders, slides),
     )
     built: dict[str, Any] = {key: column(f"true_{key}") for key in COLUMNS} if file.simulated else {}
     true = replace(nominal, **built) if built else None
-    return Arm(file.name, file.source, nominal, true, column("speed", moved), file.tolerance_class)
+    return Arm(file.name, file.source, nominal, true, column("speed", leaders), file.tolerance_class)
 
 
-def _coupling(links: list[Any], moved: list[Any], slides: tuple[bool, ...]) -> Coupling | None:
+def _coupling(links: list[Any], leaders: list[Any], slides: tuple[bool, ...]) -> Coupling | None:
     """Which joint moves each link, from ``follows`` and ``ratio``; None where each joint moves its own alone."""
-    if len(moved) == len(links) and all(link.ratio == 1.0 for link in links):
+    if len(leaders) == len(links) and all(link.ratio == 1.0 for link in links):
         return None
-    order = {link.number: i for i, link in enumerate(moved)}
+    order = {link.number: i for i, link in enumerate(leaders)}
     owners = (order[link.follows if isinstance(link, Follower) else link.number] for link in links)
     return Coupling(tuple(owners), tuple(link.ratio for link in links), slides)
 

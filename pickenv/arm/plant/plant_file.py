@@ -101,8 +101,9 @@ def read_plant(name: str | Path) -> Plant:
     if Path(name).suffix == ".npz":
         return read_twin(name)
     path = file_named("plant", name, PLANTS, ".toml, .npz")
-    others = tuple(name for name in registry.names("effect") if name in toml_of(path)[0])
-    parts = dict(vars(read_toml(plant_file(tuple(dict.fromkeys((*shipped_effects(), *others)))), path, context={})))
+    foreign = (name for name in registry.names("effect") if name in toml_of(path)[0])
+    kind = plant_file(tuple(dict.fromkeys((*shipped_effects(), *foreign))))
+    parts = dict(vars(read_toml(kind, path, context={})))
     del parts["source"]
     arm, called, load = (parts.pop(key) for key in ("arm", "name", "load"))
     effects = tuple(effect for effect in parts.values() if effect is not None)
@@ -144,12 +145,12 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     Raises:
         InputError: If plant, arm, class or effect are unknown or a number is impossible; names the file and the key.
     """
-    kind, rest = _split(name)
+    kind, arm_name = _split(name)
     if kind == IDEAL:
-        arm = load_arm(rest)
+        arm = load_arm(arm_name)
         plant = Plant(name=IDEAL, arm=arm, geometry=arm.nominal)
     elif kind:
-        plant = replace(_design(rest, load_tolerances(kind)), name=str(name))
+        plant = replace(_design(arm_name, load_tolerances(kind)), name=str(name))
     else:
         plant = read_plant(name)
     try:
@@ -185,12 +186,9 @@ def draw_arms(
 def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
     """A plant of an arm of which nothing but its geometry is known."""
     one_link_per_joint(arm)
-    slides = arm.nominal.prismatic
-    load = rods(arm)
+    slides, load = np.array(arm.nominal.prismatic), rods(arm)
     torques = _largest_torques(arm, load)
-    kinds = np.array(slides)
-    least = np.array([LEAST_TORQUE * max(torques[kinds == slide], default=0.0) for slide in slides])
-    torques = np.maximum(torques, least)
+    torques = np.maximum(torques, [LEAST_TORQUE * torques[slides == slide].max() for slide in slides])
     torques[torques == 0] = 1.0  # gravity loads no joint of the kind: whatever the stiffness, none yields
     sags = [sizes.sliding_sag if slide else sizes.turning_sag for slide in slides]
     gaps = tuple(sizes.sliding_gap if slide else sizes.turning_gap for slide in slides)
@@ -231,15 +229,15 @@ def _largest_torques(arm: Arm, load: Load) -> Array:
 
 def _split(name: str | Path) -> tuple[str, str]:
     """The class and the arm or plant that a name names; no class where it is a plant's own name or path."""
-    kind, colon, rest = str(name).partition(":")
+    kind, colon, arm_name = str(name).partition(":")
     if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
-        return kind, rest or FIRST_ARM
-    if colon and not is_file(str(name)) and (rest in (*shipped_arms(), *shipped_plants())):
+        return kind, arm_name or FIRST_ARM
+    if colon and not is_file(str(name)) and (arm_name in (*shipped_arms(), *shipped_plants())):
         raise InputError(
             f"unknown tolerance class '{shortened(kind)}'; give one of {', '.join((IDEAL, *shipped_tolerances()))}, or "
             "a path to its file (.toml), before the colon"
         )
-    return "", rest
+    return "", arm_name
 
 
 def _design(name: str, tolerances: Tolerances) -> Plant:
