@@ -14,27 +14,11 @@ from pickenv.arm.files.joint_keys import BOOM, PER_JOINT, TRAVEL, ByJoint, joint
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.base import (
-    ARCMIN,
-    DEG,
-    GRAVITY,
-    KG,
-    KG_PER_M,
-    MM,
-    NEWTON,
-    NEWTON_METRE,
-    NUMBER,
-    WHOLE,
-    Then,
-    Unit,
-    fault,
-    register,
-    toml_table,
-)
+from pickenv.base import GRAVITY, register, toml_tables
 
 
 @register("effect", "joint_compliance")
-@toml_table
+@toml_tables.toml_table
 class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffness"}, needs_load=True):
     """Each joint yields under its gravity torque or force: dq = tau / k.
 
@@ -42,7 +26,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
         stiffness: N*m/rad for revolute joints, N/m for prismatic ones.
     """
 
-    stiffness: Annotated[tuple[Scalar, ...], NUMBER.positive, PER_JOINT]
+    stiffness: Annotated[tuple[Scalar, ...], toml_tables.NUMBER.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
         """Let the joints yield."""
@@ -50,7 +34,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
         at.joints = [value + torque / k for value, torque, k in numbers]
 
 
-@toml_table
+@toml_tables.toml_table
 class Boom(Effect, place=BEND):
     """What a telescopic boom does to its tip: base of effects that say how in ``bent``.
 
@@ -59,8 +43,8 @@ class Boom(Effect, place=BEND):
         length: Free length at zero displacement, m; the displacement adds to it.
     """
 
-    joint: Annotated[int, WHOLE, BOOM]
-    length: Annotated[Scalar, MM.not_negative]
+    joint: Annotated[int, toml_tables.WHOLE, BOOM]
+    length: Annotated[Scalar, toml_tables.MM.not_negative]
 
     def flexure(self, at: Passage) -> Flexure:
         """Bend the boom, and no other link."""
@@ -73,7 +57,7 @@ class Boom(Effect, place=BEND):
 
 
 @register("effect", "boom_bending")
-@toml_table
+@toml_tables.toml_table
 class BoomBending(Boom, place=BEND + 0.2, spreads={"flexural_rigidity": "flexural_rigidity"}):
     """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
 
@@ -83,9 +67,9 @@ class BoomBending(Boom, place=BEND + 0.2, spreads={"flexural_rigidity": "flexura
         mass_per_length: Mass of the boom, kg/m.
     """
 
-    flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
-    end_mass: Annotated[Scalar, KG.not_negative]
-    mass_per_length: Annotated[Scalar, KG_PER_M.not_negative]
+    flexural_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
+    end_mass: Annotated[Scalar, toml_tables.KG.not_negative]
+    mass_per_length: Annotated[Scalar, toml_tables.KG_PER_M.not_negative]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Lower and tilt the boom's tip under gravity; only the part across the boom bends it."""
@@ -97,7 +81,7 @@ class BoomBending(Boom, place=BEND + 0.2, spreads={"flexural_rigidity": "flexura
 
 
 @register("effect", "roller_play")
-@toml_table
+@toml_tables.toml_table
 class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance"}):
     """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
 
@@ -106,8 +90,8 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
         overlap: Length inside the rollers at zero displacement, m; the displacement is taken off it.
     """
 
-    clearance: Annotated[Scalar, MM.not_negative]
-    overlap: Annotated[Scalar, MM.positive]
+    clearance: Annotated[Scalar, toml_tables.MM.not_negative]
+    overlap: Annotated[Scalar, toml_tables.MM.positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Let the boom tip down in its rollers: fully when level, less as it is raised."""
@@ -143,12 +127,12 @@ class Harmonic:
 
 
 HARMONICS = ByJoint(
-    amplitude=(ARCMIN.not_negative, MM.not_negative), period=(DEG.positive, MM.positive), phase=(DEG, DEG)
+    amplitude=TRAVEL, period=(toml_tables.DEG.positive, toml_tables.MM.positive), phase=(toml_tables.DEG,) * 2
 )
 
 
 @register("effect", "transmission_error")
-@toml_table
+@toml_tables.toml_table
 class TransmissionError(Effect, place=DRIVE):
     """Drives that do not deliver what the motor side shows: a lead error and periodic terms.
 
@@ -157,8 +141,8 @@ class TransmissionError(Effect, place=DRIVE):
         harmonics: The periodic terms.
     """
 
-    lead: Annotated[tuple[Scalar, ...], NUMBER, PER_JOINT]
-    harmonics: Annotated[tuple[Harmonic, ...], Then(_harmonics, Annotated[tuple[Any, ...], HARMONICS])] = ()
+    lead: Annotated[tuple[Scalar, ...], toml_tables.NUMBER, PER_JOINT]
+    harmonics: Annotated[tuple[Harmonic, ...], toml_tables.Then(_harmonics, Annotated[tuple[Any, ...], HARMONICS])] = ()
 
     def act(self, at: Passage, memory: Components) -> None:
         """Drive the joints unevenly."""
@@ -234,7 +218,8 @@ def turn_horizontally(
 # joint side, N*m or N.
 
 
-PRELOAD = (NEWTON_METRE.not_negative, NEWTON.not_negative)
+SCATTER = toml_tables.NUMBER.not_negative
+PRELOAD = (toml_tables.NEWTON_METRE.not_negative, toml_tables.NEWTON.not_negative)
 
 
 @register("effect", "backlash")
@@ -288,7 +273,7 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
             it: whoever asks how well the arm repeats does (`one_stop`).
     """
 
-    table = joint_table(lambda *sizes: StickBand(*sizes), forward=TRAVEL, backward=TRAVEL, scatter=NUMBER.not_negative)
+    table = joint_table(lambda *sizes: StickBand(*sizes), forward=TRAVEL, backward=TRAVEL, scatter=SCATTER)
 
     forward: tuple[Scalar, ...]
     backward: tuple[Scalar, ...]
@@ -344,7 +329,7 @@ def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar
 
 
 @register("effect", "boom_couple")
-@toml_table
+@toml_tables.toml_table
 class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural_rigidity"}, needs_load=True):
     """Masses that hang beside a boom's tip bend it by their couple: delta = M L^2 / 2EI, slope = M L / EI.
 
@@ -352,7 +337,7 @@ class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural
         flexural_rigidity: EI, N*m^2.
     """
 
-    flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
+    flexural_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Bend the boom under the part across it of the moment about its tip."""
@@ -364,7 +349,7 @@ class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural
 
 
 @register("effect", "boom_torsion")
-@toml_table
+@toml_tables.toml_table
 class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexural_rigidity"}, needs_load=True):
     """Masses that hang beside a boom twist it: angle = M L / GJ.
 
@@ -372,7 +357,7 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
         torsional_rigidity: GJ, N*m^2.
     """
 
-    torsional_rigidity: Annotated[Scalar, Unit("N_m2").positive]
+    torsional_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Twist the boom under the part along it of the moment about its tip."""
@@ -382,7 +367,7 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
         return displaced_frame(at.m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
 
 
-@toml_table
+@toml_tables.toml_table
 class Bearing:
     """Where a slide runs: two bearings, one behind the other, each a spring across the slide's axis.
 
@@ -396,20 +381,20 @@ class Bearing:
             adds to it and is taken off the span. None where the bearings travel with the link, about its origin.
     """
 
-    joint: Annotated[int, WHOLE, BOOM]
-    stiffness: Annotated[Scalar, Unit("N_per_um", 1e6).positive]
-    span: Annotated[Scalar, MM.positive]
-    overhang: Annotated[Scalar | None, MM.not_negative] = None
+    joint: Annotated[int, toml_tables.WHOLE, BOOM]
+    stiffness: Annotated[Scalar, toml_tables.Unit("N_per_um", 1e6).positive]
+    span: Annotated[Scalar, toml_tables.MM.positive]
+    overhang: Annotated[Scalar | None, toml_tables.MM.not_negative] = None
 
 
 def _once(bearings: Any, _context: Any) -> Any:
     if len({bearing.joint for bearing in bearings}) < len(bearings):
-        raise fault("each joint once")
+        raise toml_tables.fault("each joint once")
     return bearings
 
 
 @register("effect", "slide_compliance")
-@toml_table
+@toml_tables.toml_table
 class SlideCompliance(Effect, place=BEND, needs_load=True):
     """Slides give way across their axis, and turn, in their bearings.
 
@@ -417,7 +402,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         bearings: One entry per slide that yields.
     """
 
-    bearings: Annotated[tuple[Bearing, ...], Then(_once)]
+    bearings: Annotated[tuple[Bearing, ...], toml_tables.Then(_once)]
 
     def flexure(self, at: Passage) -> Flexure:
         """Move and turn each slide in its bearings, under all that hangs on it."""

@@ -19,88 +19,68 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, xml_number
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
+from pickenv.arm.files.xml_values import xml_number
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.base import (
-    DEG,
-    DEG_PER_S,
-    LINE,
-    MM,
-    MM_PER_S,
-    RAD,
-    WHOLE,
-    Check,
-    InputError,
-    Kinds,
-    M,
-    Unit,
-    file_named,
-    read_text,
-    read_toml,
-    register,
-    registry,
-    shipped_in,
-    shortened,
-    toml_table,
-    yaml_content,
-)
+from pickenv.base import InputError, read_text, register, registry, shortened, toml_tables, yaml_content
 
 ARMS = Path(__file__).parent / "arms"
 
 COLUMNS = ("alpha", "a", "theta", "d")
-Type = Check(lambda value: value in ("R", "P"), "'R' (revolute) or 'P' (prismatic)")
+Type = toml_tables.Check(lambda value: value in ("R", "P"), "'R' (revolute) or 'P' (prismatic)")
+NOT_ZERO = toml_tables.Check(lambda value: value != 0, "a number that is not 0")
 Vector = tuple[float, float, float]
 
 
-@toml_table
+@toml_tables.toml_table
 class JointTable:
     """One of the [[joints]], whatever moves it."""
 
     _: KW_ONLY
-    number: Annotated[int, WHOLE]
-    name: Annotated[str, LINE] | None = None
-    ratio: Annotated[float, Unit(most=MOST_RATIO), Check(lambda value: value != 0, "a number that is not 0")] = 1.0
-    alpha: Annotated[float, DEG]
-    a: Annotated[float, MM]
-    theta: Annotated[float, DEG]
-    d: Annotated[float, MM]
-    beta: Annotated[float, DEG] = 0.0
-    true_alpha: Annotated[float, DEG] | None = None
-    true_a: Annotated[float, MM] | None = None
-    true_theta: Annotated[float, DEG] | None = None
-    true_d: Annotated[float, MM] | None = None
+    number: Annotated[int, toml_tables.WHOLE]
+    name: Annotated[str, toml_tables.LINE] | None = None
+    ratio: Annotated[float, toml_tables.Unit(most=MOST_RATIO), NOT_ZERO] = 1.0
+    alpha: Annotated[float, toml_tables.DEG]
+    a: Annotated[float, toml_tables.MM]
+    theta: Annotated[float, toml_tables.DEG]
+    d: Annotated[float, toml_tables.MM]
+    beta: Annotated[float, toml_tables.DEG] = 0.0
+    true_alpha: Annotated[float, toml_tables.DEG] | None = None
+    true_a: Annotated[float, toml_tables.MM] | None = None
+    true_theta: Annotated[float, toml_tables.DEG] | None = None
+    true_d: Annotated[float, toml_tables.MM] | None = None
 
 
-@toml_table
+@toml_tables.toml_table
 class Revolute(JointTable):
     """A link that its own joint turns."""
 
     _: KW_ONLY
     type: Annotated[Literal["R"], Type]
-    lower: Annotated[float, DEG]
-    upper: Annotated[float, DEG]
-    speed: Annotated[float, DEG_PER_S.positive]
+    lower: Annotated[float, toml_tables.DEG]
+    upper: Annotated[float, toml_tables.DEG]
+    speed: Annotated[float, toml_tables.DEG_PER_S.positive]
 
 
-@toml_table
+@toml_tables.toml_table
 class Prismatic(JointTable):
     """A link that its own joint slides."""
 
     _: KW_ONLY
     type: Annotated[Literal["P"], Type]
-    lower: Annotated[float, MM]
-    upper: Annotated[float, MM]
-    speed: Annotated[float, MM_PER_S.positive]
+    lower: Annotated[float, toml_tables.MM]
+    upper: Annotated[float, toml_tables.MM]
+    speed: Annotated[float, toml_tables.MM_PER_S.positive]
 
 
-@toml_table
+@toml_tables.toml_table
 class Follower(JointTable):
     """A link that another link's joint moves."""
 
     _: KW_ONLY
     type: Annotated[Literal["R", "P"], Type]
-    follows: Annotated[int, WHOLE]
+    follows: Annotated[int, toml_tables.WHOLE]
 
 
 def _kind(joint: Mapping[str, Any]) -> type[JointTable]:
@@ -110,31 +90,31 @@ def _kind(joint: Mapping[str, Any]) -> type[JointTable]:
     return Prismatic if slides else Revolute
 
 
-@toml_table
+@toml_tables.toml_table
 class PoseTable:
     """[base] or [tool]."""
 
-    position: Annotated[Vector, MM] = (0.0, 0.0, 0.0)
-    rotation_vector: Annotated[Vector, DEG] = (0.0, 0.0, 0.0)
+    position: Annotated[Vector, toml_tables.MM] = (0.0, 0.0, 0.0)
+    rotation_vector: Annotated[Vector, toml_tables.DEG] = (0.0, 0.0, 0.0)
 
     def pose(self) -> Pose:
         """The same as a pose."""
         return Pose(np.array(self.position), rotation_matrix(np.array(self.rotation_vector)))
 
 
-@toml_table
+@toml_tables.toml_table
 class ArmFile:
     """What an arm file holds; see `pickenv.arm.files.arm.Arm`."""
 
-    joint_count: Annotated[int, WHOLE.positive]
+    joint_count: Annotated[int, toml_tables.WHOLE.positive]
     joints: Annotated[
-        tuple[Annotated[Revolute | Prismatic | Follower, Kinds(_kind)], ...],
-        Check(lambda value: isinstance(value, list), "one [[joints]] table per joint"),
+        tuple[Annotated[Revolute | Prismatic | Follower, toml_tables.Kinds(_kind)], ...],
+        toml_tables.Check(lambda value: isinstance(value, list), "one [[joints]] table per joint"),
     ]
-    name: Annotated[str, LINE] = ""
-    source: Annotated[str, LINE] = ""
+    name: Annotated[str, toml_tables.LINE] = ""
+    source: Annotated[str, toml_tables.LINE] = ""
     convention: Literal["modified", "standard"] = "modified"
-    tolerance_class: Annotated[str, LINE] | None = None
+    tolerance_class: Annotated[str, toml_tables.LINE] | None = None
     base: PoseTable = PoseTable()
     tool: PoseTable = PoseTable()
 
@@ -180,7 +160,7 @@ def read_arm(path: Path) -> Arm:
     Raises:
         InputError: If it is malformed; the message names file, line and joint or key.
     """
-    file = read_toml(ArmFile, path)
+    file = toml_tables.read_toml(ArmFile, path)
     links = sorted(file.joints, key=lambda joint: joint.number)
     leaders = [link for link in links if not isinstance(link, Follower)]
     names = tuple(link.name if link.name is not None else f"J{link.number}" for link in links)
@@ -262,9 +242,8 @@ def ur_row(path: Path) -> tuple[JointRow, str]:
         if not isinstance(numbers, Mapping) or any(key not in numbers for key in UR_KEYS):
             raise InputError(f"{path}: '{link}' of kinematics lacks one of {', '.join(UR_KEYS)}; give all six")
         try:
-            values = [
-                xml_number(str(numbers[key]), f"{key} of {link}", (M if key in "xyz" else RAD).most) for key in UR_KEYS
-            ]
+            most = {key: toml_tables.M.most if key in "xyz" else toml_tables.RAD.most for key in UR_KEYS}
+            values = [xml_number(str(numbers[key]), f"{key} of {link}", most[key]) for key in UR_KEYS]
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         origin = Pose(np.array(values[:3]), Rotation.from_euler("xyz", values[3:]).as_matrix())
@@ -277,7 +256,7 @@ def ur_row(path: Path) -> tuple[JointRow, str]:
 
 def shipped_arms() -> list[str]:
     """Names of the arms that come with pickenv."""
-    return shipped_in(ARMS)
+    return toml_tables.shipped_in(ARMS)
 
 
 def load_arm(name: str | Path) -> Arm:
@@ -301,7 +280,7 @@ def load_arm(name: str | Path) -> Arm:
 def load_toml(path: str | Path, tip: str | None = None) -> Arm:
     """Read an arm by the name of a shipped one or from a TOML file, which says itself where the arm ends."""
     endings = ", ".join(f".{name}" for name in registry.names("arm_format"))
-    file = file_named("arm", f"{path}#{tip}" if tip else path, ARMS, endings)
+    file = toml_tables.file_named("arm", f"{path}#{tip}" if tip else path, ARMS, endings)
     return _read(file, file.stat().st_mtime_ns)
 
 

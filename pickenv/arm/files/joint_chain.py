@@ -1,4 +1,4 @@
-"""What readers and writers of URDF and of MJCF share: XML, the flange of a tree, and joints in a row as a `Geometry`.
+"""What readers and writers of URDF and of MJCF share: the flange of a tree, and joints in a row as a `Geometry`.
 
 Joints that follow another are no joints of the arm: one joint moves their links too
 (`pickenv.arm.kinematics.geometry.Coupling`), whether it stands in the chain or beside it. Slides that follow one
@@ -9,79 +9,19 @@ what every link that it moves allows. Metres and radians.
 
 from __future__ import annotations
 
-import codecs
 import re
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import PARALLEL, geometry_from_axes
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, behind, identity_pose
-from pickenv.base import InputError, decimal_number, read_text, shortened
-from pickenv.base.texts import parsed
-
-Element = ElementTree.Element
-
-
-def xml_root(path: Path, ending: str) -> Element:
-    """The XML of a file; entities, which can grow without end, are refused.
-
-    Raises:
-        InputError: If it cannot be read or is no XML.
-    """
-    text = read_text(path, f"a {ending} file")
-    declared = re.match(r"""<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""", text)
-    if declared:
-        encoding = parsed(lambda: codecs.lookup(declared[1]).name, path, "XML")
-        if encoding != "utf-8" and not text.isascii():
-            raise InputError(
-                f"{path} says that its encoding is '{declared[1]}', but it is UTF-8; correct its first line"
-            )
-    if "<!ENTITY" in text:
-        raise InputError(f"{path} declares XML entities, which no arm needs; write their text out")
-    return parsed(lambda: ElementTree.fromstring(text), path, "XML")
-
-
-def xml_numbers(text: str, key: str, most: float, count: int = 3) -> Array:
-    """The numbers that an attribute lists, none larger than ``most``.
-
-    Raises:
-        InputError: If they are not ``count`` finite numbers, or one is too large.
-    """
-    parts = [decimal_number(part) for part in text.split()]
-    values = np.array([np.nan if part is None else part for part in parts])
-    if values.shape != (count,) or not np.isfinite(values).all():
-        counted = {2: "two", 3: "three", 4: "four", 6: "six"}[count]
-        raise InputError(f"'{shortened(text)}' is not {counted} numbers ({key})")
-    if np.abs(values).max() > most:
-        raise InputError(f"{key} '{shortened(text)}' has a number above {most:g}, which no arm has")
-    return values
-
-
-def xml_number(text: str, owner: str, most: float) -> float:
-    """The number in an attribute, no larger than ``most``.
-
-    Raises:
-        InputError: If it is none, or too large.
-    """
-    value = decimal_number(text)
-    if value is None or not np.isfinite(value):
-        raise InputError(f"the {owner} is '{shortened(text)}'; give a finite number")
-    if abs(value) > most:
-        raise InputError(f"the {owner} is {value:g}; no arm has more than {most:g} there")
-    return value
-
-
-def numbers_text(numbers: ArrayLike) -> str:
-    """Numbers as an attribute lists them, with all their digits."""
-    return " ".join(repr(float(number)) for number in np.atleast_1d(numbers))
+from pickenv.base import InputError, shortened
 
 
 def link_origins(geometry: Geometry) -> list[Pose]:

@@ -21,35 +21,21 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.joint_chain import (
-    Carried,
-    ChainJoint,
-    Drive,
-    Element,
-    JointRow,
-    driver_of,
-    flange,
-    link_origins,
-    numbers_text,
-    xml_number,
-    xml_numbers,
-    xml_root,
-)
+from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, driver_of, flange, link_origins
 from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
+from pickenv.arm.files.xml_values import Element, numbers_text, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
 from pickenv.base import (
-    DEG,
-    RAD,
     InputError,
-    M,
     decimal_number,
     is_file,
     listed,
     one_line,
     register,
     shortened,
+    toml_tables,
     write_text,
 )
 
@@ -205,7 +191,7 @@ class MjcfValues:
 
     def pose(self, attributes: Attributes) -> Pose:
         """Where a body, frame or site stands in its parent."""
-        return Pose(xml_numbers(attributes.get("pos", "0 0 0"), "pos", M.most), self._rotation(attributes))
+        return Pose(xml_numbers(attributes.get("pos", "0 0 0"), "pos", toml_tables.M.most), self._rotation(attributes))
 
     def motion(self, joint: _Joint) -> tuple[Drive, float, bool]:
         """A joint's kind, limits and speed; its reference, rad or m; and whether the limits are the file's own.
@@ -221,7 +207,7 @@ class MjcfValues:
                 "hinges and slides are arms"
             )
         slides = kind == "slide"
-        most = M.most if slides else self._most
+        most = toml_tables.M.most if slides else self._most
         ref = xml_number(attributes.get("ref", "0"), f"ref of joint '{name}'", most)
         low = high = 0.0
         if word != "false" and "range" in attributes:
@@ -238,7 +224,7 @@ class MjcfValues:
 
     @property
     def _most(self) -> float:
-        return DEG.most if self.degrees else RAD.most
+        return toml_tables.DEG.most if self.degrees else toml_tables.RAD.most
 
     def _rotation(self, attributes: Attributes) -> Array:
         ways = [key for key in ORIENTATIONS if key in attributes]
@@ -246,7 +232,7 @@ class MjcfValues:
             raise InputError(f"an orientation is given by both {ways[0]} and {ways[1]}; leave one out")
         match ways:
             case ["quat"]:
-                w, *xyz = _unit(xml_numbers(attributes["quat"], "quat", M.most, 4), "quat")
+                w, *xyz = _unit(xml_numbers(attributes["quat"], "quat", toml_tables.M.most, 4), "quat")
                 return np.asarray(Rotation.from_quat([*xyz, w]).as_matrix())
             case ["axisangle"]:
                 turn = xml_numbers(attributes["axisangle"], "axisangle", self._most, 4)
@@ -259,12 +245,12 @@ class MjcfValues:
                     turned = turned @ step if letter.islower() else step @ turned
                 return turned
             case ["xyaxes"]:
-                numbers = xml_numbers(attributes["xyaxes"], "xyaxes", M.most, 6)
+                numbers = xml_numbers(attributes["xyaxes"], "xyaxes", toml_tables.M.most, 6)
                 x = _unit(numbers[:3], "xyaxes")
                 y = _unit(numbers[3:] - x * (x @ numbers[3:]), "xyaxes")
                 return np.column_stack([x, y, np.cross(x, y)])
             case ["zaxis"]:
-                z = _unit(xml_numbers(attributes["zaxis"], "zaxis", M.most), "zaxis")
+                z = _unit(xml_numbers(attributes["zaxis"], "zaxis", toml_tables.M.most), "zaxis")
                 across = np.array([-z[1], z[0], 0.0])  # the shortest turn from z to it
                 sine = float(np.linalg.norm(across))
                 axis = across / sine if sine > 1e-10 else np.array([1.0, 0.0, 0.0])
@@ -445,8 +431,8 @@ def _joints(
             driver, ratio, offset = driver_of(joint.name, ties.get)
             ratio = 0.0 if driver == WORLD else ratio
             motion, ref, limited = values.motion(joint)
-            anchor = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", M.most)
-            axis = xml_numbers(joint.attributes.get("axis", "0 0 1"), "axis", M.most)
+            anchor = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", toml_tables.M.most)
+            axis = xml_numbers(joint.attributes.get("axis", "0 0 1"), "axis", toml_tables.M.most)
             axis = joint.within.rotation @ _unit(axis, f"axis of joint '{shortened(joint.name)}'")
             if ratio:
                 drives[driver], zero, _ = values.motion(joints[driver])

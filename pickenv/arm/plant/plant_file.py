@@ -25,24 +25,11 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.tolerances import SizesTable, Tolerances, draw_plants, load_tolerances, shipped_tolerances
 from pickenv.arm.plant.twin_file import read_twin
-from pickenv.base import (
-    LINE,
-    Check,
-    InputError,
-    Then,
-    file_named,
-    is_file,
-    read_toml,
-    registry,
-    shipped_in,
-    shortened,
-    toml_of,
-    toml_table,
-)
+from pickenv.base import InputError, is_file, registry, shortened, toml_tables
 
 PLANTS = Path(__file__).parent / "plants"
 
-NAMED = Check(lambda value: isinstance(value, str), "the name of a shipped arm or a path to an arm file")
+NAMED = toml_tables.Check(lambda value: isinstance(value, str), "the name of a shipped arm or a path to an arm file")
 
 
 def _arm(name: Any, context: Any) -> Arm:
@@ -72,12 +59,12 @@ def plant_file(effects: tuple[str, ...]) -> Any:
     tables = {name: table_of(name) for name in effects}
     optional = {"load": Load} | {name: table for name, table in tables.items() if table is not None}
     members: list[Any] = [
-        ("arm", Annotated[Arm, Then(_arm, Annotated[str, NAMED])]),
-        ("name", Annotated[str, LINE]),
+        ("arm", Annotated[Arm, toml_tables.Then(_arm, Annotated[str, NAMED])]),
+        ("name", Annotated[str, toml_tables.LINE]),
         ("source", str),
         *((key, table | None if isinstance(table, type) else table, None) for key, table in optional.items()),
     ]
-    return toml_table(make_dataclass("PlantFile", members, frozen=True))
+    return toml_tables.toml_table(make_dataclass("PlantFile", members, frozen=True))
 
 
 def shipped_effects() -> tuple[str, ...]:
@@ -87,7 +74,7 @@ def shipped_effects() -> tuple[str, ...]:
 
 def shipped_plants() -> list[str]:
     """Names of the plant presets that come with pickenv."""
-    return shipped_in(PLANTS)
+    return toml_tables.shipped_in(PLANTS)
 
 
 def read_plant(name: str | Path) -> Plant:
@@ -100,10 +87,10 @@ def read_plant(name: str | Path) -> Plant:
     """
     if Path(name).suffix == ".npz":
         return read_twin(name)
-    path = file_named("plant", name, PLANTS, ".toml, .npz")
-    foreign = (name for name in registry.names("effect") if name in toml_of(path)[0])
+    path = toml_tables.file_named("plant", name, PLANTS, ".toml, .npz")
+    foreign = (name for name in registry.names("effect") if name in toml_tables.toml_of(path)[0])
     kind = plant_file(tuple(dict.fromkeys((*shipped_effects(), *foreign))))
-    parts = dict(vars(read_toml(kind, path, context={})))
+    parts = dict(vars(toml_tables.read_toml(kind, path, context={})))
     del parts["source"]
     arm, called, load = (parts.pop(key) for key in ("arm", "name", "load"))
     effects = tuple(effect for effect in parts.values() if effect is not None)
@@ -242,7 +229,7 @@ def _split(name: str | Path) -> tuple[str, str]:
 
 def _design(name: str, tolerances: Tolerances) -> Plant:
     """The plant of that name, or one of an arm of that name that the class sizes."""
-    plant_file = name.endswith(".toml") and is_file(name) and "arm" in toml_of(name)[0]
+    plant_file = name.endswith(".toml") and is_file(name) and "arm" in toml_tables.toml_of(name)[0]
     if plant_file or name in shipped_plants() or name.endswith(".npz"):
         return read_plant(name)
     if tolerances.sizes is None:
