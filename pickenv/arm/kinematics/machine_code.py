@@ -393,28 +393,31 @@ class _Body:
         self._turn = "wide" if lanes > 1 else "narrow"
         self._bases: dict[str, str] = {}
         self._values: dict[int, str] = {}
-        needed, waiting = set[int](), [number for number, _, _ in goals]
-        while waiting:
-            number = waiting.pop()
-            if number not in needed:
-                needed.add(number)
-                waiting += operations[number].operands
+        needed = {number for number, _, _ in goals}
+        for number in reversed(range(len(operations))):  # what an operation takes stands before it
+            needed.update(operations[number].operands if number in needed else ())
         for number in sorted(needed):
             self._values[number] = self._value(operations[number])
         for number, array, row in goals:
-            self._store(self._values[number], operations[number].kind, array, row)
+            value, kind = self._values[number], operations[number].kind
+            place, memory = self._place(array, row, kind)
+            if kind == FLAG:
+                value = self._new(f"zext {self._type(FLAG)} {value} to {memory}")
+            self.lines.append(f"  store {memory} {value}, ptr {place}, align 1")
 
     def _value(self, operation: Operation) -> str:
         """The name of an operation's result, or a constant."""
-        if operation.name == "constant":
-            return self._constant(operation)
-        if operation.name == "input":
-            array, row = operation.detail
-            return self._load(array, row, operation.kind)
+        name, result = operation.name, operation.kind
+        if name == "constant":
+            value = operation.detail
+            text = f"0x{struct.pack('>d', float.fromhex(value)).hex().upper()}" if result == DOUBLE else str(value)
+            return text if self._lanes == 1 else f"<{', '.join([f'{result} {text}'] * self._lanes)}>"
+        if name == "input":
+            place, memory = self._place(*operation.detail, result)
+            value = self._new(f"load {memory}, ptr {place}, align 1")
+            return value if result != FLAG else self._new(f"trunc {memory} {value} to {self._type(FLAG)}")
         values = [self._values[i] for i in operation.operands]
-        return self._computed(operation.name, self._operations[operation.operands[0]].kind, operation.kind, values)
-
-    def _computed(self, name: str, kind: str, result: str, values: list[str]) -> str:
+        kind = self._operations[operation.operands[0]].kind
         taken = self._type(kind)
         if name in INTRINSICS:
             operands = ", ".join(f"{taken} {value}" for value in values)
@@ -439,30 +442,15 @@ class _Body:
     def _type(self, kind: str) -> str:
         return _type(kind, self._lanes)
 
-    def _constant(self, operation: Operation) -> str:
-        value, kind = operation.detail, operation.kind
-        text = f"0x{struct.pack('>d', float.fromhex(value)).hex().upper()}" if kind == DOUBLE else str(value)
-        return text if self._lanes == 1 else f"<{', '.join([f'{kind} {text}'] * self._lanes)}>"
-
-    def _place(self, array: str, row: int, kind: str) -> str:
-        """Pointer to this turn's entries in a row of an array."""
+    def _place(self, array: str, row: int, kind: str) -> tuple[str, str]:
+        """Pointer to this turn's entries in a row of an array, and their type in memory."""
         if array not in self._bases:
             slot = self._new(f"getelementptr ptr, ptr %bases, i64 {self._arrays.index(array)}")
             self._bases[array] = self._new(f"load ptr, ptr {slot}")
         before = self._new(f"mul i64 {row}, %count")
         entry = self._new(f"add i64 {before}, %{self._turn}_at")
-        return self._new(f"getelementptr {'i8' if kind == FLAG else kind}, ptr {self._bases[array]}, i64 {entry}")
-
-    def _load(self, array: str, row: int, kind: str) -> str:
-        place, memory = self._place(array, row, kind), self._type("i8" if kind == FLAG else kind)
-        value = self._new(f"load {memory}, ptr {place}, align 1")
-        return value if kind != FLAG else self._new(f"trunc {memory} {value} to {self._type(FLAG)}")
-
-    def _store(self, value: str, kind: str, array: str, row: int) -> None:
-        place, memory = self._place(array, row, kind), self._type("i8" if kind == FLAG else kind)
-        if kind == FLAG:
-            value = self._new(f"zext {self._type(FLAG)} {value} to {memory}")
-        self.lines.append(f"  store {memory} {value}, ptr {place}, align 1")
+        memory = "i8" if kind == FLAG else kind
+        return self._new(f"getelementptr {memory}, ptr {self._bases[array]}, i64 {entry}"), self._type(memory)
 
 
 @lru_cache(maxsize=64)
