@@ -146,7 +146,9 @@ class TransmissionError(Effect, place=DRIVE):
 
     def act(self, at: Passage, memory: Components) -> None:
         """Drive the joints unevenly."""
-        at.drive(driven_joints(at.m, self, at.driven))
+        pairs = zip(at.driven, self.lead, strict=True)
+        driven = [value if isinstance(lead, float) and not lead else value * (1.0 + lead) for value, lead in pairs]
+        at.drive(with_waves(at.m, self.harmonics, at.driven, driven))
 
     def drawn(self, draws: Draws) -> TransmissionError:
         """Drives whose leads and amplitudes spread; phases are anything: no two gears are alike."""
@@ -161,15 +163,6 @@ class TransmissionError(Effect, place=DRIVE):
 
 def _harmonics(entries: Any, _context: Any) -> tuple[Harmonic, ...]:
     return tuple(Harmonic(entry.joint, entry.amplitude, entry.period, entry.phase) for entry in entries)
-
-
-def driven_joints(m: ModuleType, error: TransmissionError, q: Sequence[Scalar]) -> list[Scalar]:
-    """Joint displacements behind the drives for commanded displacements ``q``."""
-    driven = [
-        value if isinstance(lead, float) and not lead else value * (1.0 + lead)
-        for value, lead in zip(q, error.lead, strict=True)
-    ]
-    return with_waves(m, error.harmonics, q, driven)
 
 
 def with_waves(

@@ -9,13 +9,8 @@ import pytest
 import torch
 from scipy import stats
 
-from pickenv.arm import draw_plants, forward, load_plant, load_tolerances, plant_at
-from pickenv.arm.effects.residual_field import (
-    StructureTable,
-    local_structure_of,
-    standard_normal_of,
-)
-from pickenv.arm.plant.plant_file import PLANTS, shipped_effects
+from pickenv.arm import PLANTS, draw_plants, forward, load_plant, load_tolerances, plant_at, shipped_effects
+from pickenv.arm.effects.residual_field import StructureTable, local_structure_of, standard_normal_of
 from pickenv.base import InputError
 
 EFFECTS = shipped_effects()

@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from pickenv.arm import forward, inverse, joint_jacobian, load_arm, noncompensable_error, pose_error, task_directions
+from pickenv.arm import (
+    forward,
+    inverse,
+    joint_jacobian,
+    load_arm,
+    noncompensable_error,
+    pose_error,
+    task_directions,
+    truncated_inverse,
+)
 from pickenv.arm.kinematics import inverse as inverse_module
-from pickenv.arm.kinematics.task_space import truncated_inverse
 
 ALWAYS = {"position_tolerance": np.inf, "attitude_tolerance": np.inf}
 

@@ -9,26 +9,30 @@ import torch
 
 from pickenv.arm import (
     Instrument,
+    Iso9283Settings,
+    MeasurementNoise,
+    Pace,
     Pose,
     draw_plants,
     forward,
     inverse,
+    iso9283,
+    largest_cube,
     load_instrument,
     load_plant,
     load_tolerances,
+    normal_draws,
     plant_at,
     plants_on,
     pose_error,
+    pose_of,
     rotation_matrix,
+    shipped_effects,
     shipped_instruments,
 )
-from pickenv.arm.effects.drives import MeasurementNoise, read_frame
-from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.kinematics.inverse import largest_cube
+from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.plant import campaign
-from pickenv.arm.plant.campaign import Pace, normal_draws, visited
-from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283
-from pickenv.arm.plant.plant_file import shipped_effects
+from pickenv.arm.plant.campaign import visited
 from pickenv.base import InputError
 from pickenv.calibration import random_joints, simulated_tracker
 
