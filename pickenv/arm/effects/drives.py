@@ -1,4 +1,4 @@
-"""What the motor side does with a command: it rests on whole encoder counts and follows with a lag; rad, m, s."""
+"""Effects of the motor side, of warmth and of instruments: whole encoder counts, a lag, growth, noise; rad, m, s."""
 
 from __future__ import annotations
 
@@ -125,13 +125,13 @@ def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> S
 
 
 AXES = {"x": 0, "y": 3, "z": 6}
-"""Where a link's axes begin among a frame's components."""
+"""Places at which a link's axes begin among a frame's components."""
 
 
 @register("effect", "gravity_yield")
 @dataclass(frozen=True)
 class GravityYield(Effect, place=JOINT + 0.2):
-    """How each joint yields.
+    """Joints that yield under moments that a calibration found.
 
     Attributes:
         moments: Joint that yields, link that weighs on it (both from 0), and what of it: "m" its mass at its origin,

@@ -1,4 +1,4 @@
-"""What no table of links holds: the tool's displacement as a random function of the joints, a sum of waves.
+"""Error that no table of links holds: the tool's displacement as a random function of the joints, a sum of waves.
 
 Random features of a Gaussian process (Rahimi and Recht 2007): an output is the sum over k of a_k cos(w_k x) + b_k
 sin(w_k x), where x are the joints less a centre, those that turn far by sine and cosine. Arms share the frequencies and
@@ -200,7 +200,7 @@ class WavesTable:
 
 @dataclass(frozen=True)
 class WaveSpread:
-    """How one wave of a drive is spread over arms.
+    """The spread of one wave of a drive over arms.
 
     Attributes:
         joint: Index of the joint (from 0).

@@ -1,4 +1,4 @@
-"""What bends, yields, turns unevenly, slips and sticks in a real arm. Units: m, rad, N, kg."""
+"""Effects of parts that bend, yield, turn unevenly, slip and stick in a real arm. Units: m, rad, N, kg."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
 
 @toml_tables.toml_table
 class Boom(Effect, place=BEND):
-    """What a telescopic boom does to its tip: base of effects that say how in ``bent``.
+    """A telescopic boom that moves its tip: base of effects that say how in ``bent``.
 
     Attributes:
         joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
@@ -362,7 +362,7 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
 
 @toml_tables.toml_table
 class Bearing:
-    """Where a slide runs: two bearings, one behind the other, each a spring across the slide's axis.
+    """The guide of a slide: two bearings, one behind the other, each a spring across the slide's axis.
 
     Together they give 2k against a force across the axis, and k s^2 / 2 against a moment.
 

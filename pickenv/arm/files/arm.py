@@ -47,7 +47,7 @@ class Arm:
 
 
 ORTHONORMAL = 1e-9
-"""How far R R^T of a rotation may be from the identity: far above rounding, far below what is felt at a tool."""
+"""Most that R R^T of a rotation may be from the identity: far above rounding, far below what is felt at a tool."""
 
 
 def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
@@ -92,7 +92,7 @@ def geometry_from_arrays(
 
 
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
-    """Which joint moves each link, checked."""
+    """The joint that moves each link, checked."""
     values = finite(named, "coupling", (3, named["coupling"].shape[-1]), which)
     joint, ratio, slides = values.tolist()
     if not set(joint) <= set(range(joints)) or 0.0 in ratio or not set(slides) <= {0.0, 1.0}:

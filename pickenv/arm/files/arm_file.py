@@ -104,7 +104,7 @@ class PoseTable:
 
 @toml_tables.toml_table
 class ArmFile:
-    """What an arm file holds; see `pickenv.arm.files.arm.Arm`."""
+    """The content of an arm file; see `pickenv.arm.files.arm.Arm`."""
 
     joint_count: Annotated[int, toml_tables.WHOLE.positive]
     joints: Annotated[
@@ -187,7 +187,7 @@ def read_arm(path: Path) -> Arm:
 
 
 def _coupling(links: list[Any], leaders: list[Any], slides: tuple[bool, ...]) -> Coupling | None:
-    """Which joint moves each link, from ``follows`` and ``ratio``; None where each joint moves its own alone."""
+    """The joint that moves each link, from ``follows`` and ``ratio``; None where each joint moves its own alone."""
     if len(leaders) == len(links) and all(link.ratio == 1.0 for link in links):
         return None
     order = {link.number: i for i, link in enumerate(leaders)}

@@ -1,4 +1,4 @@
-"""What readers and writers of URDF and of MJCF share: the flange of a tree, and joints in a row as a `Geometry`.
+"""Parts that readers and writers of URDF and of MJCF share: the flange of a tree, and joints in a row as a `Geometry`.
 
 Joints that follow another are no joints of the arm: one joint moves their links too
 (`pickenv.arm.kinematics.geometry.Coupling`), whether it stands in the chain or beside it. Slides that follow one
@@ -48,7 +48,7 @@ GRIPPERS = re.compile("finger|gripper|jaw|knuckle|thumb|claw|pinch|grasp", re.IG
 """Words in the names of joints that move a gripper."""
 
 FLANGES = ("tool0", "flange", "attachment_site")
-"""How makers call the flange, surest first: ROS-Industrial, REP 199, MuJoCo Menagerie; a prefix may stand before it."""
+"""Makers' names of the flange, surest first: ROS-Industrial, REP 199, MuJoCo Menagerie; each may have a prefix."""
 
 SIDE = 2
 """A branch is passed by where the way beside it has at least so many times its joints: wheels, a head, a pinion."""
@@ -301,10 +301,10 @@ def _one_slide_each(links: list[ChainJoint]) -> list[ChainJoint]:
 
 def _in_order(links: list[ChainJoint], drives: Mapping[str, Drive]) -> tuple[str, ...]:
     """The drivers' names: each stands where a link moves just as it does, or else where it first moves one."""
-    places: dict[str, int] = {}
-    for i, link in reversed(list(enumerate(links))):
-        places[link.driver] = i
-    for i, link in reversed(list(enumerate(links))):
-        if link.ratio == 1.0 and link.slides == drives[link.driver].slides:
-            places[link.driver] = i
-    return tuple(sorted(places, key=places.__getitem__))
+
+    def place(name: str) -> int:
+        places = [i for i, link in enumerate(links) if link.driver == name]
+        alike = [i for i in places if links[i].ratio == 1.0 and links[i].slides == drives[name].slides]
+        return (alike or places)[0]
+
+    return tuple(sorted(drives, key=place))

@@ -1,4 +1,4 @@
-"""How plant files speak of joints: by number from 1, one number per joint in lists, sizes in the unit of the joint.
+"""Joints as plant files speak of them: by number from 1, one number per joint in lists, sizes in the unit of the joint.
 
 What is checked against the arm finds it in the context that a plant file is read with: a mapping with ``arm``.
 """

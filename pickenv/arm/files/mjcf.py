@@ -129,13 +129,13 @@ ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 
 
 def truth(word: str) -> bool:
-    """What "true" and "false" mean."""
+    """The meaning of "true" and "false"."""
     return word == "true"
 
 
 @dataclass(frozen=True)
 class MjcfValues:
-    """How a file is to be read.
+    """Settings by which a file is to be read.
 
     Attributes:
         degrees: Whether its angles are degrees, which is MJCF's default.
@@ -190,7 +190,7 @@ class MjcfValues:
         return math.radians(value) if self.degrees else value
 
     def pose(self, attributes: Attributes) -> Pose:
-        """Where a body, frame or site stands in its parent."""
+        """The pose of a body, frame or site in its parent."""
         return Pose(xml_numbers(attributes.get("pos", "0 0 0"), "pos", toml_tables.M.most), self._rotation(attributes))
 
     def motion(self, joint: _Joint) -> tuple[Drive, float, bool]:

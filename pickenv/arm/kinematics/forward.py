@@ -71,7 +71,8 @@ def geometry_from_axes(
     first, last = (np.column_stack([x[i], np.cross(z[i], x[i]), z[i]]) for i in (0, -1))
     base, hand = Pose(origins[0], first), Pose(last.T @ (tool.position - origins[-1]), last.T @ tool.rotation)
     low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-    return Geometry(joint_names, prismatic, *table, np.zeros(n), low, high, base, hand)
+    alpha, a, theta, d = table
+    return Geometry(joint_names, prismatic, alpha, a, theta, d, np.zeros(n), low, high, base, hand)
 
 
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
@@ -320,19 +321,7 @@ def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
     return np.asarray(points + (along / along[..., -1:])[..., None] * error[..., None, :])
 
 
-def _points(chain: Chain, frame_list: Sequence[Frame], joints: Sequence[Array]) -> Array:
-    points = [frame_list[0][9:]]
-    moved = joints if chain.coupling is None else chain.coupling.displacements(joints)
-    for link, frame, q in zip(chain.links, frame_list[1:], moved, strict=True):
-        zx, zy, zz, px, py, pz = frame[6:]
-        d = link.d + q if link.prismatic else link.d
-        points += [(px - d * zx, py - d * zy, pz - d * zz), (px, py, pz)]
-    points.append(attach(frame_list[-1], chain.tool)[9:])
-    shape = np.broadcast_shapes(*(np.shape(value) for point in points for value in point))
-    return np.stack([np.stack([np.broadcast_to(value, shape) for value in point], -1) for point in points], -2)
-
-
 def drawn_parts(points: Array) -> list[int]:
-    """Which link parts of the polyline ``(..., K, 3)`` are long enough to be drawn: indices of their first points."""
+    """The link parts of the polyline ``(..., K, 3)`` are long enough to be drawn: indices of their first points."""
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1).reshape(-1, points.shape[-2] - 1)
     return [int(i) for i in np.flatnonzero(lengths.max(axis=0) > SHORTEST_LINK)]

@@ -1,4 +1,4 @@
-"""What an arm is: a serial chain of revolute and prismatic joints in modified DH parameters, with base and tool poses.
+"""An arm as a serial chain of revolute and prismatic joints in modified DH parameters, with base and tool poses.
 
 Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
 beta added for consecutive parallel axes (zero in every nominal table). Units: metres and radians.
@@ -52,7 +52,7 @@ def behind(pose: Pose, after: Pose) -> Pose:
 
 @dataclass(frozen=True)
 class Coupling:
-    """Which joint moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].
+    """The joint that moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].
 
     What a link is displaced by at zero joints is part of its theta or d.
 

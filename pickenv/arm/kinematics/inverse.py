@@ -38,10 +38,10 @@ POOL, NEAREST, DAMPED_STEPS = 2**13, 8, 40
 """Poses among which starts are sought, starts per restart, and steps from each."""
 
 WHOLE = slice(0, 6)
-"""Which components of a pose error are to vanish: position and attitude."""
+"""Components of a pose error that are to vanish: position and attitude."""
 
 TURN = 0.5
-"""What the entries of a rotation matrix count against a position, as a share of the tool's spread, in "nearest"."""
+"""Weight of the entries of a rotation matrix against a position, as a share of the tool's spread, in "nearest"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,7 @@ def inverse(
 
 
 def _cost(solution: InverseSolution) -> Array:
-    """What remains and a joint motion might remove, m and rad as one."""
+    """The error that a joint motion might still remove, m and rad as one."""
     return solution.position_error + solution.attitude_error - solution.noncompensable_attitude
 
 

@@ -155,7 +155,7 @@ class Traced:
 
     @property
     def dtype(self) -> Any:
-        """What an array of such numbers would have."""
+        """The number type that an array of such numbers would have."""
         return np.dtype(np.float64)
 
     def __bool__(self) -> bool:
@@ -255,7 +255,7 @@ SYMBOLS: Any = SimpleNamespace(
     set_aside=_set_aside,
     outside=_outside,
 )
-"""What `numpy` is to arrays."""
+"""The namespace that is to traced numbers as `numpy` is to arrays."""
 
 
 # A trace as machine code.
@@ -281,7 +281,7 @@ FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
 class Outputs(NamedTuple):
-    """What is written into an array ``(rows, N)``.
+    """Numbers to be written into an array ``(rows, N)``.
 
     Attributes:
         array: Its name.
@@ -413,7 +413,8 @@ class _Body:
             text = f"0x{struct.pack('>d', float.fromhex(value)).hex().upper()}" if result == DOUBLE else str(value)
             return text if self._lanes == 1 else f"<{', '.join([f'{result} {text}'] * self._lanes)}>"
         if name == "input":
-            place, memory = self._place(*operation.detail, result)
+            array, row = operation.detail
+            place, memory = self._place(array, row, result)
             value = self._new(f"load {memory}, ptr {place}, align 1")
             return value if result != FLAG else self._new(f"trunc {memory} {value} to {self._type(FLAG)}")
         values = [self._values[i] for i in operation.operands]
@@ -455,7 +456,7 @@ class _Body:
 
 @lru_cache(maxsize=64)
 def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, list[int]]:
-    """What keeps code in memory, and the addresses of its functions.
+    """The engine that keeps code in memory, and the addresses of its functions.
 
     Args:
         code: LLVM's language.

@@ -1,4 +1,4 @@
-"""Which part of a pose error the joints can remove, and how: the truncated pseudo-inverse of the joint Jacobian.
+"""The part of a pose error that joints can remove, by the truncated pseudo-inverse of the joint Jacobian.
 
 The hybrid picking arm has six joints but task rank 5 everywhere (J1, J2 and J4 are parallel, J5 and J6 too), so J^-1 of
 Qiao 2026 eq (15) does not exist: singular values below `DIRECTION_TOLERANCE` of the largest are cut off, and the
@@ -139,11 +139,11 @@ On the picking arm the fifth singular value stays above 0.11 of the first, and a
 
 
 POSITION_FIRST = 0.05
-"""What a radian counts, in m, where fewer than six joints have to choose between position and attitude; else 1."""
+"""Weight of a radian, in m, where fewer than six joints have to choose between position and attitude; else 1."""
 
 
 def attitude_weight(joints: int) -> float:
-    """What a radian counts against a metre in the task of an arm with so many joints."""
+    """The weight of a radian against a metre in the task of an arm with so many joints."""
     return 1.0 if joints >= 6 else POSITION_FIRST
 
 

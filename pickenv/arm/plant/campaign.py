@@ -35,7 +35,7 @@ Place: TypeAlias = Callable[[Array], Scalar]
 
 @dataclass(frozen=True)
 class Pace:
-    """How the arm is moved.
+    """Settings of how the arm is moved.
 
     Attributes:
         speed: Share of the joints' largest speeds, above 0.
@@ -127,7 +127,7 @@ TRACKER = "laser_tracker"
 
 @toml_table
 class Instrument:
-    """What measures the arm, and how.
+    """An instrument that measures the arm.
 
     Attributes:
         name: Its name.
@@ -149,7 +149,7 @@ class Instrument:
     noise: MeasurementNoise | None = None
 
     def noise_on(self, plant: Plant) -> MeasurementNoise | None:
-        """How it errs at this plant: by its own numbers, else by those that the plant states."""
+        """Its errors at this plant: by its own numbers, else by those that the plant states."""
         noise: MeasurementNoise | None = plant.effect("measurement_noise") if self.noise is None else self.noise
         return noise
 
@@ -270,7 +270,7 @@ def alone(plant: Plant, *names: str) -> Plant:
 
 @dataclass(frozen=True)
 class Share:
-    """How far the tool moves, over all reaches, mm.
+    """Distances that the tool moves, over all reaches, mm.
 
     Attributes:
         mean: Mean distance.

@@ -1,4 +1,4 @@
-"""How accurate an arm is by ISO 9283:1998, on the simulated arm: AP, RP, vAP and dAP, raw and calibrated.
+"""Accuracy of an arm by ISO 9283:1998, on the simulated arm: AP, RP, vAP and dAP, raw and calibrated.
 
 Thirty cycles over five poses of the inclined plane of the largest cube in the workspace, at full speed; the warm arm,
 except for the drift. AP = |mean - command|; RP = mean distance from the mean + 3 standard deviations. mm and deg.
@@ -39,7 +39,7 @@ NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / mat
 
 @dataclass(frozen=True)
 class Iso9283Settings:
-    """How the test is run; the standard's numbers unless changed.
+    """Settings of the test; the standard's numbers unless changed.
 
     Attributes:
         cycles: Measurements per pose.
@@ -91,7 +91,7 @@ class PosePerformance:
 
 @dataclass(frozen=True)
 class Performance:
-    """What one controller, raw or calibrated, gets out of the arm.
+    """Figures that one controller, raw or calibrated, gets out of the arm.
 
     Attributes:
         poses: AP and RP at P1 to P5.

@@ -32,7 +32,7 @@ from pickenv.base import registry
 
 @dataclass(frozen=True)
 class Layout:
-    """What each coefficient beside the geometry is, in order: leads, harmonics, moments, then the boom's two.
+    """The meaning of each coefficient beside the geometry, in order: leads, harmonics, moments, then the boom's two.
 
     Attributes:
         leads: The joint of each lead error, from 0.
@@ -87,7 +87,7 @@ class Posterior:
 
 
 PlantState = tuple[Components, ...]
-"""What a plant remembers from one moment to the next: the memory of each effect that has one, in the plant's order."""
+"""A plant's memory from one moment to the next: the memory of each effect that has one, in the plant's order."""
 
 
 class Ready(NamedTuple):
@@ -98,8 +98,8 @@ class Ready(NamedTuple):
 
 
 _Step: TypeAlias = tuple[tuple[Callable[..., Components], ...], Callable[[Passage, Components], None]]
-"""What an effect has for its memory (`Effect.begin`, `rest`, `carry`; nothing where it has none), and its `Effect.act`:
-looked up once, for in steps of one arm that costs as much as they do."""
+"""Methods that an effect has for its memory (`Effect.begin`, `rest`, `carry`; nothing where it has none), and its
+`Effect.act`: looked up once, for in steps of one arm that costs as much as they do."""
 
 BEGIN, REST, CARRY = range(3)
 
@@ -228,7 +228,7 @@ class Plant:
     def _passage(
         self, m: ModuleType, q: Sequence[Scalar], how: int, state: PlantState = (), dt: Scalar = 0.0
     ) -> tuple[PlantState, Passage]:
-        """What the effects remember (`Effect.carry`, ...), and the passage up to where the last that does will act."""
+        """Memories of the effects (`Effect.carry`, ...), and the passage up to where the last that has one will act."""
         at = Passage(m, self.chain, self.load, q)
         memories: list[Components] = []
         before, last, _ = self._steps
@@ -252,7 +252,7 @@ class Plant:
         return at.frame
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
-        """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m.
+        """The report of the motor encoders after `advance` to ``state`` at the command ``q``, rad or m.
 
         The motor in whole counts, with its following error: they see neither drive errors nor friction, backlash,
         deflection or swing.

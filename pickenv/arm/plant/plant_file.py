@@ -51,7 +51,7 @@ def one_link_per_joint(arm: Arm) -> Arm:
 
 @cache
 def plant_file(effects: tuple[str, ...]) -> Any:
-    """What a plant file holds that may have tables of these effects.
+    """The type of a plant file that may have tables of these effects.
 
     Raises:
         InputError: If one of them is not registered, or cannot be loaded.

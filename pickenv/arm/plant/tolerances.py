@@ -1,4 +1,4 @@
-"""How arms of one design differ: tolerance classes, and draws of as many different true arms as are wanted.
+"""Differences of arms of one design: tolerance classes, and draws of as many different true arms as are wanted.
 
 Lengths follow ISO 286-1: IT = k (0.45 D^(1/3) + 0.001 D) um up to 500 mm, k (0.004 D + 2.1) um above, with D in mm.
 Sizes of effects spread log-normally about the plant's own. Inside everything is m, rad, K, s.
@@ -79,7 +79,7 @@ def _range(rise: Any, _context: Any) -> Any:
 
 @toml_tables.toml_table
 class Tolerances:
-    """How far arms of one design may lie from each other; a tolerance file says it in sections.
+    """Limits of how far arms of one design may lie from each other; a tolerance file says it in sections.
 
     Attributes:
         name: Name of the class.
@@ -176,7 +176,7 @@ def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
 
 
 def random_columns(plant: Plant) -> dict[str, range]:
-    """Which of an arm's even random numbers each quantity takes: fixed places, whatever effects the plant has."""
+    """Places of each quantity among an arm's even random numbers: fixed ones, whatever effects the plant has."""
     n, drives, waves = plant.arm.nominal.joints, plant.effect("transmission_error"), plant.effect("drive_harmonics")
     terms = len(drives.harmonics) if drives is not None else 0
     count, structure = len(waves.spread) if waves is not None else 0, plant.effect("local_structure")
