@@ -25,8 +25,8 @@ from pickenv.base import GRAVITY, KG, MM, InputError, registry, toml_table
 
 MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in range(8))
 """Places where an effect acts, from the motors to the tool: on the motors (`Passage.turn`), in the drives
-(`Passage.drive`), in the gears and at the joints (``joints``, ``chain``), along the links (``bends``), under the base and at the tool
-(``frame``); what is beside the arm never moves it. Effects of one place act in the order of its fractions."""
+(`Passage.drive`), in the gears and at the joints (``joints``, ``chain``), along the links (``bends``), under the base
+and at the tool (``frame``); what is beside the arm never moves it. Effects of one place act in its fractions' order."""
 
 Components = tuple[Scalar, ...]
 
