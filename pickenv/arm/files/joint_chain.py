@@ -261,19 +261,19 @@ def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | No
     return driver, ratio, offset
 
 
-def _within(own: Drive, joint: ChainJoint) -> Drive:
+def _within(driver: Drive, joint: ChainJoint) -> Drive:
     """A driver, narrowed to what a joint that follows it allows."""
     if joint.allowed is None:
-        return own
+        return driver
     least, most, speed = joint.allowed
     ends = sorted(((least - joint.offset) / joint.ratio, (most - joint.offset) / joint.ratio))
-    lower, upper = max(own.lower, ends[0]), min(own.upper, ends[1])
+    lower, upper = max(driver.lower, ends[0]), min(driver.upper, ends[1])
     if lower >= upper:
         raise InputError(
             f"joint '{shortened(joint.name)}' follows '{shortened(joint.driver)}', and their limits leave no motion; "
             "correct them"
         )
-    return Drive(own.slides, lower, upper, min(own.speed, speed / abs(joint.ratio)))
+    return Drive(driver.slides, lower, upper, min(driver.speed, speed / abs(joint.ratio)))
 
 
 def _one_slide_each(links: list[ChainJoint]) -> list[ChainJoint]:
