@@ -11,8 +11,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings, strategies as st
 
 from pickenv.arm import forward, load_arm, load_plant
-from pickenv.arm.files.arm_file import ARMS
-from pickenv.arm.files.load import UR_KEYS, UR_LINKS
+from pickenv.arm.files.arm_file import ARMS, UR_KEYS, UR_LINKS
 from pickenv.arm.files.urdf import urdf_text
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.base import InputError

@@ -18,8 +18,8 @@ from scipy.linalg import block_diag
 from pickenv.arm import Arm, Array, Geometry, Plant
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.effects.residual_field import Features, ResidualField
-from pickenv.arm.plant.posterior import Layout, Posterior
-from pickenv.arm.plant.twin_arms import twin_plant
+from pickenv.arm.plant.plant import Layout, Posterior
+from pickenv.arm.plant.twin_file import twin_plant
 from pickenv.base import GRAVITY, InputError
 from pickenv.calibration.model.arm_model import (
     ArmModel,

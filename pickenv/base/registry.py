@@ -28,11 +28,9 @@ KINDS = (
 SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         **dict.fromkeys(KINDS, ()),
-        "arm_format": ("pickenv.arm.files.load", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
+        "arm_format": ("pickenv.arm.files.arm_file", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
         "backend": ("pickenv.envs.reaching.vector",),
-        "effect": tuple(
-            f"pickenv.arm.effects.{name}" for name in ("structure", "hysteresis", "drives", "ground", "residual_field")
-        ),
+        "effect": tuple(f"pickenv.arm.effects.{name}" for name in ("structure", "drives", "ground", "residual_field")),
         "exporter": ("pickenv.calibration.delivery.export",),
         "gripper": ("pickenv.orchard.gripper",),
         "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),

@@ -16,7 +16,7 @@ JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures
 def arms(json_file: JsonFile = None) -> None:
     """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from."""
     from pickenv.arm import load_arm, shipped_arms
-    from pickenv.arm.kinematics.workspace import farthest
+    from pickenv.arm.kinematics.inverse import farthest
     from pickenv.commands.showing import print_table
 
     separate({}, {"--json": json_file})

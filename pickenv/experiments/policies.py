@@ -23,7 +23,7 @@ from pickenv.agents.evaluation.reaches import moments_of
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.agents.policies.pick_policy import HASTY
 from pickenv.arm import Plant, plant_at
-from pickenv.arm.plant.named_plants import draw_arms
+from pickenv.arm.plant.plant_file import draw_arms
 from pickenv.base import InputError, check_limit, file_sha256, seed_words, stream
 from pickenv.base.registry import names, origin
 from pickenv.calibration import Calibration

@@ -26,8 +26,7 @@ from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
 from pickenv.arm.kinematics.pose_error import frame_error
 from pickenv.arm.kinematics.task_space import link_column
 from pickenv.arm.plant.campaign import Place, in_components, visited
-from pickenv.arm.plant.plant_batch import with_links
-from pickenv.arm.plant.tree import tree_map
+from pickenv.arm.plant.plant_batch import tree_map, with_links
 from pickenv.base import InputError, torch_on_one_thread
 from pickenv.calibration import Compensator
 from pickenv.calibration.compensation.compensator import corrected

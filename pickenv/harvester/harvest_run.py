@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
-from pickenv.arm.plant.tree import leaves
+from pickenv.arm.plant.plant_batch import leaves
 from pickenv.base import Ends, InputError, clustered_share_interval, statistic_interval
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
 from pickenv.harvester.machine import Machine, master_time

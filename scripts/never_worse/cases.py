@@ -45,7 +45,7 @@ from pickenv.arm import (
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.arm.plant.campaign import Pace, moved, switched_on
-from pickenv.arm.plant.named_plants import draw_arms
+from pickenv.arm.plant.plant_file import draw_arms
 from pickenv.base import InputError, write_text
 from pickenv.calibration import (
     Choices,

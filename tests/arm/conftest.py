@@ -1,4 +1,4 @@
-"""What the tests of the arm share: the arms, and joints drawn evenly within limits."""
+"""Fixtures of the tests of the arm: the arms, and joints drawn evenly within limits."""
 
 from collections.abc import Callable
 

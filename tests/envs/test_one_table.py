@@ -13,7 +13,7 @@ import torch
 
 from pickenv.arm import forward, plant_at, pose_error
 from pickenv.arm.kinematics.forward import chain_of
-from pickenv.arm.plant.tree import tree_map
+from pickenv.arm.plant.plant_batch import tree_map
 from pickenv.calibration import Compensator
 from pickenv.calibration.compensation.compensator import corrected
 from pickenv.envs import PickEnv, ReachEnv, ReachGoalEnv, ReachGoalVectorEnv, ReachVectorEnv

@@ -18,7 +18,7 @@ from typer.main import get_command
 from pickenv.arm import Geometry, Plant, Pose, forward, load_arm, plant_at
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.plant.campaign import Pace, moved, switched_on
-from pickenv.arm.plant.named_plants import draw_arms
+from pickenv.arm.plant.plant_file import draw_arms
 from pickenv.calibration import Calibration
 from pickenv.cli import app
 from pickenv.experiments import load_study

@@ -1,1 +1,1 @@
-"""What makes an arm miss: one file per effect."""
+"""Causes that make an arm miss, as effects of one protocol."""

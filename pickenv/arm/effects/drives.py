@@ -1,4 +1,4 @@
-"""What the motor side does with a command: it rests on whole encoder counts and follows with a lag; rad, m, s."""
+"""Effects of the motor side, of warmth and of instruments: whole encoder counts, a lag, growth, noise; rad, m, s."""
 
 from __future__ import annotations
 
@@ -125,13 +125,13 @@ def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> S
 
 
 AXES = {"x": 0, "y": 3, "z": 6}
-"""Where a link's axes begin among a frame's components."""
+"""Places at which a link's axes begin among a frame's components."""
 
 
 @register("effect", "gravity_yield")
 @dataclass(frozen=True)
 class GravityYield(Effect, place=JOINT + 0.2):
-    """How each joint yields.
+    """Joints that yield under moments that a calibration found.
 
     Attributes:
         moments: Joint that yields, link that weighs on it (both from 0), and what of it: "m" its mass at its origin,
@@ -150,26 +150,18 @@ class GravityYield(Effect, place=JOINT + 0.2):
         base, joints = links[0], list(at.joints)
         up = [sum(base[axis + i] * part for axis, part in zip((0, 3, 6), self.up, strict=True)) for i in range(3)]
         for (joint, link, moment), size in zip(self.moments, self.sizes, strict=True):
-            own = links[joint + 1]
-            if at.cold.links[joint].prismatic:
-                joints[joint] = joints[joint] - size * _dot(own[6:9], up)
-                continue
-            lever = links[link + 1][AXES[moment] :][:3] if moment != "m" else _less(links[link + 1], own)
-            joints[joint] = joints[joint] - size * _dot(own[6:9], _cross(lever, up))
+            x, y, z = up
+            if not at.cold.links[joint].prismatic:
+                if moment == "m":
+                    a, b, c = (
+                        end - start for end, start in zip(links[link + 1][9:], links[joint + 1][9:], strict=True)
+                    )
+                else:
+                    a, b, c = links[link + 1][AXES[moment] :][:3]
+                x, y, z = b * z - c * y, c * x - a * z, a * y - b * x  # the lever crossed with what is upwards
+            zx, zy, zz = links[joint + 1][6:9]
+            joints[joint] = joints[joint] - size * (zx * x + zy * y + zz * z)
         at.joints = joints
-
-
-def _less(one: Frame, other: Frame) -> tuple[Scalar, ...]:
-    return tuple(a - b for a, b in zip(one[9:], other[9:], strict=True))
-
-
-def _dot(one: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
-
-
-def _cross(one: Sequence[Scalar], other: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    (a, b, c), (x, y, z) = one, other
-    return b * z - c * y, c * x - a * z, a * y - b * x
 
 
 # How an instrument that looks at a target on the tool errs: reading by reading, with the range, and by its mounting.
@@ -199,12 +191,6 @@ class MeasurementNoise(Effect, place=BESIDE):
         return self.position_std + self.range_std * distance
 
 
-def distance_between(m: ModuleType, point: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
-    """Distance of two points, m."""
-    x, y, z = (a - b for a, b in zip(point, other, strict=True))
-    return m.sqrt(x * x + y * y + z * z)
-
-
 def read_frame(
     m: ModuleType,
     noise: MeasurementNoise,
@@ -226,10 +212,10 @@ def read_frame(
     if noise.centring_std:
         aside = [noise.centring_std * value for value in mounting]
         axes = zip(frame[0:3], frame[3:6], frame[6:9], frame[9:], strict=True)
-        seen = (aside[0] * x + aside[1] * y + aside[2] * z + p for x, y, z, p in axes)
-        frame = (*frame[:9], *seen)
+        frame = (*frame[:9], *(aside[0] * x + aside[1] * y + aside[2] * z + p for x, y, z, p in axes))
     std: Any = noise.position_std
     if noise.range_std:
-        std = noise.position_std_at(distance_between(m, frame[9:], stand))
+        x, y, z = (a - b for a, b in zip(frame[9:], stand, strict=True))
+        std = noise.position_std_at(m.sqrt(x * x + y * y + z * z))
     scales = (std,) * 3 + (noise.attitude_std,) * 3
     return displaced_frame(m, frame, [scale * value for scale, value in zip(scales, reading, strict=True)])

@@ -1,4 +1,4 @@
-"""What an effect is, and what it acts on: a joint command on its way from the motors to the tool.
+"""Effects, and the thing that they act on: a joint command on its way from the motors to the tool.
 
 Formulas run on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics.forward`; the numbers of an
 effect may be arrays too, one entry per arm. Gravity points along -z of the world. Units: m, rad, N, kg, s.
@@ -24,14 +24,14 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.base import GRAVITY, KG, MM, InputError, registry, toml_table
 
 MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in range(8))
-"""Where an effect acts, from the motors to the tool: on the motors (`Passage.turn`), in the drives (`Passage.drive`),
-in the gears and at the joints (``joints``, ``chain``), along the links (``bends``), under the base and at the tool
-(``frame``); what is beside the arm never moves it. Effects of one place act in the order of its fractions."""
+"""Places where an effect acts, from the motors to the tool: on the motors (`Passage.turn`), in the drives
+(`Passage.drive`), in the gears and at the joints (``joints``, ``chain``), along the links (``bends``), under the base
+and at the tool (``frame``); what is beside the arm never moves it. Effects of one place act in its fractions' order."""
 
 Components = tuple[Scalar, ...]
 
 Weight = tuple[Scalar, Scalar, Scalar]
-"""What hangs on a link: its mass in kg, and mass times horizontal position (x, y) in the world, kg*m."""
+"""Everything that hangs on a link: its mass in kg, and mass times horizontal position (x, y) in the world, kg*m."""
 
 
 @toml_table
@@ -50,7 +50,7 @@ class Load:
 
 
 class Loads(NamedTuple):
-    """What gravity does.
+    """Gravity's pull on an arm.
 
     Attributes:
         weights: What hangs on each link: itself and all behind it; last what the tool holds.
@@ -105,13 +105,13 @@ class Passage:
 
     @property
     def frame(self) -> Frame:
-        """Where the tool is; joints and links are what they are from here on."""
+        """The tool's frame; joints and links are what they are from here on."""
         if self._frame is None:
             bends = [effect.flexure(self) for effect in self.bends]
-            both = (
+            bend = (
                 bends[0] if len(bends) == 1 else lambda i, frame: reduce(lambda bent, one: one(i, bent), bends, frame)
             )
-            self._frame = tool_frame(self.m, self.chain, self.joints, both if bends else None)
+            self._frame = tool_frame(self.m, self.chain, self.joints, bend if bends else None)
         return self._frame
 
     @frame.setter
@@ -153,7 +153,7 @@ def standard_normal_of(even: Array) -> Array:
 
 
 class Effect:
-    """What one cause does to an arm: base of frozen dataclasses of numbers, of one arm or of many.
+    """One cause of an arm's error: base of frozen dataclasses of numbers, of one arm or of many.
 
     Its class says ``place``: where it acts, `MOTOR` to `BESIDE` and fractions. It may say ``spreads``: which of its
     numbers differ from arm to arm, each with its entry in a tolerance class's [spread], whose random numbers it then
@@ -189,7 +189,7 @@ class Effect:
         at.bends.append(self)
 
     def flexure(self, at: Passage) -> Flexure:
-        """How the links bend; of effects that do nothing else."""
+        """The bending of the links; of effects that do nothing else."""
         raise NotImplementedError(f"effect '{self.name}' has neither act nor flexure")
 
     def begin(self, at: Passage) -> Components:
@@ -205,13 +205,13 @@ class Effect:
         return memory
 
     def fault(self, arm: Arm) -> str:
-        """What of it cannot be on this arm, and what to give, for messages; empty where all can."""
+        """The part of it that cannot be on this arm, and what to give, for messages; empty where all can."""
         return ""
 
     def own_sizes(self) -> tuple[Scalar, ...]:
         """The numbers that differ from arm to arm by random numbers of the effect's own."""
-        own = (name for name, spread in self.spreads.items() if isinstance(spread, float))
-        return tuple(number for name in own for number in _numbers(getattr(self, name)))
+        names = (name for name, spread in self.spreads.items() if isinstance(spread, float))
+        return tuple(number for name in names for number in _numbers(getattr(self, name)))
 
     def drawn(self, draws: Draws) -> Self:
         """The effect of many arms, its `spreads` drawn about its own."""
@@ -230,7 +230,7 @@ def _numbers(value: Any) -> tuple[Any, ...]:
 
 
 def table_of(name: str) -> Any:
-    """What the plant file's table of a registered effect is read as; None where no file holds it.
+    """The type that the plant file's table of a registered effect is read as; None where no file holds it.
 
     Raises:
         InputError: If there is no such effect, its package cannot be loaded, or it is no effect of that name.
@@ -242,7 +242,7 @@ def table_of(name: str) -> Any:
 
 
 def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Weight]:
-    """What hangs on each link: itself and all behind it; last what the tool holds.
+    """The weight on each link: itself and all behind it; last what the tool holds.
 
     Args:
         chain: The chain.
@@ -255,10 +255,10 @@ def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[We
     weights: list[Weight] = [(mass, moment_x, moment_y)]
     for i in reversed(range(len(chain.links))):
         xx, xy, _, yx, yy, _, zx, zy, _, px, py, _ = frames[i + 1]
-        own, (cx, cy, cz) = load.mass[i], load.centre[i]
-        mass = mass + own
-        moment_x = moment_x + own * (px + cx * xx + cy * yx + cz * zx)
-        moment_y = moment_y + own * (py + cx * xy + cy * yy + cz * zy)
+        link_mass, (cx, cy, cz) = load.mass[i], load.centre[i]
+        mass = mass + link_mass
+        moment_x = moment_x + link_mass * (px + cx * xx + cy * yx + cz * zx)
+        moment_y = moment_y + link_mass * (py + cx * xy + cy * yy + cz * zy)
         weights.append((mass, moment_x, moment_y))
     return weights[::-1]
 

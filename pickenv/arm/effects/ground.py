@@ -56,12 +56,12 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
         return zero, zero, zero
 
     def rest(self, at: Passage) -> Components:
-        """What creeps in the long run."""
+        """Creep and settlement in the long run."""
         x, y = self._tilt(at)
         return self.creep * x, self.creep * y, self.settlement
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """What has crept by then."""
+        """Creep and settlement by then."""
         faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
         return tuple([final + (part - final) * faded for final, part in pairs])
 
@@ -112,7 +112,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
             at.joints = [value + swing for value, swing in zip(at.joints, memory[n : 2 * n], strict=True)]
 
     def begin(self, at: Passage) -> Components:
-        """Where each joint's profile is, rad or m; its vibration e; and e' + p x', which no sudden command changes."""
+        """Each joint's profile, rad or m; its vibration e; and e' + p x', which no sudden command changes."""
         still = [value * 0.0 for value in at.command]
         return *at.command, *still, *still
 

@@ -1,4 +1,4 @@
-"""What no table of links holds: the tool's displacement as a random function of the joints, a sum of waves.
+"""Error that no table of links holds: the tool's displacement as a random function of the joints, a sum of waves.
 
 Random features of a Gaussian process (Rahimi and Recht 2007): an output is the sum over k of a_k cos(w_k x) + b_k
 sin(w_k x), where x are the joints less a centre, those that turn far by sine and cosine. Arms share the frequencies and
@@ -23,7 +23,7 @@ from pickenv.arm.effects.effect import DRIVE, TOOL, Components, Draws, Effect, P
 from pickenv.arm.effects.structure import Harmonic, with_waves
 from pickenv.arm.files.joint_keys import ByJoint, numbers_per_joint
 from pickenv.arm.kinematics.backend import outside
-from pickenv.arm.kinematics.forward import Frame, Scalar
+from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.base import ARCMIN, DEG, MM, NUMBER, WHOLE, InputError, Then, register, toml_table
@@ -45,7 +45,7 @@ class Features:
         outputs: Number of outputs O: 3 (position) or 6 (pose).
     """
 
-    shared: ClassVar[bool] = True  # `pickenv.arm.plant.tree` leaves it as it is
+    shared: ClassVar[bool] = True  # `pickenv.arm.plant.plant_batch` leaves it as it is
 
     frequency: Single
     centre: tuple[float, ...]
@@ -96,7 +96,16 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
 
     def act(self, at: Passage, memory: Components) -> None:
         """Displace the tool."""
-        at.frame = strayed(at.m, self, at.motor, at.frame)
+        m, frame = at.m, at.frame
+        parts = [part + constant for part, constant in zip(_outputs(m, self, at.motor), self.offset, strict=True)]
+        turned = []
+        for first in range(0, self.features.outputs, 3):
+            x, y, z = parts[first : first + 3]
+            turned += [a * x + b * y + c * z for a, b, c in self.turn]
+        if len(turned) == 6:
+            at.frame = displaced_frame(m, frame, turned)
+        else:
+            at.frame = (*frame[:9], *(value + part for value, part in zip(frame[9:], turned, strict=True)))
 
     @cached_property
     def tensors(self) -> dict[Any, Any]:
@@ -104,45 +113,33 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
         return {}
 
 
-def strayed(m: ModuleType, field: ResidualField, q: Sequence[Scalar], frame: Frame) -> Frame:
-    """A tool's frame, displaced by the field at the joint command ``q``."""
-    parts = [part + constant for part, constant in zip(_outputs(m, field, q), field.offset, strict=True)]
-    turned = []
-    for first in range(0, field.features.outputs, 3):
-        x, y, z = parts[first : first + 3]
-        turned += [a * x + b * y + c * z for a, b, c in field.turn]
-    if len(turned) == 6:
-        return displaced_frame(m, frame, turned)
-    return (*frame[:9], *(value + part for value, part in zip(frame[9:], turned, strict=True)))
-
-
 def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[Scalar]:
     """The outputs, component by component."""
     features = field.features
     if m.__name__ == "torch":
         return _tensor_outputs(m, field, q)
-    given = features.inputs(m, q)
-    noted = outside(m, partial(_fill, field), given, features.outputs)
-    if noted is not None:
-        return list(noted)
-    inputs = np.stack(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in given)))
+    components = features.inputs(m, q)
+    traced = outside(m, partial(_fill, field), components, features.outputs)
+    if traced is not None:
+        return list(traced)
+    inputs = np.stack(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in components)))
     if inputs.ndim == 1 and field.weight.ndim == 3:
         parts = _weighed(features, inputs, field.weight)
         return list(parts) if m is np else list(parts.tolist())
     shape = np.broadcast_shapes(inputs.shape[1:], field.weight.shape[:-3])
     ones = (1,) * (1 + len(shape) - inputs.ndim)  # one pose, many arms
     inputs = np.broadcast_to(inputs.reshape(len(inputs), *ones, *inputs.shape[1:]), (len(inputs), *shape))
-    found = np.empty((features.outputs, *shape))
-    _fill(field, inputs, found)
-    return list(found)
+    outputs = np.empty((features.outputs, *shape))
+    _fill(field, inputs, outputs)
+    return list(outputs)
 
 
-def _fill(field: ResidualField, inputs: Array, found: Array) -> None:
+def _fill(field: ResidualField, inputs: Array, outputs: Array) -> None:
     """Write outputs ``(O, ...)`` at inputs ``(F, ...)``."""
-    weight = np.broadcast_to(field.weight, (found.shape[-1], *field.weight.shape[-3:]))
-    for first in range(0, found.shape[-1], CHUNK):
+    weight = np.broadcast_to(field.weight, (outputs.shape[-1], *field.weight.shape[-3:]))
+    for first in range(0, outputs.shape[-1], CHUNK):
         some = slice(first, first + CHUNK)
-        found[..., some] = np.moveaxis(_weighed(field.features, inputs[..., some], weight[some]), -1, 0)
+        outputs[..., some] = np.moveaxis(_weighed(field.features, inputs[..., some], weight[some]), -1, 0)
 
 
 def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
@@ -203,7 +200,7 @@ class WavesTable:
 
 @dataclass(frozen=True)
 class WaveSpread:
-    """How one wave of a drive is spread over arms.
+    """The spread of one wave of a drive over arms.
 
     Attributes:
         joint: Index of the joint (from 0).
@@ -241,26 +238,20 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
 
     def drawn(self, draws: Draws) -> DriveHarmonics:
         """The drives of other arms."""
-        return drawn_harmonics(self.spread, draws.even[self.name])
+        return self.of_numbers(draws.even[self.name])
 
-
-def drawn_harmonics(spread: Sequence[WaveSpread], even: Array) -> DriveHarmonics:
-    """The drives of arms.
-
-    Args:
-        spread: How each of the W waves is spread.
-        even: Even random numbers ``(..., 3 W)``: of each wave the order, and two coefficients.
-    """
-    order, sine, cosine = np.moveaxis(even.reshape(*even.shape[:-1], len(spread), 3), -1, 0)
-    harmonics = []
-    for k, wave in enumerate(spread):
-        first, last = 1.0 / wave.longest, 1.0 / wave.shortest
-        per = first + (last - first) * order[..., k]
-        std = wave.std * (first / per) ** wave.decay
-        a, b = std * standard_normal_of(sine[..., k]), std * standard_normal_of(cosine[..., k])
-        sizes = (np.hypot(a, b), 1.0 / per, np.arctan2(b, a))
-        harmonics.append(Harmonic(wave.joint, *(size if size.ndim else float(size) for size in sizes)))
-    return DriveHarmonics(tuple(spread), tuple(harmonics))
+    def of_numbers(self, even: Array) -> DriveHarmonics:
+        """The drives that even numbers ``(..., 3 W)`` stand for: of each wave the order, and two coefficients."""
+        order, sine, cosine = np.moveaxis(even.reshape(*even.shape[:-1], len(self.spread), 3), -1, 0)
+        harmonics = []
+        for k, wave in enumerate(self.spread):
+            first, last = 1.0 / wave.longest, 1.0 / wave.shortest
+            per = first + (last - first) * order[..., k]
+            std = wave.std * (first / per) ** wave.decay
+            a, b = std * standard_normal_of(sine[..., k]), std * standard_normal_of(cosine[..., k])
+            sizes = (np.hypot(a, b), 1.0 / per, np.arctan2(b, a))
+            harmonics.append(Harmonic(wave.joint, *(size if size.ndim else float(size) for size in sizes)))
+        return replace(self, harmonics=tuple(harmonics))
 
 
 def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
@@ -280,7 +271,7 @@ def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
         for entry in table.joints
         for _ in range(entry.waves)
     )
-    return drawn_harmonics(spread, np.random.default_rng(table.seed).random(3 * len(spread)))
+    return DriveHarmonics(spread, ()).of_numbers(np.random.default_rng(table.seed).random(3 * len(spread)))
 
 
 @toml_table
@@ -317,28 +308,22 @@ class LocalStructure(Effect, place=TOOL):
 
     def act(self, at: Passage, memory: Components) -> None:
         """Displace the tool."""
-        at.frame = strayed(at.m, self.field, at.motor, at.frame)
+        self.field.act(at, memory)
 
     def drawn(self, draws: Draws) -> LocalStructure:
         """The structure of other arms."""
-        return drawn_structure(self, draws.even[self.name])
+        return self.of_numbers(draws.even[self.name])
+
+    def of_numbers(self, even: Array) -> LocalStructure:
+        """The structure that even random numbers ``(..., weights)`` stand for."""
+        features = self.field.features
+        weight = self.std * standard_normal_of(even).reshape(*even.shape[:-1], features.outputs, 2, features.count)
+        return replace(self, field=replace(self.field, weight=weight.astype(np.float32)))
 
     @property
     def weights(self) -> int:
         """Number of weights of one arm."""
         return 2 * self.field.features.outputs * self.field.features.count
-
-
-def drawn_structure(structure: LocalStructure, even: Array) -> LocalStructure:
-    """The structure of other arms.
-
-    Args:
-        structure: Of one of them.
-        even: Even random numbers ``(..., weights)``.
-    """
-    features = structure.field.features
-    weight = structure.std * standard_normal_of(even).reshape(*even.shape[:-1], features.outputs, 2, features.count)
-    return replace(structure, field=replace(structure.field, weight=weight.astype(np.float32)))
 
 
 def local_structure_of(table: StructureTable, context: Any) -> LocalStructure:
@@ -352,4 +337,4 @@ def local_structure_of(table: StructureTable, context: Any) -> LocalStructure:
     upright = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     blank = ResidualField(features, np.zeros((3, 2, table.waves), np.float32), (0.0, 0.0, 0.0), upright)
     structure = LocalStructure(table.position / math.sqrt(table.waves), blank)
-    return drawn_structure(structure, rng.random(structure.weights))
+    return structure.of_numbers(rng.random(structure.weights))

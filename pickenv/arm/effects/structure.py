@@ -1,4 +1,4 @@
-"""What bends, yields and turns unevenly in a real arm. Units: m, rad, N, kg."""
+"""Effects of parts that bend, yield, turn unevenly, slip and stick in a real arm. Units: m, rad, N, kg."""
 
 from __future__ import annotations
 
@@ -8,15 +8,17 @@ from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Annotated, Any
 
-from pickenv.arm.effects.effect import BEND, DRIVE, JOINT, Components, Draws, Effect, Passage
+from pickenv.arm.effects.effect import BEND, DRIVE, GEAR, JOINT, Components, Draws, Effect, Passage, Weight
 from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.joint_keys import BOOM, PER_JOINT, ByJoint
+from pickenv.arm.files.joint_keys import BOOM, PER_JOINT, TRAVEL, ByJoint, joint_table
+from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
-from pickenv.base import ARCMIN, DEG, GRAVITY, KG, KG_PER_M, MM, NUMBER, WHOLE, Then, Unit, register, toml_table
+from pickenv.arm.kinematics.pose_error import displaced_frame
+from pickenv.base import GRAVITY, register, toml_tables
 
 
 @register("effect", "joint_compliance")
-@toml_table
+@toml_tables.toml_table
 class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffness"}, needs_load=True):
     """Each joint yields under its gravity torque or force: dq = tau / k.
 
@@ -24,7 +26,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
         stiffness: N*m/rad for revolute joints, N/m for prismatic ones.
     """
 
-    stiffness: Annotated[tuple[Scalar, ...], NUMBER.positive, PER_JOINT]
+    stiffness: Annotated[tuple[Scalar, ...], toml_tables.NUMBER.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
         """Let the joints yield."""
@@ -32,67 +34,78 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
         at.joints = [value + torque / k for value, torque, k in numbers]
 
 
-@register("effect", "boom_bending")
-@toml_table
-class BoomBending(Effect, place=BEND + 0.2, spreads={"flexural_rigidity": "flexural_rigidity"}):
-    """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
+@toml_tables.toml_table
+class Boom(Effect, place=BEND):
+    """A telescopic boom that moves its tip: base of effects that say how in ``bent``.
 
     Attributes:
         joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
         length: Free length at zero displacement, m; the displacement adds to it.
+    """
+
+    joint: Annotated[int, toml_tables.WHOLE, BOOM]
+    length: Annotated[Scalar, toml_tables.MM.not_negative]
+
+    def flexure(self, at: Passage) -> Flexure:
+        """Bend the boom, and no other link."""
+        length = at.joints[self.joint] + self.length
+        return lambda i, frame: self.bent(at, frame, length) if i == self.joint else frame
+
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
+        """The frame of the tip, of a boom that is ``length`` metres long, once bent."""
+        raise NotImplementedError
+
+
+@register("effect", "boom_bending")
+@toml_tables.toml_table
+class BoomBending(Boom, place=BEND + 0.2, spreads={"flexural_rigidity": "flexural_rigidity"}):
+    """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
+
+    Attributes:
         flexural_rigidity: EI, N*m^2.
         end_mass: Mass carried at the tip without payload, kg.
         mass_per_length: Mass of the boom, kg/m.
     """
 
-    joint: Annotated[int, WHOLE, BOOM]
-    length: Annotated[Scalar, MM.not_negative]
-    flexural_rigidity: Annotated[Scalar, Unit("N_m2").positive]
-    end_mass: Annotated[Scalar, KG.not_negative]
-    mass_per_length: Annotated[Scalar, KG_PER_M.not_negative]
+    flexural_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
+    end_mass: Annotated[Scalar, toml_tables.KG.not_negative]
+    mass_per_length: Annotated[Scalar, toml_tables.KG_PER_M.not_negative]
 
-    def flexure(self, at: Passage) -> Flexure:
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Lower and tilt the boom's tip under gravity; only the part across the boom bends it."""
-        length = at.joints[self.joint] + self.length
-        end, own = self.end_mass + (at.load.payload if at.load else 0.0), self.mass_per_length
+        end, boom = self.end_mass + (at.load.payload if at.load else 0.0), self.mass_per_length
         stiffness = self.flexural_rigidity / GRAVITY
-        sag = length * length * length * (end / (3.0 * stiffness) + length * (own / (8.0 * stiffness)))
-        slope = length * length * (end / (2.0 * stiffness) + length * (own / (6.0 * stiffness)))
-        return lowered_tip(self.joint, sag, slope)
+        sag = length * length * length * (end / (3.0 * stiffness) + length * (boom / (8.0 * stiffness)))
+        slope = length * length * (end / (2.0 * stiffness) + length * (boom / (6.0 * stiffness)))
+        return lowered_tip(frame, sag, slope)
 
 
 @register("effect", "roller_play")
-@toml_table
-class RollerPlay(Effect, place=BEND + 0.8, spreads={"clearance": "roller_clearance"}):
+@toml_tables.toml_table
+class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance"}):
     """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
 
     Attributes:
-        joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
-        length: Free length at zero displacement, m; the displacement adds to it.
         clearance: Clearance between boom and rollers, m.
         overlap: Length inside the rollers at zero displacement, m; the displacement is taken off it.
     """
 
-    joint: Annotated[int, WHOLE, BOOM]
-    length: Annotated[Scalar, MM.not_negative]
-    clearance: Annotated[Scalar, MM.not_negative]
-    overlap: Annotated[Scalar, MM.positive]
+    clearance: Annotated[Scalar, toml_tables.MM.not_negative]
+    overlap: Annotated[Scalar, toml_tables.MM.positive]
 
-    def flexure(self, at: Passage) -> Flexure:
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Let the boom tip down in its rollers: fully when level, less as it is raised."""
         angle = self.clearance / (self.overlap - at.joints[self.joint])
-        return lowered_tip(self.joint, angle * (at.joints[self.joint] + self.length), angle)
+        return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
         """An overlap that the boom runs out of."""
         limit = arm.nominal.upper[self.joint]
+        if self.overlap > limit:
+            return ""
         return (
-            ""
-            if self.overlap > limit
-            else (
-                f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm "
-                f"that joint {self.joint + 1} runs out"
-            )
+            f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm that joint "
+            f"{self.joint + 1} runs out"
         )
 
 
@@ -114,12 +127,12 @@ class Harmonic:
 
 
 HARMONICS = ByJoint(
-    amplitude=(ARCMIN.not_negative, MM.not_negative), period=(DEG.positive, MM.positive), phase=(DEG, DEG)
+    amplitude=TRAVEL, period=(toml_tables.DEG.positive, toml_tables.MM.positive), phase=(toml_tables.DEG,) * 2
 )
 
 
 @register("effect", "transmission_error")
-@toml_table
+@toml_tables.toml_table
 class TransmissionError(Effect, place=DRIVE):
     """Drives that do not deliver what the motor side shows: a lead error and periodic terms.
 
@@ -128,12 +141,14 @@ class TransmissionError(Effect, place=DRIVE):
         harmonics: The periodic terms.
     """
 
-    lead: Annotated[tuple[Scalar, ...], NUMBER, PER_JOINT]
-    harmonics: Annotated[tuple[Harmonic, ...], Then(_harmonics, Annotated[tuple[Any, ...], HARMONICS])] = ()
+    lead: Annotated[tuple[Scalar, ...], toml_tables.NUMBER, PER_JOINT]
+    harmonics: Annotated[tuple[Harmonic, ...], toml_tables.Then(_harmonics, Annotated[tuple[Any, ...], HARMONICS])] = ()
 
     def act(self, at: Passage, memory: Components) -> None:
         """Drive the joints unevenly."""
-        at.drive(driven_joints(at.m, self, at.driven))
+        pairs = zip(at.driven, self.lead, strict=True)
+        driven = [value if isinstance(lead, float) and not lead else value * (1.0 + lead) for value, lead in pairs]
+        at.drive(with_waves(at.m, self.harmonics, at.driven, driven))
 
     def drawn(self, draws: Draws) -> TransmissionError:
         """Drives whose leads and amplitudes spread; phases are anything: no two gears are alike."""
@@ -150,38 +165,23 @@ def _harmonics(entries: Any, _context: Any) -> tuple[Harmonic, ...]:
     return tuple(Harmonic(entry.joint, entry.amplitude, entry.period, entry.phase) for entry in entries)
 
 
-def driven_joints(m: ModuleType, error: TransmissionError, q: Sequence[Scalar]) -> list[Scalar]:
-    """Joint displacements behind the drives for commanded displacements ``q``."""
-    driven = [
-        value if isinstance(lead, float) and not lead else value * (1.0 + lead)
-        for value, lead in zip(q, error.lead, strict=True)
-    ]
-    return with_waves(m, error.harmonics, q, driven)
-
-
 def with_waves(
     m: ModuleType, harmonics: Sequence[Harmonic], q: Sequence[Scalar], driven: Sequence[Scalar]
 ) -> list[Scalar]:
     """Joint displacements ``driven`` with the periodic errors at the motor positions ``q`` on top."""
-    found = list(driven)
+    joints = list(driven)
     for term in harmonics:
         angle = q[term.joint] * (math.tau / term.period) + term.phase
-        found[term.joint] = found[term.joint] + term.amplitude * m.sin(angle)
-    return found
+        joints[term.joint] = joints[term.joint] + term.amplitude * m.sin(angle)
+    return joints
 
 
-def lowered_tip(joint: int, sag: Scalar, slope: Scalar) -> Flexure:
-    """A `Flexure` that lowers the tip of a level link ``joint`` by ``sag`` (m) and tilts it down by ``slope`` (rad)."""
-
-    def bend(i: int, frame: Frame) -> Frame:
-        if i != joint:
-            return frame
-        *axes, zx, zy, zz, px, py, pz = frame
-        # Gravity across the boom is (zx zz, zy zz, zz^2 - 1); the slope turns z towards it, about z x (0, 0, -1).
-        turned = turn_horizontally((*axes, zx, zy, zz), -slope * zy, slope * zx)
-        return (*turned, px + sag * zx * zz, py + sag * zy * zz, pz + sag * (zz * zz - 1.0))
-
-    return bend
+def lowered_tip(frame: Frame, sag: Scalar, slope: Scalar) -> Frame:
+    """The frame of a link's tip, lowered where the link is level by ``sag`` (m) and tilted down by ``slope`` (rad)."""
+    *axes, zx, zy, zz, px, py, pz = frame
+    # Gravity across the boom is (zx zz, zy zz, zz^2 - 1); the slope turns z towards it, about z x (0, 0, -1).
+    turned = turn_horizontally((*axes, zx, zy, zz), -slope * zy, slope * zx)
+    return (*turned, px + sag * zx * zz, py + sag * zy * zz, pz + sag * (zz * zz - 1.0))
 
 
 def turn_horizontally(
@@ -203,3 +203,251 @@ def turn_horizontally(
         turned.append(y - first * wx * z + second * (wy * along - square * y))
         turned.append(z + first * (wx * y - wy * x) - second * square * z)
     return turned
+
+
+# Joints that remember where they came from: backlash and friction, both by the play operator, whose output rests until
+# its input has crossed the gap, then follows at the gap's edge (Krasnosel'skii and Pokrovskii 1989). Backlash is a gap
+# that gravity can hold closed; Coulomb friction before an elastic drive is a gap that it cannot. Units: rad or m on the
+# joint side, N*m or N.
+
+
+SCATTER = toml_tables.NUMBER.not_negative
+PRELOAD = (toml_tables.NEWTON_METRE.not_negative, toml_tables.NEWTON.not_negative)
+
+
+@register("effect", "backlash")
+@dataclass(frozen=True)
+class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
+    """Lost motion in each joint's gear.
+
+    Attributes:
+        width: Whole width of each joint's gap, rad or m.
+        preload: Gravity torque or force above which a joint lies against one side of its gap whichever way the motor
+            turns, N*m or N; below it, friction holds the joint and the gap is crossed on every reversal.
+    """
+
+    table = joint_table(lambda *sizes: Backlash(*sizes), width=TRAVEL, preload=PRELOAD)
+
+    width: tuple[Scalar, ...]
+    preload: tuple[Scalar, ...]
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Put the joints behind their gaps."""
+        at.joints = memory
+
+    def begin(self, at: Passage) -> Components:
+        """Joints in the middle of gaps that gravity does not close."""
+        return self.carry(at, tuple(at.joints), 0.0)
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Joints that the motors have pushed along."""
+        behind, torques = [], at.loads.torques if at.load else None
+        for i, (entry, output, width, preload) in enumerate(
+            zip(at.joints, memory, self.width, self.preload, strict=True)
+        ):
+            half = 0.5 * width
+            low, high = entry - half, entry + half
+            free = clipped(at.m, output, low, high)
+            if torques is not None:
+                free = chosen(at.m, torques[i] > preload, high, chosen(at.m, torques[i] < -preload, low, free))
+            behind.append(free)
+        return tuple(behind)
+
+
+@register("effect", "stick_band")
+@dataclass(frozen=True)
+class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": "friction"}):
+    """Coulomb friction winds up the drive: a joint stops short of its command, on the side that it came from.
+
+    Attributes:
+        forward: How far each joint lags when it moves in the positive direction, rad or m (friction / stiffness).
+        backward: The same for the negative direction.
+        scatter: Standard deviation of the friction from one stop to the next, as a share of it. Time steps do not draw
+            it: whoever asks how well the arm repeats does (`one_stop`).
+    """
+
+    table = joint_table(lambda *sizes: StickBand(*sizes), forward=TRAVEL, backward=TRAVEL, scatter=SCATTER)
+
+    forward: tuple[Scalar, ...]
+    backward: tuple[Scalar, ...]
+    scatter: Scalar = 0.0
+
+    def act(self, at: Passage, memory: Components) -> None:
+        """Put the joints behind their friction."""
+        at.joints = memory
+
+    def begin(self, at: Passage) -> Components:
+        """Joints in the middle of their bands."""
+        numbers = zip(at.joints, self.forward, self.backward, strict=True)
+        return tuple([entry + 0.5 * (backward - forward) for entry, forward, backward in numbers])
+
+    def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
+        """Joints that the motors have pulled along."""
+        numbers = zip(at.joints, memory, self.forward, self.backward, strict=True)
+        return tuple([play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers])
+
+
+def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]]) -> StickBand:
+    """The friction of a single stop: each joint's bands, normally scattered and never below zero.
+
+    Args:
+        m: ``math``, ``numpy`` or ``torch``.
+        band: The usual friction.
+        normal: Standard normal numbers of the joints, forward and backward.
+    """
+    forward, backward = (
+        tuple(width * clipped(m, 1.0 + band.scatter * z, 0.0, math.inf) for width, z in zip(widths, row, strict=True))
+        for widths, row in zip((band.forward, band.backward), normal, strict=True)
+    )
+    return replace(band, forward=forward, backward=backward)
+
+
+def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar) -> Scalar:
+    """New output of a play operator.
+
+    Args:
+        m: ``math``, ``numpy`` or ``torch``.
+        entry: New input.
+        output: Output so far.
+        lag: How far the output may stay behind the input.
+        lead: How far it may stay ahead.
+    """
+    return clipped(m, output, entry - lag, entry + lead)
+
+
+# What yields where an arm slides: the boom under a couple beside its tip, its twist, carriages in their guides. All
+# three follow the masses that hang behind a link, wherever they are: gravity's force and moment there come from
+# `pickenv.arm.effects.effect.weights_behind`, of the straight arm, and deflections are taken to first order.
+# Units: m, rad, N, kg.
+
+
+@register("effect", "boom_couple")
+@toml_tables.toml_table
+class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural_rigidity"}, needs_load=True):
+    """Masses that hang beside a boom's tip bend it by their couple: delta = M L^2 / 2EI, slope = M L / EI.
+
+    Attributes:
+        flexural_rigidity: EI, N*m^2.
+    """
+
+    flexural_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
+
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
+        """Bend the boom under the part across it of the moment about its tip."""
+        zx, zy, zz, px, py, _ = frame[6:]
+        mx, my = moment_about(at.loads.weights[self.joint + 1], px, py)
+        along, turn = mx * zx + my * zy, length / self.flexural_rigidity
+        wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
+        return displaced_frame(at.m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
+
+
+@register("effect", "boom_torsion")
+@toml_tables.toml_table
+class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexural_rigidity"}, needs_load=True):
+    """Masses that hang beside a boom twist it: angle = M L / GJ.
+
+    Attributes:
+        torsional_rigidity: GJ, N*m^2.
+    """
+
+    torsional_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
+
+    def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
+        """Twist the boom under the part along it of the moment about its tip."""
+        zx, zy, zz, px, py, _ = frame[6:]
+        mx, my = moment_about(at.loads.weights[self.joint + 1], px, py)
+        angle = length / self.torsional_rigidity * (mx * zx + my * zy)
+        return displaced_frame(at.m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
+
+
+@toml_tables.toml_table
+class Bearing:
+    """The guide of a slide: two bearings, one behind the other, each a spring across the slide's axis.
+
+    Together they give 2k against a force across the axis, and k s^2 / 2 against a moment.
+
+    Attributes:
+        joint: Index (from 0) of the prismatic joint.
+        stiffness: Of one bearing, N/m.
+        span: Distance s between the two at zero displacement, m.
+        overhang: How far the link's origin is ahead of its guide's outlet at zero displacement, m; the displacement
+            adds to it and is taken off the span. None where the bearings travel with the link, about its origin.
+    """
+
+    joint: Annotated[int, toml_tables.WHOLE, BOOM]
+    stiffness: Annotated[Scalar, toml_tables.Unit("N_per_um", 1e6).positive]
+    span: Annotated[Scalar, toml_tables.MM.positive]
+    overhang: Annotated[Scalar | None, toml_tables.MM.not_negative] = None
+
+
+def _once(bearings: Any, _context: Any) -> Any:
+    if len({bearing.joint for bearing in bearings}) < len(bearings):
+        raise toml_tables.fault("each joint once")
+    return bearings
+
+
+@register("effect", "slide_compliance")
+@toml_tables.toml_table
+class SlideCompliance(Effect, place=BEND, needs_load=True):
+    """Slides give way across their axis, and turn, in their bearings.
+
+    Attributes:
+        bearings: One entry per slide that yields.
+    """
+
+    bearings: Annotated[tuple[Bearing, ...], toml_tables.Then(_once)]
+
+    def flexure(self, at: Passage) -> Flexure:
+        """Move and turn each slide in its bearings, under all that hangs on it."""
+        weights, by_joint = at.loads.weights, {bearing.joint: bearing for bearing in self.bearings}
+
+        def give(i: int, frame: Frame) -> Frame:
+            bearing = by_joint.get(i)
+            if bearing is None:
+                return frame
+            zx, zy, zz, px, py, _ = frame[6:]
+            span, arm = bearing.span, 0.0
+            if bearing.overhang is not None:
+                span = span - at.joints[i]
+                arm = bearing.overhang + at.joints[i] + 0.5 * span
+            mx, my = moment_about(weights[i], px - arm * zx, py - arm * zy)
+            turn = 2.0 / (bearing.stiffness * span * span)
+            sunk = GRAVITY * weights[i][0] / (2.0 * bearing.stiffness)
+            # Gravity across z is (zx zz, zy zz, zz^2 - 1).
+            sag = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
+            return displaced_frame(at.m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), sag))
+
+        return give
+
+    def fault(self, arm: Arm) -> str:
+        """A span that the slide runs out of."""
+        for bearing in self.bearings:
+            limit = arm.nominal.upper[bearing.joint]
+            if bearing.overhang is not None and bearing.span <= limit:
+                return (
+                    f"span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}; "
+                    f"give more than the {limit * 1e3:g} mm that it runs out"
+                )
+        return ""
+
+    def drawn(self, draws: Draws) -> SlideCompliance:
+        """Slides whose bearings' stiffness spreads."""
+        stiffness = [bearing.stiffness for bearing in self.bearings]
+        sizes = draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness")
+        pairs = zip(self.bearings, sizes, strict=True)
+        return SlideCompliance(tuple(replace(bearing, stiffness=size) for bearing, size in pairs))
+
+
+def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
+    """Gravity's moment (x, y) about a point above or below (x, y) of the world; about the vertical there is none."""
+    mass, moment_x, moment_y = weight
+    return -GRAVITY * (moment_y - mass * y), GRAVITY * (moment_x - mass * x)
+
+
+def _swung(
+    wx: Scalar, wy: Scalar, wz: Scalar, arm: Scalar, z: Sequence[Scalar], moved: Sequence[Scalar]
+) -> tuple[Scalar, ...]:
+    """Displacement of a frame that turns by w about a point ``arm`` behind it along z, and is moved besides."""
+    zx, zy, zz = z
+    across = (wy * zz - wz * zy, wz * zx - wx * zz, wx * zy - wy * zx)
+    return (*(part + arm * way for part, way in zip(moved, across, strict=True)), wx, wy, wz)

@@ -47,18 +47,18 @@ class Arm:
 
 
 ORTHONORMAL = 1e-9
-"""How far R R^T of a rotation may be from the identity: far above rounding, far below what is felt at a tool."""
+"""Most that R R^T of a rotation may be from the identity: far above rounding, far below what is felt at a tool."""
 
 
 def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
     """A geometry's numbers by name, for saving."""
-    named = {name: getattr(geometry, name) for name in (*LINK_PARAMETERS, "lower", "upper")}
+    arrays = {name: getattr(geometry, name) for name in (*LINK_PARAMETERS, "lower", "upper")}
     for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
-        named |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
+        arrays |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
     if geometry.coupling is not None:
         coupling = geometry.coupling
-        named["coupling"] = np.array([coupling.joint, coupling.ratio, coupling.slides], dtype=float)
-    return named
+        arrays["coupling"] = np.array([coupling.joint, coupling.ratio, coupling.slides], dtype=float)
+    return arrays
 
 
 def geometry_from_arrays(
@@ -83,19 +83,16 @@ def geometry_from_arrays(
     coupling = _coupling(named, joints, which) if "coupling" in named else None
     links = joints if coupling is None else len(coupling.joint)
     shapes = dict.fromkeys(LINK_PARAMETERS, (links,)) | dict.fromkeys(("lower", "upper"), (joints,))
-    shapes |= {f"{key}_position": (3,) for key in ("base", "tool")}
     numbers = {name: finite(named, name, shape, which) for name, shape in shapes.items()}
-    if np.any(numbers["lower"] >= numbers["upper"]):
-        worst = int(np.argmax(numbers["lower"] >= numbers["upper"]))
-        raise InputError(f"the lower limit of joint {joint_names[worst]} in {which} is not below its upper limit")
-    base, tool = (
-        Pose(numbers.pop(f"{key}_position"), _rotation(named, f"{key}_rotation", which)) for key in ("base", "tool")
-    )
+    for name, lower, upper in zip(joint_names, numbers["lower"], numbers["upper"], strict=True):
+        if lower >= upper:
+            raise InputError(f"the lower limit of joint {name} in {which} is not below its upper limit")
+    base, tool = (_pose(named, key, which) for key in ("base", "tool"))
     return Geometry(tuple(joint_names), tuple(prismatic), **numbers, base=base, tool=tool, coupling=coupling)
 
 
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
-    """Which joint moves each link, checked."""
+    """The joint that moves each link, checked."""
     values = finite(named, "coupling", (3, named["coupling"].shape[-1]), which)
     joint, ratio, slides = values.tolist()
     if not set(joint) <= set(range(joints)) or 0.0 in ratio or not set(slides) <= {0.0, 1.0}:
@@ -109,16 +106,17 @@ def finite(named: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...],
     if value.shape != shape or value.dtype != np.float64:
         raise InputError(f"{which}/{name} holds {value.dtype} of shape {value.shape}, not numbers of shape {shape}")
     if not np.isfinite(value).all():
-        where = tuple(int(i) + 1 for i in np.argwhere(~np.isfinite(value))[0])
-        raise InputError(f"{which}/{name} holds {value[~np.isfinite(value)][0]} at place {where}")
+        place = tuple(int(i) + 1 for i in np.argwhere(~np.isfinite(value))[0])
+        raise InputError(f"{which}/{name} holds {value[~np.isfinite(value)][0]} at place {place}")
     return value
 
 
-def _rotation(named: Mapping[str, NDArray[Any]], name: str, which: str) -> Array:
-    matrix = finite(named, name, (3, 3), which)
+def _pose(named: Mapping[str, NDArray[Any]], key: str, which: str) -> Pose:
+    position = finite(named, f"{key}_position", (3,), which)
+    matrix = finite(named, f"{key}_rotation", (3, 3), which)
     if np.abs(matrix @ matrix.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(matrix) < 0:
-        raise InputError(f"{which}/{name} is not a rotation (orthonormal and right-handed)")
-    return matrix
+        raise InputError(f"{which}/{key}_rotation is not a rotation (orthonormal and right-handed)")
+    return Pose(position, matrix)
 
 
 # What a thing made of numbers holds, as a hash: equal content, equal hash, wherever it came from.

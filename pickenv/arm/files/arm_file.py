@@ -1,4 +1,6 @@
-"""Arms are TOML files: nominal link table, limits, base and tool, and, for simulated arms, the true deviations.
+"""Arms by name or by file: the door to all formats, and two of them.
+
+Arms are TOML files: nominal link table, limits, base and tool, and, for simulated arms, the true deviations.
 
 Files give degrees and millimetres and say so in every key; inside, everything is radians and metres. The shipped arms
 lie in `pickenv/arm/files/arms`. A joint table with ``follows`` is a link that another joint moves, ``ratio`` times
@@ -9,84 +11,76 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
+from pickenv.arm.files.xml_values import xml_number
+from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.base import (
-    DEG,
-    DEG_PER_S,
-    LINE,
-    MM,
-    MM_PER_S,
-    WHOLE,
-    Check,
-    InputError,
-    Kinds,
-    Unit,
-    read_toml,
-    toml_table,
-)
+from pickenv.base import InputError, read_text, register, registry, shortened, toml_tables, yaml_content
 
 ARMS = Path(__file__).parent / "arms"
 
 COLUMNS = ("alpha", "a", "theta", "d")
-Type = Check(lambda value: value in ("R", "P"), "'R' (revolute) or 'P' (prismatic)")
+Type = toml_tables.Check(lambda value: value in ("R", "P"), "'R' (revolute) or 'P' (prismatic)")
+NOT_ZERO = toml_tables.Check(lambda value: value != 0, "a number that is not 0")
 Vector = tuple[float, float, float]
 
 
-@toml_table
+@toml_tables.toml_table
 class JointTable:
     """One of the [[joints]], whatever moves it."""
 
     _: KW_ONLY
-    number: Annotated[int, WHOLE]
-    name: Annotated[str, LINE] | None = None
-    ratio: Annotated[float, Unit(most=MOST_RATIO), Check(lambda value: value != 0, "a number that is not 0")] = 1.0
-    alpha: Annotated[float, DEG]
-    a: Annotated[float, MM]
-    theta: Annotated[float, DEG]
-    d: Annotated[float, MM]
-    beta: Annotated[float, DEG] = 0.0
-    true_alpha: Annotated[float, DEG] | None = None
-    true_a: Annotated[float, MM] | None = None
-    true_theta: Annotated[float, DEG] | None = None
-    true_d: Annotated[float, MM] | None = None
+    number: Annotated[int, toml_tables.WHOLE]
+    name: Annotated[str, toml_tables.LINE] | None = None
+    ratio: Annotated[float, toml_tables.Unit(most=MOST_RATIO), NOT_ZERO] = 1.0
+    alpha: Annotated[float, toml_tables.DEG]
+    a: Annotated[float, toml_tables.MM]
+    theta: Annotated[float, toml_tables.DEG]
+    d: Annotated[float, toml_tables.MM]
+    beta: Annotated[float, toml_tables.DEG] = 0.0
+    true_alpha: Annotated[float, toml_tables.DEG] | None = None
+    true_a: Annotated[float, toml_tables.MM] | None = None
+    true_theta: Annotated[float, toml_tables.DEG] | None = None
+    true_d: Annotated[float, toml_tables.MM] | None = None
 
 
-@toml_table
+@toml_tables.toml_table
 class Revolute(JointTable):
     """A link that its own joint turns."""
 
     _: KW_ONLY
     type: Annotated[Literal["R"], Type]
-    lower: Annotated[float, DEG]
-    upper: Annotated[float, DEG]
-    speed: Annotated[float, DEG_PER_S.positive]
+    lower: Annotated[float, toml_tables.DEG]
+    upper: Annotated[float, toml_tables.DEG]
+    speed: Annotated[float, toml_tables.DEG_PER_S.positive]
 
 
-@toml_table
+@toml_tables.toml_table
 class Prismatic(JointTable):
     """A link that its own joint slides."""
 
     _: KW_ONLY
     type: Annotated[Literal["P"], Type]
-    lower: Annotated[float, MM]
-    upper: Annotated[float, MM]
-    speed: Annotated[float, MM_PER_S.positive]
+    lower: Annotated[float, toml_tables.MM]
+    upper: Annotated[float, toml_tables.MM]
+    speed: Annotated[float, toml_tables.MM_PER_S.positive]
 
 
-@toml_table
+@toml_tables.toml_table
 class Follower(JointTable):
     """A link that another link's joint moves."""
 
     _: KW_ONLY
     type: Annotated[Literal["R", "P"], Type]
-    follows: Annotated[int, WHOLE]
+    follows: Annotated[int, toml_tables.WHOLE]
 
 
 def _kind(joint: Mapping[str, Any]) -> type[JointTable]:
@@ -96,31 +90,31 @@ def _kind(joint: Mapping[str, Any]) -> type[JointTable]:
     return Prismatic if slides else Revolute
 
 
-@toml_table
+@toml_tables.toml_table
 class PoseTable:
     """[base] or [tool]."""
 
-    position: Annotated[Vector, MM] = (0.0, 0.0, 0.0)
-    rotation_vector: Annotated[Vector, DEG] = (0.0, 0.0, 0.0)
+    position: Annotated[Vector, toml_tables.MM] = (0.0, 0.0, 0.0)
+    rotation_vector: Annotated[Vector, toml_tables.DEG] = (0.0, 0.0, 0.0)
 
     def pose(self) -> Pose:
         """The same as a pose."""
         return Pose(np.array(self.position), rotation_matrix(np.array(self.rotation_vector)))
 
 
-@toml_table
+@toml_tables.toml_table
 class ArmFile:
-    """What an arm file holds; see `pickenv.arm.files.arm.Arm`."""
+    """The content of an arm file; see `pickenv.arm.files.arm.Arm`."""
 
-    joint_count: Annotated[int, WHOLE.positive]
+    joint_count: Annotated[int, toml_tables.WHOLE.positive]
     joints: Annotated[
-        tuple[Annotated[Revolute | Prismatic | Follower, Kinds(_kind)], ...],
-        Check(lambda value: isinstance(value, list), "one [[joints]] table per joint"),
+        tuple[Annotated[Revolute | Prismatic | Follower, toml_tables.Kinds(_kind)], ...],
+        toml_tables.Check(lambda value: isinstance(value, list), "one [[joints]] table per joint"),
     ]
-    name: Annotated[str, LINE] = ""
-    source: Annotated[str, LINE] = ""
+    name: Annotated[str, toml_tables.LINE] = ""
+    source: Annotated[str, toml_tables.LINE] = ""
     convention: Literal["modified", "standard"] = "modified"
-    tolerance_class: Annotated[str, LINE] | None = None
+    tolerance_class: Annotated[str, toml_tables.LINE] | None = None
     base: PoseTable = PoseTable()
     tool: PoseTable = PoseTable()
 
@@ -128,9 +122,10 @@ class ArmFile:
         numbers = [joint.number for joint in self.joints]
         for number in range(1, self.joint_count + 1):
             if numbers.count(number) != 1:
-                fault = "is missing" if number not in numbers else "is given twice"
-                asked = f"joint_count = {self.joint_count} asks for joints 1 to {self.joint_count}, once each"
-                raise InputError(f"joint {number} {fault}; {asked}")
+                raise InputError(
+                    f"joint {number} {'is given twice' if number in numbers else 'is missing'}; joint_count = "
+                    f"{self.joint_count} asks for joints 1 to {self.joint_count}, once each"
+                )
         if len(numbers) != self.joint_count:
             extra = next(number for number in numbers if not 1 <= number <= self.joint_count)
             raise InputError(f"joint number {extra} is not in 1..{self.joint_count}; correct it or joint_count")
@@ -138,8 +133,10 @@ class ArmFile:
         for joint in self.joints:
             if isinstance(joint, Follower):
                 if joint.follows not in leaders:
-                    wanted = "give the number of a joint that does not follow another"
-                    raise InputError(f"joint {joint.number} follows {joint.follows}; {wanted}")
+                    raise InputError(
+                        f"joint {joint.number} follows {joint.follows}; give the number of a joint that does not "
+                        "follow another"
+                    )
             elif joint.lower >= joint.upper:
                 raise InputError(f"joint {joint.number} has a lower limit that is not below its upper limit")
             for key in COLUMNS if self.simulated else ():
@@ -163,9 +160,9 @@ def read_arm(path: Path) -> Arm:
     Raises:
         InputError: If it is malformed; the message names file, line and joint or key.
     """
-    file = read_toml(ArmFile, path)
+    file = toml_tables.read_toml(ArmFile, path)
     links = sorted(file.joints, key=lambda joint: joint.number)
-    moved = [link for link in links if not isinstance(link, Follower)]
+    leaders = [link for link in links if not isinstance(link, Follower)]
     names = tuple(link.name if link.name is not None else f"J{link.number}" for link in links)
     slides = tuple(link.type == "P" for link in links)
 
@@ -176,23 +173,117 @@ def read_arm(path: Path) -> Arm:
     numbers: dict[str, Any] = {key: column(key) for key in COLUMNS}
     if file.convention == "modified":
         build, numbers["beta"] = Geometry, column("beta")
-    limits = {key: column(key, moved) for key in ("lower", "upper")}
+    limits = {key: column(key, leaders) for key in ("lower", "upper")}
     nominal: Geometry = build(names, slides, **numbers, **limits, base=file.base.pose(), tool=file.tool.pose())
     nominal = replace(
         nominal,
-        joint_names=tuple(names[link.number - 1] for link in moved),
-        prismatic=tuple(slides[link.number - 1] for link in moved),
-        coupling=_coupling(links, moved, slides),
+        joint_names=tuple(names[link.number - 1] for link in leaders),
+        prismatic=tuple(slides[link.number - 1] for link in leaders),
+        coupling=_coupling(links, leaders, slides),
     )
     built: dict[str, Any] = {key: column(f"true_{key}") for key in COLUMNS} if file.simulated else {}
     true = replace(nominal, **built) if built else None
-    return Arm(file.name, file.source, nominal, true, column("speed", moved), file.tolerance_class)
+    return Arm(file.name, file.source, nominal, true, column("speed", leaders), file.tolerance_class)
 
 
-def _coupling(links: list[Any], moved: list[Any], slides: tuple[bool, ...]) -> Coupling | None:
-    """Which joint moves each link, from ``follows`` and ``ratio``; None where each joint moves its own alone."""
-    if len(moved) == len(links) and all(link.ratio == 1.0 for link in links):
+def _coupling(links: list[Any], leaders: list[Any], slides: tuple[bool, ...]) -> Coupling | None:
+    """The joint that moves each link, from ``follows`` and ``ratio``; None where each joint moves its own alone."""
+    if len(leaders) == len(links) and all(link.ratio == 1.0 for link in links):
         return None
-    order = {link.number: i for i, link in enumerate(moved)}
+    order = {link.number: i for i, link in enumerate(leaders)}
     owners = (order[link.follows if isinstance(link, Follower) else link.number] for link in links)
     return Coupling(tuple(owners), tuple(link.ratio for link in links), slides)
+
+
+# A Universal Robots arm by its kinematics file: `default_kinematics.yaml` of ROS's `ur_description` (format of 2.x).
+# `ur_calibration` writes such a file from what the maker measured of one robot and its controller keeps. Each of six
+# joints turns about z of a frame that the file places in the frame before, by x, y, z in m and roll, pitch, yaw in
+# rad about fixed axes. The base is the controller's (`base` of ROS), the tip its flange (`tool0`).
+
+
+UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+LIMITS_OF = "ur10e"
+"""The file has no limits and speeds; this arm's are taken, the slowest of its series."""
+
+
+@register("arm_format", "yml")
+@register("arm_format", "yaml")
+def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
+    """Read a UR kinematics file, whose arm ends at its flange.
+
+    Raises:
+        InputError: If it is none, a joint or a number is missing, or a tip is named; the message says which.
+    """
+    path = Path(path)
+    if tip:
+        raise InputError(f"{path} ends at the flange, and names no '{shortened(tip)}'; leave # and what follows out")
+    row, mark = ur_row(path)
+    geometry, speed = row.geometry()
+    source = f"UR kinematics {path.name}{mark}; limits and speeds are those of {LIMITS_OF}, which the file has not"
+    return Arm(path.stem, source, geometry, None, speed)
+
+
+def ur_row(path: Path) -> tuple[JointRow, str]:
+    """The joints that `load_ur_yaml` makes an arm of, and the file's mark of the robot.
+
+    Raises:
+        InputError: If it is none, or a joint or a number is missing; the message names it.
+    """
+    content = yaml_content(read_text(path, "a UR kinematics file (.yaml)"), path)
+    links = content.get("kinematics") if isinstance(content, Mapping) else None
+    if not isinstance(links, Mapping):
+        raise InputError(f"{path} has no 'kinematics'; give a UR kinematics file as ur_calibration writes it")
+    like = read_arm(ARMS / f"{LIMITS_OF}.toml")
+    joints, drives = [], {}
+    for i, (link, name) in enumerate(zip(UR_LINKS, UR_JOINTS, strict=True)):
+        numbers = links.get(link)
+        if not isinstance(numbers, Mapping) or any(key not in numbers for key in UR_KEYS):
+            raise InputError(f"{path}: '{link}' of kinematics lacks one of {', '.join(UR_KEYS)}; give all six")
+        try:
+            most = {key: toml_tables.M.most if key in "xyz" else toml_tables.RAD.most for key in UR_KEYS}
+            values = [xml_number(str(numbers[key]), f"{key} of {link}", most[key]) for key in UR_KEYS]
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        origin = Pose(np.array(values[:3]), Rotation.from_euler("xyz", values[3:]).as_matrix())
+        joints.append(ChainJoint(name, name, 1.0, 0.0, False, origin, np.array([0.0, 0.0, 1.0])))
+        limits = (like.nominal.lower[i], like.nominal.upper[i], like.speed[i])
+        drives[name] = Drive(False, *map(float, limits))
+    mark = f", {shortened(links['hash'])}" if "hash" in links else ""
+    return JointRow(path.stem, "base", "tool0", tuple(joints), identity_pose(), drives), mark
+
+
+def shipped_arms() -> list[str]:
+    """Names of the arms that come with pickenv."""
+    return toml_tables.shipped_in(ARMS)
+
+
+def load_arm(name: str | Path) -> Arm:
+    """Read an arm by name (a shipped one), or from a path to a TOML, URDF, MJCF or UR kinematics file.
+
+    Args:
+        name: "ur5", "arm.toml", "arm.urdf#tip_link", "arm.xml#body_or_site", or "default_kinematics.yaml" as
+            `ur_description` has it. Without a tip the arm ends at its flange; its source then says at which link.
+
+    Raises:
+        InputError: If the arm is unknown, or its file is malformed; the message names the file and the joint or key.
+    """
+    path, _, tip = str(name).partition("#")
+    ending = Path(path).suffix[1:]
+    reader = registry.get("arm_format", ending) if ending in registry.names("arm_format") else load_toml
+    arm: Arm = reader(path, tip or None)
+    return arm
+
+
+@register("arm_format", "toml")
+def load_toml(path: str | Path, tip: str | None = None) -> Arm:
+    """Read an arm by the name of a shipped one or from a TOML file, which says itself where the arm ends."""
+    endings = ", ".join(f".{name}" for name in registry.names("arm_format"))
+    file = toml_tables.file_named("arm", f"{path}#{tip}" if tip else path, ARMS, endings)
+    return _read(file, file.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=32)
+def _read(path: Path, _modified: int) -> Arm:
+    return read_arm(path)

@@ -1,4 +1,4 @@
-"""The joints of an arm's description, one after another, as a `Geometry`: what readers of URDF and of MJCF share.
+"""Parts that readers and writers of URDF and of MJCF share: the flange of a tree, and joints in a row as a `Geometry`.
 
 Joints that follow another are no joints of the arm: one joint moves their links too
 (`pickenv.arm.kinematics.geometry.Coupling`), whether it stands in the chain or beside it. Slides that follow one
@@ -9,6 +9,7 @@ what every link that it moves allows. Metres and radians.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +22,110 @@ from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import PARALLEL, geometry_from_axes
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, behind, identity_pose
 from pickenv.base import InputError, shortened
+
+
+def link_origins(geometry: Geometry) -> list[Pose]:
+    """Pose of each link in the link before it, its joint at zero; the base is part of the first.
+
+    A joint then moves about, or along, its link's z: Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d) is all that is before it.
+    """
+    origins, before = [], geometry.base
+    for i in range(geometry.links):
+        twist = Rotation.from_euler("x", geometry.alpha[i])
+        turn = twist * Rotation.from_euler("y", geometry.beta[i]) * Rotation.from_euler("z", geometry.theta[i])
+        local = np.array([geometry.a[i], 0.0, 0.0]) + turn.as_matrix() @ np.array([0.0, 0.0, geometry.d[i]])
+        origins.append(behind(before, Pose(local, turn.as_matrix())))
+        before = identity_pose()
+    return origins
+
+
+# Which link of a tree is the arm's flange, where nobody names one: never a finger, a wheel or a head. From the root on,
+# the way leads where joints move. It ends where the chain branches or where only a gripper's joints follow; of the
+# links that are fixed to its end, the one that its maker calls the flange is taken.
+
+
+GRIPPERS = re.compile("finger|gripper|jaw|knuckle|thumb|claw|pinch|grasp", re.IGNORECASE)
+"""Words in the names of joints that move a gripper."""
+
+FLANGES = ("tool0", "flange", "attachment_site")
+"""Makers' names of the flange, surest first: ROS-Industrial, REP 199, MuJoCo Menagerie; each may have a prefix."""
+
+SIDE = 2
+"""A branch is passed by where the way beside it has at least so many times its joints: wheels, a head, a pinion."""
+
+
+class Carried(NamedTuple):
+    """A link and what holds it: the moving joints before it, by name; none where it is fixed.
+
+    ``only_named`` says that it is a mere mark, which is the flange only where it is called so.
+    """
+
+    link: str
+    joints: tuple[str, ...]
+    only_named: bool = False
+
+
+def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
+    """The link to which a tool is bolted.
+
+    Args:
+        children: What stands on each link; a tree.
+        root: Where the arm stands.
+
+    Raises:
+        InputError: If the tree branches into arms, or into a gripper, before anything like an arm has moved.
+    """
+    order = [root]
+    for link in order:  # grows as it is walked
+        order += [branch.link for branch in children.get(link, ())]
+    hands = _hands(children, order)
+    below: dict[str, int] = {}  # most joints in a row behind a link, grippers left out
+
+    def length(branch: Carried) -> int:
+        return 0 if branch.link in hands else len(branch.joints) + below[branch.link]
+
+    for link in reversed(order):
+        below[link] = max(map(length, children.get(link, ())), default=0)
+    link, passed = root, 0
+    while branches := sorted(filter(length, children.get(link, ())), key=length, reverse=True):
+        longest, second, *_ = *map(length, branches), 0
+        if longest < SIDE * second:
+            if passed > second:
+                break
+            names = " and ".join(f"'{shortened(branch.link)}'" for branch in branches[:2])
+            raise InputError(
+                f"the chain branches at link '{shortened(link)}' towards {names}; name the arm's last link, "
+                "as in file#link"
+            )
+        link, passed = branches[0].link, passed + len(branches[0].joints)
+    fixed = [link]
+    for end in fixed:
+        fixed += [branch.link for branch in children.get(end, ()) if not branch.joints]
+    for word in FLANGES:
+        for end in fixed:
+            if re.search(rf"(^|[^a-z0-9]){word}$", end, re.IGNORECASE):
+                return end
+    while True:  # onwards along what is fixed, as long as there is one way only
+        branches = [branch for branch in children.get(link, ()) if not branch.only_named]
+        if len(branches) != 1 or branches[0].joints:
+            return link
+        link = branches[0].link
+
+
+def _hands(children: Mapping[str, Sequence[Carried]], order: Sequence[str]) -> set[str]:
+    """Links behind whose joints, and before them, only joints named as a gripper's stand; none if all were."""
+    hands: set[str] = set()
+    arms: set[str] = set()  # links behind which another joint stands
+    for link in reversed(order):
+        for branch in children.get(link, ()):
+            if branch.link in arms or not all(map(GRIPPERS.search, branch.joints)):
+                arms.add(link)
+            elif branch.joints:
+                hands.add(branch.link)
+    return hands if order[0] in arms else set()
+
+
+# The joints of an arm's description, one after another.
 
 
 class Drive(NamedTuple):
@@ -89,8 +194,33 @@ class JointRow(NamedTuple):
     mount: str | None = None
 
     def geometry(self) -> tuple[Geometry, Array]:
-        """The arm that the row makes, and the largest speeds of its drives; raises as `chain_geometry` does."""
-        return chain_geometry(self.joints, self.tool, self.drives)
+        """The arm that the row makes, and the largest speeds of its drives.
+
+        Raises:
+            InputError: If no joint moves, or limits or slides leave no motion.
+        """
+        links: list[ChainJoint] = []  # in the world's axes
+        drives: dict[str, Drive] = {}
+        pose = identity_pose()
+        for joint in self.joints:
+            pose = behind(pose, joint.origin)
+            if joint.ratio:
+                driver = drives.get(joint.driver, self.drives[joint.driver])
+                drives[joint.driver] = _within(driver, joint)
+                links.append(replace(joint, origin=pose, axis=pose.rotation @ joint.axis))
+            pose = behind(pose, joint.motion(joint.offset))
+        links = _one_slide_each(links)
+        if not links:
+            raise InputError("the chain to the tip has no moving joint; name a link that an arm moves")
+        names = _in_order(links, drives)
+        prismatic = tuple(drives[name].slides for name in names)
+        points, axes = np.array([link.origin.position for link in links]), np.array([link.axis for link in links])
+        lower, upper, speed = np.array([drives[name][1:] for name in names]).T
+        geometry = geometry_from_axes(names, prismatic, points, axes, behind(pose, self.tool), lower, upper)
+        slides, ratios = tuple(link.slides for link in links), tuple(link.ratio for link in links)
+        coupling = Coupling(tuple(names.index(link.driver) for link in links), ratios, slides)
+        alone = coupling == Coupling(tuple(range(len(names))), (1.0,) * len(names), prismatic)
+        return geometry if alone else replace(geometry, coupling=coupling), speed
 
     def arm(self, path: Path, form: str, by_name: bool) -> Arm:
         """The arm of a file.
@@ -107,19 +237,8 @@ class JointRow(NamedTuple):
             geometry, speed = self.geometry()
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        chosen = "" if by_name else " by default its flange,"
-        return Arm(self.name, f"{form} {path.name},{chosen} tip {self.tip}", geometry, None, speed)
-
-
-@dataclass(frozen=True, eq=False)
-class _Link:
-    """A link that moves: by ``ratio`` times the value of the joint ``driver``, along or about ``direction`` (unit)."""
-
-    driver: str
-    ratio: float
-    slides: bool
-    point: Array
-    direction: Array
+        default = "" if by_name else " by default its flange,"
+        return Arm(self.name, f"{form} {path.name},{default} tip {self.tip}", geometry, None, speed)
 
 
 def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | None]) -> tuple[str, float, float]:
@@ -132,96 +251,60 @@ def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | No
     Raises:
         InputError: If it follows itself.
     """
-    ratio, offset, passed, seen = 1.0, 0.0, name, {name}
-    while (link := followed(passed)) is not None:
-        passed, factor, shift = link
-        if passed in seen:
+    ratio, offset, driver, names = 1.0, 0.0, name, {name}
+    while (leader := followed(driver)) is not None:
+        driver, factor, shift = leader
+        if driver in names:
             raise InputError(f"joint '{shortened(name)}' mimics itself; name the joint that is driven")
-        seen.add(passed)
+        names.add(driver)
         ratio, offset = ratio * factor, offset + ratio * shift
-    return passed, ratio, offset
+    return driver, ratio, offset
 
 
-def chain_geometry(joints: Sequence[ChainJoint], tool: Pose, drives: Mapping[str, Drive]) -> tuple[Geometry, Array]:
-    """The arm that joints in a row make, and the largest speeds of its drives.
-
-    Args:
-        joints: From base to tip.
-        tool: Pose of the tip in the frame of the last joint.
-        drives: The drivers by name.
-
-    Raises:
-        InputError: If no joint moves, or limits or slides leave no motion.
-    """
-    links: list[_Link] = []
-    found: dict[str, Drive] = {}
-    here = identity_pose()
-    for joint in joints:
-        here = behind(here, joint.origin)
-        direction = here.rotation @ joint.axis
-        if joint.ratio:
-            found[joint.driver] = _within(found.get(joint.driver, drives[joint.driver]), joint)
-            links.append(_Link(joint.driver, joint.ratio, joint.slides, here.position, direction))
-        here = behind(here, joint.motion(joint.offset))
-    links = _one_slide_each(links)
-    if not links:
-        raise InputError("the chain to the tip has no moving joint; name a link that an arm moves")
-    names = _in_order(links, found)
-    prismatic = tuple(found[name].slides for name in names)
-    points, directions = (np.array([getattr(link, key) for link in links]) for key in ("point", "direction"))
-    lower, upper, speed = np.array([found[name][1:] for name in names]).T
-    geometry = geometry_from_axes(names, prismatic, points, directions, behind(here, tool), lower, upper)
-    slides, ratios = tuple(link.slides for link in links), tuple(link.ratio for link in links)
-    coupling = Coupling(tuple(names.index(link.driver) for link in links), ratios, slides)
-    alone = coupling == Coupling(tuple(range(len(names))), (1.0,) * len(names), prismatic)
-    return geometry if alone else replace(geometry, coupling=coupling), speed
-
-
-def _within(own: Drive, joint: ChainJoint) -> Drive:
+def _within(driver: Drive, joint: ChainJoint) -> Drive:
     """A driver, narrowed to what a joint that follows it allows."""
     if joint.allowed is None:
-        return own
+        return driver
     least, most, speed = joint.allowed
     ends = sorted(((least - joint.offset) / joint.ratio, (most - joint.offset) / joint.ratio))
-    lower, upper = max(own.lower, ends[0]), min(own.upper, ends[1])
+    lower, upper = max(driver.lower, ends[0]), min(driver.upper, ends[1])
     if lower >= upper:
         raise InputError(
             f"joint '{shortened(joint.name)}' follows '{shortened(joint.driver)}', and their limits leave no motion; "
             "correct them"
         )
-    return Drive(own.slides, lower, upper, min(own.speed, speed / abs(joint.ratio)))
+    return Drive(driver.slides, lower, upper, min(driver.speed, speed / abs(joint.ratio)))
 
 
-def _one_slide_each(links: list[_Link]) -> list[_Link]:
+def _one_slide_each(links: list[ChainJoint]) -> list[ChainJoint]:
     """Slides that follow one another commute: those of one driver are one slide along the sum of their directions."""
-    found: list[_Link] = []
+    joined: list[ChainJoint] = []
     first = 0  # of the slides that follow one another
     for link in links:
-        same = [i for i in range(first, len(found)) if found[i].driver == link.driver]
-        if link.slides and same:
-            mine = found[same[0]]
-            along = mine.ratio * mine.direction + link.ratio * link.direction
-            length = float(np.linalg.norm(along))
-            if length < PARALLEL:
-                raise InputError(
-                    f"joint '{shortened(link.driver)}' moves two slides that cancel each other; correct the "
-                    "multiplier of the one that mimics"
-                )
-            ratio = length if along @ mine.direction >= 0 else -length  # the first slide's direction is kept
-            found[same[0]] = replace(mine, ratio=ratio, direction=along / ratio)
+        same = [i for i in range(first, len(joined)) if joined[i].driver == link.driver]
+        if not (link.slides and same):
+            joined.append(link)
+            first = first if link.slides else len(joined)
             continue
-        found.append(link)
-        if not link.slides:
-            first = len(found)
-    return found
+        slide = joined[same[0]]
+        along = slide.ratio * slide.axis + link.ratio * link.axis
+        length = float(np.linalg.norm(along))
+        if length < PARALLEL:
+            raise InputError(
+                f"joint '{shortened(link.driver)}' moves two slides that cancel each other; correct the "
+                "multiplier of the one that mimics"
+            )
+        ratio = length if along @ slide.axis >= 0 else -length  # the first slide's direction is kept
+        joined[same[0]] = replace(slide, ratio=ratio, axis=along / ratio)
+    return joined
 
 
-def _in_order(links: list[_Link], drives: Mapping[str, Drive]) -> tuple[str, ...]:
+def _in_order(links: list[ChainJoint], drives: Mapping[str, Drive]) -> tuple[str, ...]:
     """The drivers' names: each stands where a link moves just as it does, or else where it first moves one."""
-    places: dict[str, int] = {}
-    for i, link in reversed(list(enumerate(links))):
-        places[link.driver] = i
-    for i, link in reversed(list(enumerate(links))):
-        if link.ratio == 1.0 and link.slides == drives[link.driver].slides:
-            places[link.driver] = i
-    return tuple(sorted(places, key=places.__getitem__))
+
+    def place(name: str) -> int:
+        places = [i for i, link in enumerate(links) if link.driver == name]
+        alike = [i for i in places if links[i].ratio == 1.0 and links[i].slides == drives[name].slides]
+        return (alike or places)[0]
+
+    return tuple(sorted(drives, key=place))

@@ -1,4 +1,4 @@
-"""How plant files speak of joints: by number from 1, one number per joint in lists, sizes in the unit of the joint.
+"""Joints as plant files speak of them: by number from 1, one number per joint in lists, sizes in the unit of the joint.
 
 What is checked against the arm finds it in the context that a plant file is read with: a mapping with ``arm``.
 """
@@ -87,18 +87,18 @@ class ByJoint:
             kinds.append(toml_table(make_dataclass(name, members, frozen=True)))
         sliding = {f"{size}_{slide.name}" for size, (turn, slide) in self.units.items() if turn.name != slide.name}
 
-        def placed(found: Any, info: Any) -> Any:
-            if not isinstance(found, Mapping):
-                return found
-            entry, arm, number = Entry(found), arm_in(info.context), found.get("joint")
+        def placed(value: Any, info: Any) -> Any:
+            if not isinstance(value, Mapping):
+                return value
+            entry, arm, number = Entry(value), arm_in(info.context), value.get("joint")
             entry.slides = bool(entry.keys() & sliding)
             if arm is not None and isinstance(number, int) and 1 <= number <= arm.nominal.joints:
                 entry.slides = arm.nominal.prismatic[number - 1]
             return entry
 
         union: Any = cast(Any, kinds[0]) | kinds[1]
-        one = handler.generate_schema(Annotated[union, Kinds(lambda entry: kinds[getattr(entry, "slides", 0)])])
-        return core.tuple_variable_schema(core.with_info_before_validator_function(placed, one))
+        schema = handler.generate_schema(Annotated[union, Kinds(lambda entry: kinds[getattr(entry, "slides", 0)])])
+        return core.tuple_variable_schema(core.with_info_before_validator_function(placed, schema))
 
 
 def joint_table(make: Callable[..., Any], **sizes: tuple[Unit, Unit] | Unit) -> Any:
@@ -109,11 +109,11 @@ def joint_table(make: Callable[..., Any], **sizes: tuple[Unit, Unit] | Unit) -> 
         sizes: Units of each size for revolute and prismatic joints; the one unit of a single number.
     """
     pairs = {name: unit for name, unit in sizes.items() if isinstance(unit, tuple)}
+    singles = {name: unit for name, unit in sizes.items() if isinstance(unit, Unit)}
     members: list[Any] = [("joints", Annotated[tuple[Any, ...], ByJoint(**pairs)], ())]
-    members += [(name, Annotated[float, unit], 0.0) for name, unit in sizes.items() if isinstance(unit, Unit)]
-    table = toml_table(make_dataclass("JointTable", members, frozen=True))
+    members += [(name, Annotated[float, unit], 0.0) for name, unit in singles.items()]
 
-    def made(found: Any, context: Any) -> Any:
-        return make(*numbers_per_joint(found, context, *pairs), *(getattr(found, one[0]) for one in members[1:]))
+    def effect(table: Any, context: Any) -> Any:
+        return make(*numbers_per_joint(table, context, *pairs), *(getattr(table, name) for name in singles))
 
-    return Annotated[Any, Then(made, table)]
+    return Annotated[Any, Then(effect, toml_table(make_dataclass("JointTable", members, frozen=True)))]

@@ -13,6 +13,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import reduce
 from pathlib import Path
 from typing import TypeAlias
 
@@ -20,25 +21,21 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.flange import Carried, flange
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, driver_of
-from pickenv.arm.files.link_origins import link_origins
+from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, driver_of, flange, link_origins
 from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
-from pickenv.arm.files.xml_values import numbers_text, xml_number, xml_numbers, xml_root
+from pickenv.arm.files.xml_values import Element, numbers_text, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
 from pickenv.base import (
-    DEG,
-    RAD,
     InputError,
-    M,
     decimal_number,
     is_file,
     listed,
     one_line,
     register,
     shortened,
+    toml_tables,
     write_text,
 )
 
@@ -54,8 +51,6 @@ STIFFNESS, DAMPING = 2000.0, 200.0
 """Of the position drives, N*m/rad or N/m, and N*m*s/rad or N*s/m."""
 
 TOOL_SITE = "tool"
-
-Element = ElementTree.Element
 
 
 def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
@@ -111,9 +106,8 @@ def _weigh(body: Element, end: Array) -> None:
     """Mass and inertia of a rod from a link's origin to ``end``, m, and its picture."""
     length = float(np.linalg.norm(end))
     mass = max(DENSITY * length, LEAST_MASS)
-    inertia = mass * (
-        length**2 / 12.0 + ROD_RADIUS**2 / 2.0
-    )  # across the rod; along it no less, so that it is never singular
+    # Across the rod; along it no less, so that it is never singular.
+    inertia = mass * (length**2 / 12.0 + ROD_RADIUS**2 / 2.0)
     inertial = {"pos": numbers_text(end / 2.0), "mass": repr(mass), "diaginertia": numbers_text([inertia] * 3)}
     ElementTree.SubElement(body, "inertial", inertial)
     if length > ROD_RADIUS:
@@ -135,13 +129,13 @@ ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 
 
 def truth(word: str) -> bool:
-    """What "true" and "false" mean."""
+    """The meaning of "true" and "false"."""
     return word == "true"
 
 
 @dataclass(frozen=True)
 class MjcfValues:
-    """How a file is to be read.
+    """Settings by which a file is to be read.
 
     Attributes:
         degrees: Whether its angles are degrees, which is MJCF's default.
@@ -162,10 +156,8 @@ class MjcfValues:
         Raises:
             InputError: If a setting is unknown.
         """
-        given: dict[str, str] = {}
-        for compiler in root.iterfind("compiler"):
-            given |= compiler.attrib
-        unit, sequence = given.get("angle", "degree"), given.get("eulerseq", "xyz")
+        settings = {key: value for compiler in root.iterfind("compiler") for key, value in compiler.attrib.items()}
+        unit, sequence = settings.get("angle", "degree"), settings.get("eulerseq", "xyz")
         if unit not in ("degree", "radian"):
             raise InputError(f"angle of <compiler> is '{shortened(unit)}'; give degree or radian")
         if len(sequence) != 3 or set(sequence) - set("xyzXYZ"):
@@ -175,13 +167,12 @@ class MjcfValues:
         while waiting:
             part, name, above = waiting.pop()
             for tag in ("joint", "site"):
-                found = dict(defaults.get((tag, name), defaults.get((tag, above), {})))
-                for own in part.iterfind(tag):
-                    found = _over(found, own.attrib)
-                defaults[tag, name] = found
+                inherited = dict(defaults.get((tag, name), defaults.get((tag, above), {})))
+                attributes = (element.attrib for element in part.iterfind(tag))
+                defaults[tag, name] = reduce(_over, attributes, inherited)
             inner = [(child, child.get("class", ""), name) for child in part.iterfind("default")]
             waiting += inner[::-1]
-        return cls(unit == "degree", sequence, truth(given.get("autolimits", "true")), defaults)
+        return cls(unit == "degree", sequence, truth(settings.get("autolimits", "true")), defaults)
 
     def merged(self, tag: str, element: Element, childclass: str) -> Attributes:
         """An element's attributes over those of its class.
@@ -198,70 +189,68 @@ class MjcfValues:
         """An angle of the file, rad."""
         return math.radians(value) if self.degrees else value
 
-    def vector(self, given: Attributes, key: str, most: float) -> Array:
-        """Three numbers, or zeros."""
-        return xml_numbers(given.get(key, "0 0 0"), key, most)
+    def pose(self, attributes: Attributes) -> Pose:
+        """The pose of a body, frame or site in its parent."""
+        return Pose(xml_numbers(attributes.get("pos", "0 0 0"), "pos", toml_tables.M.most), self._rotation(attributes))
 
-    def direction(self, given: Attributes, owner: str) -> Array:
-        """The unit vector of a joint's axis."""
-        return _unit(xml_numbers(given.get("axis", "0 0 1"), "axis", M.most), f"axis of {owner}")
+    def motion(self, joint: _Joint) -> tuple[Drive, float, bool]:
+        """A joint's kind, limits and speed; its reference, rad or m; and whether the limits are the file's own.
 
-    def joint_number(self, given: Attributes, key: str, slides: bool, owner: str) -> float:
-        """A joint's number, m or rad."""
-        value = xml_number(given.get(key, "0"), owner, M.most if slides else self._most)
-        return value if slides else self.angle(value)
-
-    def limits(self, given: Attributes, slides: bool) -> tuple[float, float] | None:
-        """Lower and upper end of a joint's range where it is limited."""
-        word = given.get("limited", "auto")
-        if word == "false" or "range" not in given:
-            return None
-        low, high = map(float, xml_numbers(given["range"], "range", M.most if slides else self._most, 2))
-        if word != "true" and not (self.autolimits and low < high):
-            return None
-        return (low, high) if slides else (self.angle(low), self.angle(high))
-
-    def pose(self, given: Attributes) -> Pose:
-        """Where a body, frame or site stands in its parent."""
-        return Pose(self.vector(given, "pos", M.most), self._rotation(given))
-
-    def polynomial(self, text: str, owner: str, most: float) -> list[float]:
-        """The five coefficients of a joint's tie; those left out are MuJoCo's."""
-        parts = [decimal_number(part) for part in text.split()]
-        good = [part for part in parts if part is not None and math.isfinite(part) and abs(part) <= most]
-        if len(good) != len(parts) or len(parts) > 5:
-            raise InputError(f"polycoef of joint '{shortened(owner)}' is '{shortened(text)}'; give up to five numbers")
-        return [*good, *(0.0, 1.0, 0.0, 0.0, 0.0)[len(good) :]]
+        Raises:
+            InputError: If it is neither hinge nor slide, or its range is missing or empty.
+        """
+        attributes, name = joint.attributes, shortened(joint.name)
+        kind, word = attributes.get("type", "hinge"), attributes.get("limited", "auto")
+        if kind not in ("hinge", "slide"):
+            raise InputError(
+                f"joint '{name}' of body '{shortened(joint.body)}' is of type {shortened(kind)}; only chains of "
+                "hinges and slides are arms"
+            )
+        slides = kind == "slide"
+        most = toml_tables.M.most if slides else self._most
+        ref = xml_number(attributes.get("ref", "0"), f"ref of joint '{name}'", most)
+        low = high = 0.0
+        if word != "false" and "range" in attributes:
+            low, high = map(float, xml_numbers(attributes["range"], "range", most, 2))
+        limited = "range" in attributes and (word == "true" or (word != "false" and self.autolimits and low < high))
+        if slides and not limited:
+            raise InputError(f"slide joint '{name}' has no range; give its lower and upper end in m")
+        if limited and low >= high:
+            raise InputError(f"joint '{name}' has a range whose lower end is not below its upper end; correct it")
+        if slides:
+            return Drive(True, low, high, 1.0), ref, limited
+        lower, upper = (self.angle(low), self.angle(high)) if limited else (-math.pi, math.pi)
+        return Drive(False, lower, upper, 1.0), self.angle(ref), limited
 
     @property
     def _most(self) -> float:
-        return DEG.most if self.degrees else RAD.most
+        return toml_tables.DEG.most if self.degrees else toml_tables.RAD.most
 
-    def _rotation(self, given: Attributes) -> Array:
-        ways = [key for key in ORIENTATIONS if key in given]
+    def _rotation(self, attributes: Attributes) -> Array:
+        ways = [key for key in ORIENTATIONS if key in attributes]
         if len(ways) > 1:
             raise InputError(f"an orientation is given by both {ways[0]} and {ways[1]}; leave one out")
         match ways:
             case ["quat"]:
-                w, *xyz = _unit(xml_numbers(given["quat"], "quat", M.most, 4), "quat")
+                w, *xyz = _unit(xml_numbers(attributes["quat"], "quat", toml_tables.M.most, 4), "quat")
                 return np.asarray(Rotation.from_quat([*xyz, w]).as_matrix())
             case ["axisangle"]:
-                turn = xml_numbers(given["axisangle"], "axisangle", self._most, 4)
+                turn = xml_numbers(attributes["axisangle"], "axisangle", self._most, 4)
                 return rotation_matrix(_unit(turn[:3], "axisangle") * self.angle(float(turn[3])))
             case ["euler"]:
                 turned = np.eye(3)
-                turns = xml_numbers(given["euler"], "euler", self._most).tolist()
+                turns = xml_numbers(attributes["euler"], "euler", self._most).tolist()
                 for letter, angle in zip(self.sequence, turns, strict=True):
                     step = rotation_matrix(np.eye(3)["xyz".index(letter.lower())] * self.angle(angle))
                     turned = turned @ step if letter.islower() else step @ turned
                 return turned
             case ["xyaxes"]:
-                numbers = xml_numbers(given["xyaxes"], "xyaxes", M.most, 6)
+                numbers = xml_numbers(attributes["xyaxes"], "xyaxes", toml_tables.M.most, 6)
                 x = _unit(numbers[:3], "xyaxes")
                 y = _unit(numbers[3:] - x * (x @ numbers[3:]), "xyaxes")
                 return np.column_stack([x, y, np.cross(x, y)])
             case ["zaxis"]:
-                z = _unit(xml_numbers(given["zaxis"], "zaxis", M.most), "zaxis")
+                z = _unit(xml_numbers(attributes["zaxis"], "zaxis", toml_tables.M.most), "zaxis")
                 across = np.array([-z[1], z[0], 0.0])  # the shortest turn from z to it
                 sine = float(np.linalg.norm(across))
                 axis = across / sine if sine > 1e-10 else np.array([1.0, 0.0, 0.0])
@@ -274,8 +263,8 @@ def _over(below: Attributes, own: Attributes) -> dict[str, str]:
     ways = [key for key in ORIENTATIONS if key in own]
     inherited = [key for key in ORIENTATIONS[1:] if key in below]
     dropped = {"quat"} if ways == ["quat"] and inherited else set()
-    kept = {key: value for key, value in below.items() if not ways or dropped or key not in ORIENTATIONS}
-    return {**kept, **{key: value for key, value in own.items() if key not in dropped}}
+    lower = {key: value for key, value in below.items() if not ways or dropped or key not in ORIENTATIONS}
+    return {**lower, **{key: value for key, value in own.items() if key not in dropped}}
 
 
 def _unit(values: Array, what: str) -> Array:
@@ -291,7 +280,8 @@ WORLD = "world"
 @dataclass(frozen=True, eq=False)
 class _Joint:
     name: str
-    given: Attributes
+    body: str
+    attributes: Attributes
     within: Pose
 
 
@@ -374,27 +364,24 @@ def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
         element, owner, within, childclass = waiting.pop()
         deeper = []
         for part in element:
+            inner = part.get("childclass", childclass)
             if part.tag == "frame":
-                pose = behind(within, values.pose(part.attrib))
-                deeper.append((part, owner, pose, part.get("childclass", childclass)))
+                deeper.append((part, owner, behind(within, values.pose(part.attrib)), inner))
             elif part.tag == "body":
                 name = part.get("name", f"body {len(bodies)}")
                 if name in bodies:
                     raise InputError(f"body '{shortened(name)}' is given twice; rename one")
                 pose = behind(within, values.pose(part.attrib))
                 bodies[name] = _Body(name, owner, pose, mocap=truth(part.get("mocap", "false")))
-                deeper.append((part, name, identity_pose(), part.get("childclass", childclass)))
+                deeper.append((part, name, identity_pose(), inner))
             elif part.tag == "site":
-                given = values.merged("site", part, childclass)
-                name = part.get("name", f"{len(bodies)}")
-                bodies[f"site {name}"] = _Body(name, owner, behind(within, values.pose(given)), site=True)
+                name, pose = part.get("name", f"{len(bodies)}"), values.pose(values.merged("site", part, childclass))
+                bodies[f"site {name}"] = _Body(name, owner, behind(within, pose), site=True)
             elif part.tag in ("joint", "freejoint"):
                 joints = bodies[owner].joints
-                given = values.merged("joint", part, childclass)
-                if part.tag == "freejoint":
-                    given = {"type": "free"}
+                attributes = values.merged("joint", part, childclass)
                 name = part.get("name", f"joint {len(joints) + 1} of {owner}")
-                joints.append(_Joint(name, given, within))
+                joints.append(_Joint(name, owner, attributes if part.tag == "joint" else {"type": "free"}, within))
         waiting += deeper[::-1]
     return bodies
 
@@ -410,116 +397,93 @@ def _end(bodies: Mapping[str, _Body], tip: str | None) -> str:
     for key in (tip, f"site {tip}"):
         if key in bodies and key != WORLD:
             return key
-    known = listed((body.name for key, body in bodies.items() if key != WORLD and not body.site), 200)
-    raise InputError(f"there is no body or site '{shortened(tip)}'; name one of the file, such as {known or 'none'}")
+    names = listed((body.name for key, body in bodies.items() if key != WORLD and not body.site), 200)
+    raise InputError(f"there is no body or site '{shortened(tip)}'; name one of the file, such as {names or 'none'}")
 
 
 def _above(bodies: Mapping[str, _Body], key: str) -> list[str]:
     """A body and those that it stands on, up to the world, which is left out."""
-    found = []
+    keys = []
     while key != WORLD:
-        found.append(key)
+        keys.append(key)
         key = bodies[key].parent
-    return found
+    return keys
 
 
 def _joints(
     chain: list[str], bodies: Mapping[str, _Body], root: Element, values: MjcfValues
 ) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
     """Joints along a chain of bodies, what stands behind the last of them, and the joints that drive them."""
-    owners: dict[str, str] = {}
-    every: dict[str, _Joint] = {}
-    for key, body in bodies.items():
+    joints: dict[str, _Joint] = {}
+    for body in bodies.values():
         for joint in body.joints:
-            if joint.name in every:
+            if joint.name in joints:
                 raise InputError(f"joint '{shortened(joint.name)}' is given twice; rename one")
-            every[joint.name], owners[joint.name] = joint, key
-    ties = _ties(root, values, every)
+            joints[joint.name] = joint
+    ties = _ties(root, values, joints)
     _refuse_loops(root, bodies, {key for key in chain if bodies[key].joints})
-    found: list[ChainJoint] = []
+    row: list[ChainJoint] = []
     drives: dict[str, Drive] = {}
     before = identity_pose()
     for key in chain:
         before = behind(before, bodies[key].pose)
         for joint in bodies[key].joints:
-            driver, ratio, offset = driver_of(joint.name, lambda name: ties.get(name))
-            if driver == WORLD:
-                ratio = 0.0
-            slides, ref, lower, upper, limited = _kind(joint, bodies[key], values)
-            anchor = values.vector(joint.given, "pos", M.most)
-            axis = values.direction(joint.given, f"joint '{shortened(joint.name)}'")
-            placed = behind(joint.within, Pose(anchor, np.eye(3)))
+            driver, ratio, offset = driver_of(joint.name, ties.get)
+            ratio = 0.0 if driver == WORLD else ratio
+            motion, ref, limited = values.motion(joint)
+            anchor = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", toml_tables.M.most)
+            axis = xml_numbers(joint.attributes.get("axis", "0 0 1"), "axis", toml_tables.M.most)
+            axis = joint.within.rotation @ _unit(axis, f"axis of joint '{shortened(joint.name)}'")
             if ratio:
-                own = _kind(every[driver], bodies[owners[driver]], values)
-                offset -= ratio * own[1]
-                drives[driver] = Drive(own[0], own[2], own[3], 1.0)
-            allowed = (lower - ref, upper - ref, math.inf) if ratio and limited and driver != joint.name else None
-            moved = joint.within.rotation @ axis
-            origin = behind(before, Pose(placed.position, np.eye(3)))
-            row = ChainJoint(joint.name, driver, ratio, offset, slides, origin, moved, allowed, key, placed.position)
-            found.append(row)
-            before = Pose(-placed.position, np.eye(3))
-    return found, before, drives
+                drives[driver], zero, _ = values.motion(joints[driver])
+                offset -= ratio * zero
+            follows = ratio and limited and driver != joint.name
+            allowed = (motion.lower - ref, motion.upper - ref, math.inf) if follows else None
+            place = behind(joint.within, Pose(anchor, np.eye(3))).position
+            origin = behind(before, Pose(place, np.eye(3)))
+            row.append(ChainJoint(joint.name, driver, ratio, offset, motion.slides, origin, axis, allowed, key, place))
+            before = Pose(-place, np.eye(3))
+    return row, before, drives
 
 
-def _kind(joint: _Joint, body: _Body, values: MjcfValues) -> tuple[bool, float, float, float, bool]:
-    """Whether a joint slides, its reference, its limits, and whether they are the file's own."""
-    kind, name = joint.given.get("type", "hinge"), shortened(joint.name)
-    if kind not in ("hinge", "slide"):
-        raise InputError(
-            f"joint '{name}' of body '{shortened(body.name)}' is of type {shortened(kind)}; only chains of hinges and "
-            "slides are arms"
-        )
-    slides = kind == "slide"
-    ref = values.joint_number(joint.given, "ref", slides, f"ref of joint '{name}'")
-    span = values.limits(joint.given, slides)
-    if span is None and slides:
-        raise InputError(f"slide joint '{name}' has no range; give its lower and upper end in m")
-    lower, upper = span or (-math.pi, math.pi)
-    if lower >= upper:
-        raise InputError(f"joint '{name}' has a range whose lower end is not below its upper end; correct it")
-    return slides, ref, lower, upper, span is not None
-
-
-def _ties(root: Element, values: MjcfValues, every: Mapping[str, _Joint]) -> dict[str, tuple[str, float, float]]:
+def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> dict[str, tuple[str, float, float]]:
     """For each joint that an equality constraint ties: the joint that it follows, or the world; ratio and offset."""
-    found: dict[str, tuple[str, float, float]] = {}
+    ties: dict[str, tuple[str, float, float]] = {}
     for tie in root.iterfind("equality/joint"):
-        name, leader = tie.get("joint1", ""), tie.get("joint2", WORLD)
+        name, leader, law = tie.get("joint1", ""), tie.get("joint2", WORLD), tie.get("polycoef", "")
         if not truth(tie.get("active", "true")):
             continue
-        if name not in every or (leader != WORLD and leader not in every):
+        if name not in joints or (leader != WORLD and leader not in joints):
             raise InputError(
                 f"an equality constraint ties joint '{shortened(name)}' to '{shortened(leader)}', and one of them is "
                 "no joint of the file; correct its name"
             )
-        if name in found:
+        if name in ties:
             raise InputError(f"two equality constraints tie joint '{shortened(name)}'; leave one active")
-        shift, factor, *higher = values.polynomial(tie.get("polycoef", "0 1 0 0 0"), name, MOST_RATIO)
+        numbers = [number for number in map(decimal_number, law.split()) if number is not None]
+        numbers = [number for number in numbers if math.isfinite(number) and abs(number) <= MOST_RATIO]
+        if len(numbers) != len(law.split()) or len(numbers) > 5:
+            raise InputError(f"polycoef of joint '{shortened(name)}' is '{shortened(law)}'; give up to five numbers")
+        shift, factor, *higher = *numbers, *(0.0, 1.0, 0.0, 0.0, 0.0)[len(numbers) :]  # those left out are MuJoCo's
         if any(higher) and leader != WORLD:
             raise InputError(
                 f"joint '{shortened(name)}' follows '{shortened(leader)}' by a curve; an arm's joints follow in "
                 "proportion only"
             )
-        found[name] = leader, factor, shift
-    return found
+        ties[name] = leader, factor, shift
+    return ties
 
 
 def _refuse_loops(root: Element, bodies: Mapping[str, _Body], moved: set[str]) -> None:
     """A constraint between bodies closes a loop; one that holds a joint of the chain makes it no open chain."""
-    for kind in ("connect", "weld"):
-        for tie in root.iterfind(f"equality/{kind}"):
-            if not truth(tie.get("active", "true")):
-                continue
-            ends = [tie.get("body1"), tie.get("body2")]
-            ends = [f"site {tie.get(f'site{i + 1}')}" if tie.get("site1") else end for i, end in enumerate(ends)]
-            held = [end for end in ends if end in bodies]
-            if any(bodies[end].mocap for end in held if end is not None):
-                continue  # a handle by which a program moves the model
-            ways = [set(_above(bodies, end)) for end in held if end is not None]
-            across = ways[0] ^ ways[1] if len(ways) == 2 else ways[0] if ways else set()
-            if caught := across & moved:
-                raise InputError(
-                    f"a {kind} constraint closes a loop through body '{shortened(min(caught))}'; an arm is an open "
-                    "chain, so name a tip before the loop"
-                )
+    for tie in (*root.iterfind("equality/connect"), *root.iterfind("equality/weld")):
+        ends = [f"site {tie.get(f'site{i}')}" if tie.get("site1") else tie.get(f"body{i}") for i in (1, 2)]
+        bound = [end for end in ends if end is not None and end in bodies]
+        if not truth(tie.get("active", "true")) or any(bodies[end].mocap for end in bound):
+            continue  # a mocap body is a handle by which a program moves the model
+        between = reduce(set.symmetric_difference, (set(_above(bodies, end)) for end in bound), set[str]())
+        if caught := between & moved:
+            raise InputError(
+                f"a {tie.tag} constraint closes a loop through body '{shortened(min(caught))}'; an arm is an open "
+                "chain, so name a tip before the loop"
+            )

@@ -1,7 +1,7 @@
 """URDF in: any serial chain of revolute, continuous, prismatic and fixed joints of a tree becomes a `Geometry`.
 
 Joints that mimic another are no joints of the arm; the joint that they follow moves their links too. Where no tip is
-named, it is the flange (`pickenv.arm.files.flange`), and the arm's source says so.
+named, it is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
 
 Lengths in metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.
 """
@@ -10,16 +10,15 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping, Sequence
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.flange import Carried, flange
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, driver_of
-from pickenv.arm.files.link_origins import link_origins
-from pickenv.arm.files.xml_values import numbers_text, xml_number, xml_numbers, xml_root
+from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, driver_of, flange, link_origins
+from pickenv.arm.files.xml_values import Element, numbers_text, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, one_line, register, shortened, write_text
@@ -33,8 +32,6 @@ ROD_RADIUS, SHORTEST_ROD = 0.015, 0.02
 
 MASS, INERTIA, EFFORT = 0.1, 1e-4, 100.0
 """Of every moving link and joint, since simulators load nothing that weighs or lifts nothing; no arm's own."""
-
-Element = ElementTree.Element
 
 
 def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
@@ -79,21 +76,18 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
 
 def leading_links(geometry: Geometry) -> list[int | None]:
     """For each joint, the first link that moves just as the joint does; None where there is none."""
-    found: list[int | None] = []
-    for joint, slides in enumerate(geometry.prismatic):
-        links = [i for i, ratio in geometry.links_of(joint) if ratio == 1.0 and geometry.slides[i] == slides]
-        found.append(links[0] if links else None)
-    return found
+    return [
+        next((i for i, ratio in geometry.links_of(joint) if ratio == 1.0 and geometry.slides[i] == slides), None)
+        for joint, slides in enumerate(geometry.prismatic)
+    ]
 
 
 def _moving_link(robot: Element, name: str) -> Element:
     link = ElementTree.SubElement(robot, "link", name=name)
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "mass", value=repr(MASS))
-    moments = {
-        axes: repr(INERTIA if axes[1] == axes[2] else 0.0) for axes in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    }
-    ElementTree.SubElement(inertial, "inertia", moments)
+    moments = {"ixx": INERTIA, "ixy": 0.0, "ixz": 0.0, "iyy": INERTIA, "iyz": 0.0, "izz": INERTIA}
+    ElementTree.SubElement(inertial, "inertia", {axes: repr(moment) for axes, moment in moments.items()})
     return link
 
 
@@ -168,19 +162,17 @@ def urdf_row(path: Path, tip: str | None = None, base: str | None = None) -> Joi
     """
     root = xml_root(path, ".urdf")
     try:
-        elements = [joint for joint in root.iter("joint") if joint.find("child") is not None]
-        named = _unique(elements)
-        chain, last = _chain(elements, tip, base)
-        joints, tool, drives = _joints(chain, named)
+        by_name, above = _unique([joint for joint in root.iter("joint") if joint.find("child") is not None])
+        chain, last = _chain(above, tip, base)
+        joints, tool, drives = _joints(chain, by_name)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     mount = str(chain[-1].get("name")) if chain[-1].get("type") == "fixed" else None
-    return JointRow(
-        shortened(root.get("name", path.stem)), _link(chain[0], "parent"), last, tuple(joints), tool, drives, mount
-    )
+    name, first = shortened(root.get("name", path.stem)), _link(chain[0], "parent")
+    return JointRow(name, first, last, tuple(joints), tool, drives, mount)
 
 
-def _joints(chain: list[Element], named: Mapping[str, Element]) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
+def _joints(chain: list[Element], by_name: Mapping[str, Element]) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
     """The joints of a row of elements, the tip in the last one's frame, and what drives them."""
     joints: list[ChainJoint] = []
     drives: dict[str, Drive] = {}
@@ -196,7 +188,7 @@ def _joints(chain: list[Element], named: Mapping[str, Element]) -> tuple[list[Ch
             raise InputError(
                 f"joint {_name(joint)} has type '{shortened(kind)}'; only serial R and P chains are supported"
             )
-        driver, ratio, offset = _driver(joint, named)
+        driver, ratio, offset = _driver(joint, by_name)
         axis = joint.find("axis")
         direction = np.array([1.0, 0.0, 0.0]) if axis is None else _numbers(axis, "xyz", joint)
         length = float(np.linalg.norm(direction))
@@ -206,47 +198,40 @@ def _joints(chain: list[Element], named: Mapping[str, Element]) -> tuple[list[Ch
         if ratio:
             drives[name] = Drive(MOVING[str(driver.get("type"))], *_limits(driver))
         free = joint is driver or not ratio or kind == "continuous" or joint.find("limit") is None
-        allowed = None if free else _limits(joint)
-        shown = str(joint.get("name"))
-        joints.append(ChainJoint(shown, name, ratio, offset, MOVING[kind], before, direction / length, allowed))
+        allowed, motion = None if free else _limits(joint), (ratio, offset, MOVING[kind])
+        joints.append(ChainJoint(str(joint.get("name")), name, *motion, before, direction / length, allowed))
         before = identity_pose()
     return joints, before, drives
 
 
-def _unique(joints: list[Element]) -> dict[str, Element]:
-    """The joints by name; URDF asks for each name once, and for one joint before each link."""
-    named: dict[str, Element] = {}
-    before: dict[str, Element] = {}
+def _unique(joints: list[Element]) -> tuple[dict[str, Element], dict[str, Element]]:
+    """The joints by name, and by the link behind them; URDF asks for each name once, and for one joint to each link."""
+    by_name: dict[str, Element] = {}
+    above: dict[str, Element] = {}
     for joint in joints:
         name, child = str(joint.get("name")), _link(joint, "child")
-        if name in named:
+        if name in by_name:
             raise InputError(f"joint {_name(joint)} is given twice; rename one")
-        if child in before:
+        if child in above:
             raise InputError(
-                f"link '{shortened(child)}' is the child of joints {_name(before[child])} and {_name(joint)}; "
+                f"link '{shortened(child)}' is the child of joints {_name(above[child])} and {_name(joint)}; "
                 "give each link one joint before it"
             )
-        named[name] = before[child] = joint
-    return named
+        by_name[name] = above[child] = joint
+    return by_name, above
 
 
-def _chain(joints: list[Element], tip: str | None, base: str | None) -> tuple[list[Element], str]:
+def _chain(above: Mapping[str, Element], tip: str | None, base: str | None) -> tuple[list[Element], str]:
     """The joints from ``base`` to ``tip``, and the tip; loops are refused."""
-    above = {_link(joint, "child"): joint for joint in joints}
-    checked: set[str] = set()
-    for start in above:
-        trail: set[str] = set()
-        link = start
-        while link in above and link not in checked:
-            if link in trail:
-                raise InputError(
-                    f"joint {_name(above[link])} closes a loop: link '{shortened(link)}' stands on itself; an "
-                    "arm is an open chain"
-                )
-            trail.add(link)
-            link = _link(above[link], "parent")
-        checked |= trail
-    tip = tip or _flange(joints, above, base)
+    try:
+        TopologicalSorter({link: [_link(joint, "parent")] for link, joint in above.items()}).prepare()
+    except CycleError as error:
+        link = error.args[1][0]
+        raise InputError(
+            f"joint {_name(above[link])} closes a loop: link '{shortened(link)}' stands on itself; an arm is an open "
+            "chain"
+        ) from None
+    tip = tip or _flange(above, base)
     chain: list[Element] = []
     link = tip
     while link in above and link != base:
@@ -260,38 +245,37 @@ def _chain(joints: list[Element], tip: str | None, base: str | None) -> tuple[li
     return chain[::-1], tip
 
 
-def _flange(joints: list[Element], above: Mapping[str, Element], base: str | None) -> str:
+def _flange(above: Mapping[str, Element], base: str | None) -> str:
     """The link at which the arm's own joints end."""
     children: dict[str, list[Carried]] = {}
-    for joint in joints:
+    for link, joint in above.items():
         moving = () if joint.get("type") == "fixed" else (str(joint.get("name")),)
-        children.setdefault(_link(joint, "parent"), []).append(Carried(_link(joint, "child"), moving))
-    roots = [link for link in children if link not in above] or [""]
-    return flange(children, base or roots[0])
+        children.setdefault(_link(joint, "parent"), []).append(Carried(link, moving))
+    return flange(children, base or next((link for link in children if link not in above), ""))
 
 
-def _driver(joint: Element, named: Mapping[str, Element]) -> tuple[Element, float, float]:
+def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, float, float]:
     """The joint that moves this one, and the multiplier and offset between them."""
 
     def mimicked(name: str) -> tuple[str, float, float] | None:
-        mimic = named[name].find("mimic")
+        mimic = by_name[name].find("mimic")
         if mimic is None:
             return None
         leader = mimic.get("joint", "")
-        if leader not in named:
+        if leader not in by_name:
             raise InputError(
-                f"joint {_name(named[name])} mimics '{shortened(leader)}', which is no joint of the file; name one "
+                f"joint {_name(by_name[name])} mimics '{shortened(leader)}', which is no joint of the file; name one "
                 "that is"
             )
-        words = [(mimic.get(key, default), key) for key, default in (("multiplier", "1"), ("offset", "0"))]
-        owner = f"of joint {_name(named[name])}"
-        multiplier, offset = (xml_number(text, f"{key} {owner}", MOST_RATIO) for text, key in words)
-        return leader, multiplier, offset
+        owner = f"of joint {_name(by_name[name])}"
+        multiplier = xml_number(mimic.get("multiplier", "1"), f"multiplier {owner}", MOST_RATIO)
+        return leader, multiplier, xml_number(mimic.get("offset", "0"), f"offset {owner}", MOST_RATIO)
 
     driver, ratio, offset = driver_of(str(joint.get("name")), mimicked)
-    if str(named[driver].get("type")) not in MOVING:
-        raise InputError(f"joint {_name(joint)} mimics {_name(named[driver])}, which does not move; name one that does")
-    return named[driver], ratio, offset
+    leader = by_name[driver]
+    if str(leader.get("type")) not in MOVING:
+        raise InputError(f"joint {_name(joint)} mimics {_name(leader)}, which does not move; name one that does")
+    return leader, ratio, offset
 
 
 def _limits(joint: Element) -> tuple[float, float, float]:
@@ -302,18 +286,19 @@ def _limits(joint: Element) -> tuple[float, float, float]:
         raise InputError(f"{kind} joint {_name(joint)} has no <limit>; give lower and upper in {unit}, and velocity")
     attributes = {} if limit is None else limit.attrib
     most, fastest = (M.most, M_PER_S.most) if unit == "m" else (RAD.most, RAD_PER_S.most)
+
+    def number(key: str, default: str, most: float) -> float:
+        return xml_number(attributes.get(key, default), f"{key} limit of joint {_name(joint)}", most)
+
     lower, upper = -np.pi, np.pi
     if kind != "continuous":
-        lower, upper = (
-            xml_number(attributes.get(key, "0"), f"{key} limit of joint {_name(joint)}", most)
-            for key in ("lower", "upper")
+        lower, upper = number("lower", "0", most), number("upper", "0", most)
+    if lower >= upper:
+        raise InputError(
+            f"joint {_name(joint)} has a lower limit of {lower:g} {unit}, not below its upper limit of "
+            f"{upper:g} {unit}; correct them"
         )
-        if lower >= upper:
-            raise InputError(
-                f"joint {_name(joint)} has a lower limit of {lower:g} {unit}, not below its upper limit of "
-                f"{upper:g} {unit}; correct them"
-            )
-    speed = xml_number(attributes.get("velocity", "1"), f"velocity limit of joint {_name(joint)}", fastest)
+    speed = number("velocity", "1", fastest)
     if speed <= 0:
         raise InputError(
             f"the velocity limit of joint {_name(joint)} is {speed:g}; give the joint's largest speed in "

@@ -1,4 +1,4 @@
-"""What readers of XML arm files share: the file's tree, and numbers in its attributes."""
+"""Parts that readers of XML arm files share: the file's tree, and numbers in its attributes."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def set_aside(m: ModuleType, condition: Scalar) -> bool:
 
 
 def outside(m: ModuleType, function: Callable[..., None], values: Sequence[Scalar], rows: int) -> list[Scalar] | None:
-    """What a function of whole arrays makes of numbers, where a namespace writes formulas down; else None.
+    """The numbers that a function of whole arrays makes of others, where a namespace writes formulas down; else None.
 
     Args:
         m: The namespace.

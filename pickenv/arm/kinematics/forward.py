@@ -57,24 +57,21 @@ def geometry_from_axes(
     n = len(z)
     origins, x = np.zeros((n, 3)), np.zeros((n, 3))
     for i in range(n):
-        before = points[0] if i == 0 else origins[i - 1]
+        before, previous = (origins[i - 1], x[i - 1]) if i else (points[0], np.array([1.0, 0.0, 0.0]))
         near = points[i] + z[i] * (z[i] @ (before - points[i]))  # foot of the frame before on this axis
         if i == n - 1:
-            origins[i], x[i] = near, _perpendicular(z[i], x[i - 1] if i else np.array([1.0, 0.0, 0.0]))
+            origins[i], x[i] = near, _perpendicular(z[i], previous)
         else:
-            previous = x[i - 1] if i else np.array([1.0, 0.0, 0.0])
             origins[i], x[i] = _common_normal(near, z[i], points[i + 1], z[i + 1], previous)
     table = np.zeros((4, n))
     for i in range(1, n):
         step = origins[i] - origins[i - 1]
         twist, turn = _angle(z[i - 1], z[i], x[i - 1]), _angle(x[i - 1], x[i], z[i])
         table[:, i] = twist, step @ x[i - 1], turn, step @ z[i]
-    last = np.column_stack([x[-1], np.cross(z[-1], x[-1]), z[-1]])
-    first = np.column_stack([x[0], np.cross(z[0], x[0]), z[0]])
-    alpha, a, theta, d = table
-    base = Pose(origins[0], first)
-    hand = Pose(last.T @ (tool.position - origins[-1]), last.T @ tool.rotation)
+    first, last = (np.column_stack([x[i], np.cross(z[i], x[i]), z[i]]) for i in (0, -1))
+    base, hand = Pose(origins[0], first), Pose(last.T @ (tool.position - origins[-1]), last.T @ tool.rotation)
     low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
+    alpha, a, theta, d = table
     return Geometry(joint_names, prismatic, alpha, a, theta, d, np.zeros(n), low, high, base, hand)
 
 
@@ -151,8 +148,8 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
         alpha, a, theta, d, beta = (convert(getattr(geometry, name)[..., i]) for name in LINK_PARAMETERS)
         bent = (m.cos(beta), m.sin(beta)) if np.any(beta) else None
         links.append(Link(prismatic, m.cos(alpha), m.sin(alpha), a, theta, d, m.cos(theta), m.sin(theta), bent))
-    still = not geometry.tool.position.any() and np.array_equal(geometry.tool.rotation, np.eye(3))
-    tool = None if still else frame_of(geometry.tool)
+    identity = not geometry.tool.position.any() and np.array_equal(geometry.tool.rotation, np.eye(3))
+    tool = None if identity else frame_of(geometry.tool)
     return Chain(frame_of(geometry.base), tuple(links), tool, geometry.coupling)
 
 
@@ -264,10 +261,8 @@ def forward(geometry: Geometry, q: ArrayLike) -> Pose:
     Raises:
         ValueError: If ``q`` does not have n joints.
     """
-    single = geometry.alpha.ndim == 1
-    chain = chain_of(geometry, math if single else np)
-    joints = split_joints(geometry.joints, q)
-    return pose_of(tool_frame(np, chain, joints))
+    chain = chain_of(geometry, math if geometry.alpha.ndim == 1 else np)
+    return pose_of(tool_frame(np, chain, split_joints(geometry.joints, q)))
 
 
 def forward_torch(geometry: Geometry, q: Any) -> Pose:
@@ -295,9 +290,17 @@ def nominal_points(geometry: Geometry, q: ArrayLike) -> Array:
         geometry: The arm.
         q: Joints ``(..., n)``, rad or m.
     """
-    joints = split_joints(geometry.joints, q)
-    chain = chain_of(geometry)
-    return _points(chain, frames(np, chain, joints), joints)
+    joints, chain = split_joints(geometry.joints, q), chain_of(geometry)
+    links = frames(np, chain, joints)
+    displacements = joints if chain.coupling is None else chain.coupling.displacements(joints)
+    points = [links[0][9:]]
+    for link, frame, displacement in zip(chain.links, links[1:], displacements, strict=True):
+        zx, zy, zz, px, py, pz = frame[6:]
+        d = link.d + displacement if link.prismatic else link.d
+        points += [(px - d * zx, py - d * zy, pz - d * zz), (px, py, pz)]
+    points.append(attach(links[-1], chain.tool)[9:])
+    components = np.broadcast_arrays(*(value for point in points for value in point))
+    return np.stack(components, -1).reshape(*components[0].shape, len(points), 3)
 
 
 def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
@@ -314,23 +317,11 @@ def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
     points = nominal_points(geometry, q)
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)
     along = np.concatenate([np.zeros_like(lengths[..., :1]), np.cumsum(lengths, axis=-1)], axis=-1)
-    rest = np.asarray(tool, dtype=float) - points[..., -1, :]
-    return np.asarray(points + (along / along[..., -1:])[..., None] * rest[..., None, :])
-
-
-def _points(chain: Chain, frame_list: Sequence[Frame], joints: Sequence[Array]) -> Array:
-    points = [frame_list[0][9:]]
-    moved = joints if chain.coupling is None else chain.coupling.displacements(joints)
-    for link, frame, q in zip(chain.links, frame_list[1:], moved, strict=True):
-        zx, zy, zz, px, py, pz = frame[6:]
-        d = link.d + q if link.prismatic else link.d
-        points += [(px - d * zx, py - d * zy, pz - d * zz), (px, py, pz)]
-    points.append(attach(frame_list[-1], chain.tool)[9:])
-    shape = np.broadcast_shapes(*(np.shape(value) for point in points for value in point))
-    return np.stack([np.stack([np.broadcast_to(value, shape) for value in point], -1) for point in points], -2)
+    error = np.asarray(tool, dtype=float) - points[..., -1, :]
+    return np.asarray(points + (along / along[..., -1:])[..., None] * error[..., None, :])
 
 
 def drawn_parts(points: Array) -> list[int]:
-    """Which link parts of the polyline ``(..., K, 3)`` are long enough to be drawn: indices of their first points."""
+    """The link parts of the polyline ``(..., K, 3)`` are long enough to be drawn: indices of their first points."""
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1).reshape(-1, points.shape[-2] - 1)
     return [int(i) for i in np.flatnonzero(lengths.max(axis=0) > SHORTEST_LINK)]

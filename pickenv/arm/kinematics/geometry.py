@@ -1,4 +1,4 @@
-"""What an arm is: a serial chain of revolute and prismatic joints in modified DH parameters, with base and tool poses.
+"""An arm as a serial chain of revolute and prismatic joints in modified DH parameters, with base and tool poses.
 
 Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
 beta added for consecutive parallel axes (zero in every nominal table). Units: metres and radians.
@@ -52,7 +52,7 @@ def behind(pose: Pose, after: Pose) -> Pose:
 
 @dataclass(frozen=True)
 class Coupling:
-    """Which joint moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].
+    """The joint that moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].
 
     What a link is displaced by at zero joints is part of its theta or d.
 
@@ -138,8 +138,6 @@ class Geometry:
     @property
     def link_names(self) -> tuple[str, ...]:
         """One name per link, shape (L,): its joint's, with a number where the joint moves several links."""
-        if self.coupling is None:
-            return self.joint_names
         owners, names = self.owners, []
         for i, joint in enumerate(owners):
             place = f" ({owners[: i + 1].count(joint)} of {owners.count(joint)})" if owners.count(joint) > 1 else ""
@@ -148,9 +146,7 @@ class Geometry:
 
     def links_of(self, joint: int) -> list[tuple[int, float]]:
         """Index and ratio of each link that a joint moves (see `Coupling`)."""
-        if self.coupling is None:
-            return [(joint, 1.0)]
-        pairs = enumerate(zip(self.coupling.joint, self.coupling.ratio, strict=True))
+        pairs = enumerate(zip(self.owners, self.ratios, strict=True))
         return [(link, ratio) for link, (owner, ratio) in pairs if owner == joint]
 
     @cached_property
@@ -160,10 +156,8 @@ class Geometry:
         Link parameters carry the paper's indices: alpha0..alpha(L-1), a0..a(L-1), theta1..L, d1..L, beta0..beta(L-1),
         then base_x..base_rz and tool_x..tool_rz.
         """
-        first = {"alpha": 0, "a": 0, "theta": 1, "d": 1, "beta": 0}
-        links = [f"{name}{i + first[name]}" for name in LINK_PARAMETERS for i in range(self.links)]
-        frames = [f"{frame}_{name}" for frame in ("base", "tool") for name in FRAME_PARAMETERS]
-        return tuple(links + frames)
+        links = [f"{name}{i + (name in ('theta', 'd'))}" for name in LINK_PARAMETERS for i in range(self.links)]
+        return (*links, *(f"{frame}_{name}" for frame in ("base", "tool") for name in FRAME_PARAMETERS))
 
     @cached_property
     def parameter_is_angle(self) -> NDArray[np.bool_]:
@@ -198,13 +192,11 @@ class Geometry:
 
 def geometry_fingerprint(geometry: Geometry) -> str:
     """Hash of the joint types, the link parameters, base and tool: what is fitted to one arm is refused on another."""
-    numbers = [getattr(geometry, name).tolist() for name in LINK_PARAMETERS]
-    numbers += [v.tolist() for v in (*geometry.base, *geometry.tool)]
-    chain: list[object] = [list(geometry.prismatic), numbers]
+    links = [getattr(geometry, name) for name in LINK_PARAMETERS]
+    chain: list[object] = [geometry.prismatic, [v.tolist() for v in (*links, *geometry.base, *geometry.tool)]]
     if geometry.coupling is not None:
         chain.append([geometry.coupling.joint, geometry.coupling.ratio, geometry.coupling.slides])
-    text = json.dumps(chain)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(chain).encode()).hexdigest()[:16]
 
 
 def move_pose(pose: Pose, delta: Array) -> Pose:

@@ -1,4 +1,4 @@
-"""Rank-aware inverse kinematics for batches of targets.
+"""Rank-aware inverse kinematics for batches of targets, and the workspace that it shows.
 
 Gauss-Newton steps through the truncated pseudo-inverse, a pull to mid-range in the null space (Liegeois 1977), joint
 limits by locking joints that push outwards, and restarts from evenly spread joints. What is still not reached is tried
@@ -9,10 +9,10 @@ stand nearest. Targets that cannot be reached are said to be so, with the error 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
@@ -25,6 +25,7 @@ from pickenv.arm.kinematics.task_space import (
     noncompensable_error,
     truncated_inverse,
 )
+from pickenv.base import InputError
 
 STEP_LIMIT = 0.4
 """Largest Gauss-Newton step, in half-ranges of a joint or 0.4 rad, so that a step stays where the Jacobian holds."""
@@ -37,10 +38,10 @@ POOL, NEAREST, DAMPED_STEPS = 2**13, 8, 40
 """Poses among which starts are sought, starts per restart, and steps from each."""
 
 WHOLE = slice(0, 6)
-"""Which components of a pose error are to vanish: position and attitude."""
+"""Components of a pose error that are to vanish: position and attitude."""
 
 TURN = 0.5
-"""What the entries of a rotation matrix count against a position, as a share of the tool's spread, in "nearest"."""
+"""Weight of the entries of a rotation matrix against a position, as a share of the tool's spread, in "nearest"."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,51 +103,61 @@ def inverse(
         np.broadcast_to(position, (*shape, 3)).reshape(-1, 3),
         np.broadcast_to(rotation, (*shape, 3, 3)).reshape(-1, 3, 3),
     )
-    n, count = geometry.joints, goals.position.shape[0]
+    n = geometry.joints
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     first = middle if start is None else np.asarray(start, dtype=float)
     if not np.isfinite(first).all():
         raise ValueError("the start is not finite; give finite joints (rad or m)")
-    best = np.broadcast_to(first, (*shape, n)).reshape(-1, n).clip(geometry.lower, geometry.upper)
+    first = np.broadcast_to(first, (*shape, n)).reshape(-1, n).clip(geometry.lower, geometry.upper)
     spread = qmc.Halton(n, scramble=False).random(restarts + 1)[1:] * 2 - 1 if restarts else np.empty((0, n))
-    descend, descend_damped = _descend, _descend_damped
-    if position_only:
-        attitude_tolerance, first_three = np.inf, slice(0, 3)
-        descend, descend_damped = partial(descend, parts=first_three), partial(descend_damped, parts=first_three)
-    best = descend(geometry, goals, best, middle, half, rank_tolerance, max_iterations)
-    state = _judge(geometry, goals, best, position_tolerance, attitude_tolerance, rank_tolerance)
+    parts = slice(0, 3) if position_only else WHOLE
+    attitude_limit = np.inf if position_only else attitude_tolerance
+
+    def judge(goals: Pose, q: Array) -> InverseSolution:
+        """Joints ``(K, n)`` as a solution for goals."""
+        error = pose_error(forward(geometry, q), goals)
+        impossible = noncompensable_error(geometry, q, error, rank_tolerance)
+        distance = np.linalg.norm(error[:, :3], axis=-1)
+        possible = np.linalg.norm((error - impossible)[:, 3:], axis=-1)
+        return InverseSolution(
+            joints=q,
+            reached=(distance <= position_tolerance) & (possible <= attitude_limit),
+            position_error=distance,
+            attitude_error=np.linalg.norm(error[:, 3:], axis=-1),
+            noncompensable_attitude=np.linalg.norm(impossible[:, 3:], axis=-1),
+        )
+
+    solution = judge(goals, _descend(geometry, goals, first, rank_tolerance, max_iterations, parts))
     # None: from the best joints so far, using the directions near a singular pose that the truncation left alone.
     for offset in (None, *spread, None):
-        open_ = np.flatnonzero(~state.reached)
+        open_ = np.flatnonzero(~solution.reached)
         if not open_.size:
             break
         some = Pose(goals.position[open_], goals.rotation[open_])
-        begin = best[open_] if offset is None else np.broadcast_to(middle + 0.9 * half * offset, (open_.size, n))
+        begin = solution.joints[open_]
+        if offset is not None:
+            begin = np.broadcast_to(middle + 0.9 * half * offset, begin.shape)
         tolerance = rank_tolerance if offset is not None else min(rank_tolerance, NUMERIC_TOLERANCE)
-        tried = descend(geometry, some, begin, middle, half, tolerance, max_iterations)
-        new = _judge(geometry, some, tried, position_tolerance, attitude_tolerance, rank_tolerance)
-        better = new.reached | ((_cost(new) < _cost(state)[open_]) & (offset is not None))
-        best[open_[better]] = tried[better]
-        state = _judge(geometry, goals, best, position_tolerance, attitude_tolerance, rank_tolerance)
-    if restarts and (open_ := np.flatnonzero(~state.reached)).size:
-        count_each = NEAREST * restarts
-        some = Pose(*(np.repeat(part[open_], count_each, axis=0) for part in goals))
-        tried = _descend_damped(
-            geometry, some, _near(geometry, goals.position[open_], goals.rotation[open_], count_each)
-        )
-        new = _judge(geometry, some, tried, position_tolerance, attitude_tolerance, rank_tolerance)
-        cost = np.where(new.reached, -1.0, _cost(new)).reshape(open_.size, count_each)
-        first = cost.argmin(axis=-1)
-        better = cost.min(axis=-1) < _cost(state)[open_]
-        best[open_[better]] = tried.reshape(open_.size, count_each, n)[better, first[better]]
-        state = _judge(geometry, goals, best, position_tolerance, attitude_tolerance, rank_tolerance)
-    assert state.joints.shape == (count, n)
-    joints, *judged = (getattr(state, part.name) for part in fields(state))
-    return InverseSolution(joints.reshape(*shape, n), *(values.reshape(shape) for values in judged))
+        new = judge(some, _descend(geometry, some, begin, tolerance, max_iterations, parts))
+        better = new.reached | ((_cost(new) < _cost(solution)[open_]) & (offset is not None))
+        solution.joints[open_[better]] = new.joints[better]
+        solution = judge(goals, solution.joints)
+    if restarts and (open_ := np.flatnonzero(~solution.reached)).size:
+        count = NEAREST * restarts
+        some = Pose(*(np.repeat(part[open_], count, axis=0) for part in goals))
+        near = _near(geometry, goals.position[open_], goals.rotation[open_], count)
+        new = judge(some, _descend_damped(geometry, some, near, parts))
+        cost = np.where(new.reached, -1.0, _cost(new)).reshape(open_.size, count)
+        best = new.joints.reshape(open_.size, count, n)[range(open_.size), cost.argmin(axis=-1)]
+        better = cost.min(axis=-1) < _cost(solution)[open_]
+        solution.joints[open_[better]] = best[better]
+        solution = judge(goals, solution.joints)
+    joints, *figures = (getattr(solution, part.name) for part in fields(solution))
+    return InverseSolution(joints.reshape(*shape, n), *(values.reshape(shape) for values in figures))
 
 
 def _cost(solution: InverseSolution) -> Array:
-    """What remains and a joint motion might remove, m and rad as one."""
+    """The error that a joint motion might still remove, m and rad as one."""
     return solution.position_error + solution.attitude_error - solution.noncompensable_attitude
 
 
@@ -164,76 +175,53 @@ def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> A
     return np.asarray(joints[np.asarray(nearest).reshape(-1)])
 
 
-def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice = WHOLE) -> Array:
+def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> Array:
     """Damped steps within the joint limits; one that does not come nearer is not taken, and damped more next time."""
     damping = np.full(len(q), 1e-3)
     error = pose_error(forward(geometry, q), goals)[:, parts]
     for _ in range(DAMPED_STEPS):
         jacobian = joint_jacobian(geometry, q)[:, parts]
         downhill = np.einsum("kij,ki->kj", jacobian, error)
-        held = ((q <= geometry.lower) & (downhill < 0)) | ((q >= geometry.upper) & (downhill > 0))
-        free = jacobian * ~held[:, None, :]
+        locked = ((q <= geometry.lower) & (downhill < 0)) | ((q >= geometry.upper) & (downhill > 0))
+        free = jacobian * ~locked[:, None, :]
         normal = np.einsum("kij,kil->kjl", free, free)
-        weights = damping[:, None] * (np.einsum("kjj->kj", normal) + 1e-3) + held
+        weights = damping[:, None] * (np.einsum("kjj->kj", normal) + 1e-3) + locked
         normal = normal + weights[:, :, None] * np.eye(q.shape[-1])
-        step = np.linalg.solve(normal, (downhill * ~held)[..., None])[..., 0]
-        tried = (q + step).clip(geometry.lower, geometry.upper)
-        left = pose_error(forward(geometry, tried), goals)[:, parts]
-        nearer = np.sum(left**2, axis=-1) < np.sum(error**2, axis=-1)
-        q, error = np.where(nearer[:, None], tried, q), np.where(nearer[:, None], left, error)
+        step = np.linalg.solve(normal, (downhill * ~locked)[..., None])[..., 0]
+        trial = (q + step).clip(geometry.lower, geometry.upper)
+        trial_error = pose_error(forward(geometry, trial), goals)[:, parts]
+        nearer = np.sum(trial_error**2, axis=-1) < np.sum(error**2, axis=-1)
+        q, error = np.where(nearer[:, None], trial, q), np.where(nearer[:, None], trial_error, error)
         damping = np.where(nearer, 0.2 * damping, 5.0 * damping).clip(1e-12, 1e6)
     return q
-
-
-def _judge(
-    geometry: Geometry,
-    goals: Pose,
-    q: Array,
-    position_tolerance: float,
-    attitude_tolerance: float,
-    rank_tolerance: float,
-) -> InverseSolution:
-    error = pose_error(forward(geometry, q), goals)
-    impossible = noncompensable_error(geometry, q, error, rank_tolerance)
-    position = np.linalg.norm(error[:, :3], axis=-1)
-    possible = np.linalg.norm((error - impossible)[:, 3:], axis=-1)
-    return InverseSolution(
-        joints=q,
-        reached=(position <= position_tolerance) & (possible <= attitude_tolerance),
-        position_error=position,
-        attitude_error=np.linalg.norm(error[:, 3:], axis=-1),
-        noncompensable_attitude=np.linalg.norm(impossible[:, 3:], axis=-1),
-    )
 
 
 def _descend(
     geometry: Geometry,
     goals: Pose,
     q: Array,
-    middle: Array,
-    half: Array,
     rank_tolerance: float,
     max_iterations: int,
-    parts: slice = WHOLE,
+    parts: slice,
 ) -> Array:
     """Damped-step Gauss-Newton with null-space pull; rows that have settled are left alone."""
+    middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     q = q.copy()
     active = np.arange(len(q))
     for _ in range(max_iterations):
-        here, some = q[active], Pose(goals.position[active], goals.rotation[active])
-        error = pose_error(forward(geometry, here), some)[:, parts]
-        jacobian = joint_jacobian(geometry, here)[:, parts]
-        step = _step(jacobian, error, (middle - here) / half**2, half, rank_tolerance)
+        joints, some = q[active], Pose(goals.position[active], goals.rotation[active])
+        error = pose_error(forward(geometry, joints), some)[:, parts]
+        jacobian = joint_jacobian(geometry, joints)[:, parts]
+        step = _step(jacobian, error, (middle - joints) / half**2, half, rank_tolerance)
         # A joint at its limit that would be pushed outwards is locked, and the others take over its share.
-        outward = ((here <= geometry.lower) & (step < 0)) | ((here >= geometry.upper) & (step > 0))
+        outward = ((joints <= geometry.lower) & (step < 0)) | ((joints >= geometry.upper) & (step > 0))
         if outward.any():
             rows = np.flatnonzero(outward.any(axis=-1))
-            held = jacobian[rows] * ~outward[rows, None, :]
-            pull = (middle - here[rows]) / half**2 * ~outward[rows]
-            step[rows] = _step(held, error[rows], pull, half, rank_tolerance) * ~outward[rows]
-        moved = (here + step).clip(geometry.lower, geometry.upper)
-        q[active] = moved
-        active = active[np.max(np.abs(moved - here), axis=-1) > 1e-11]
+            free = jacobian[rows] * ~outward[rows, None, :]
+            pull = (middle - joints[rows]) / half**2 * ~outward[rows]
+            step[rows] = _step(free, error[rows], pull, half, rank_tolerance) * ~outward[rows]
+        q[active] = (joints + step).clip(geometry.lower, geometry.upper)
+        active = active[np.max(np.abs(q[active] - joints), axis=-1) > 1e-11]
         if not active.size:
             break
     return q
@@ -251,3 +239,120 @@ def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_toleranc
     step = step + toward * np.divide(along, curvature, out=np.zeros_like(along), where=curvature > 1e-18)[..., None]
     largest = np.max(np.abs(step) / np.minimum(half, 1.0), axis=-1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, STEP_LIMIT / np.maximum(largest, 1e-12)))
+
+
+# How far an arm reaches, and the largest cube that it reaches with one tool attitude. The cube's edges are parallel to
+# the world axes (ISO 9283, 6.8.3). The workspace is sampled on a grid, so the cube is the largest to within one grid
+# step. Metres.
+
+
+SAMPLES = 2**14
+"""Evenly spread joints that show roughly where the tool can be."""
+
+ITERATIONS = 10
+"""Steps of the inverse from the nearest sample; it converges quadratically."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cube:
+    """A cube in the workspace.
+
+    Attributes:
+        centre: Its centre (3,), m.
+        edge: Its edge, m; parallel to the world axes.
+        rotation: Tool attitude with which it is reached (3, 3).
+        free: Whether it is reached with any attitude.
+    """
+
+    centre: Array
+    edge: float
+    rotation: Array
+    free: bool = False
+
+    def inclined_plane(self) -> Pose:
+        """The five test poses of ISO 9283: P1 in the centre, P2 to P5 a tenth of the diagonals from the corners.
+
+        The plane holds the upper edge at -x and the lower edge at +x: corners C1, C2, C7, C8 of the standard's figure.
+        """
+        signs = np.array([[0, 0], [-1, -1], [-1, 1], [1, 1], [1, -1]])
+        offsets = np.stack([signs[:, 0], signs[:, 1], -signs[:, 0]], axis=-1) * 0.8 * self.edge / 2.0
+        return Pose(self.centre + offsets, np.broadcast_to(self.rotation, (5, 3, 3)))
+
+
+def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: int = 20, free: bool = False) -> Cube:
+    """The largest cube within reach.
+
+    Args:
+        geometry: The arm.
+        rotation: Tool attitude (3, 3); that of the middle of all joint ranges when left out. Only the part of it that
+            the joints can turn counts.
+        steps: Grid steps along the longest side of the workspace.
+        free: Whether any attitude will do, as for an arm that cannot hold one and go everywhere.
+
+    Raises:
+        InputError: If not even the smallest cube of the grid is within reach.
+    """
+    if rotation is None:
+        rotation = forward(geometry, (geometry.lower + geometry.upper) / 2.0).rotation
+    joints = _samples(geometry)
+    points = forward(geometry, joints).position
+    low, high = points.min(axis=0), points.max(axis=0)
+    step = float((high - low).max()) / steps
+    axes = [np.arange(a, b + 1e-9, step) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    targets = grid.reshape(-1, 3)
+    distance, nearest = cKDTree(points).query(targets)
+    near = np.flatnonzero(distance < step)
+    goals = Pose(targets[near], np.broadcast_to(rotation, (near.size, 3, 3)))
+    start = joints[np.asarray(nearest)[near]]
+    solution = inverse(geometry, goals, start, max_iterations=ITERATIONS, restarts=0, position_only=free)
+    within = np.zeros(len(targets), dtype=bool)
+    within[near] = solution.reached
+    corner, size = _largest_filled(within.reshape(grid.shape[:-1]))
+    if size == 0:
+        raise InputError(
+            f"this arm reaches no cube of {1e3 * step:.0f} mm with one tool attitude; give another attitude"
+        )
+    edge = size * step
+    return Cube(grid[corner] + edge / 2.0, edge, np.asarray(rotation, dtype=float), free)
+
+
+def farthest(geometry: Geometry) -> float:
+    """Largest distance of the tool from the arm's base, frame 0, within the joint limits, m.
+
+    The best of the samples is driven on to a maximum.
+    """
+    joints = _samples(geometry)
+    foot = geometry.base.position
+
+    def nearness(q: Array) -> float:
+        return -float(np.linalg.norm(forward(geometry, q).position - foot))
+
+    first = joints[np.argmax(np.linalg.norm(forward(geometry, joints).position - foot, axis=-1))]
+    limits = list(zip(geometry.lower, geometry.upper, strict=True))
+    return -float(minimize(nearness, first, bounds=limits).fun)
+
+
+def _samples(geometry: Geometry) -> Array:
+    """Evenly spread joints within the limits."""
+    spread = qmc.Halton(geometry.joints, scramble=False).random(SAMPLES)
+    return np.asarray(geometry.lower + (geometry.upper - geometry.lower) * spread)
+
+
+def _largest_filled(filled: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:
+    """Lower corner and size, in grid steps, of the largest cube of grid points that are all filled."""
+    corner: tuple[int, ...] = (0, 0, 0)
+    size, corners = 0, filled  # corners: which points are the lower corner of a filled cube of this size
+    while corners.any():
+        choices = np.argwhere(corners)
+        corner = tuple(choices[len(choices) // 2].tolist())
+        shape = np.array(corners.shape) - 1
+        if (shape < 1).any():
+            break
+        grown = np.ones(shape, dtype=bool)
+        for shift in np.ndindex(2, 2, 2):
+            grown &= corners[tuple(slice(s, s + n) for s, n in zip(shift, shape, strict=True))]
+        if not grown.any():
+            break
+        size, corners = size + 1, grown
+    return corner, size

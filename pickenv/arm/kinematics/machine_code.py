@@ -155,7 +155,7 @@ class Traced:
 
     @property
     def dtype(self) -> Any:
-        """What an array of such numbers would have."""
+        """The number type that an array of such numbers would have."""
         return np.dtype(np.float64)
 
     def __bool__(self) -> bool:
@@ -167,7 +167,7 @@ class Traced:
 
 # What `numpy` is to arrays.
 
-PI, PI_REST = float.fromhex("0x1.921fb544p+1"), float.fromhex("0x1.0b4611a626331p-33")
+PI, PI_RESIDUE = float.fromhex("0x1.921fb544p+1"), float.fromhex("0x1.0b4611a626331p-33")
 """Half a turn, rad: its first 33 bits, of which many times are exact, and what is missing."""
 
 TERMS = 11
@@ -179,21 +179,21 @@ INTRINSICS = {"round": "rint", "abs": "fabs"} | {name: name for name in ("sqrt",
 
 def sine(m: Any, angle: Scalar) -> Scalar:
     """The sine of an angle, rad, by its series; ``m`` has the rounding: ``numpy`` or `SYMBOLS`."""
-    sign, rest = _reduced(m, angle)
-    return sign * (rest * _summed(rest * rest, 1))
+    sign, residue = _reduced(m, angle)
+    return sign * (residue * _summed(residue * residue, 1))
 
 
 def cosine(m: Any, angle: Scalar) -> Scalar:
     """The cosine of an angle, as `sine`."""
-    sign, rest = _reduced(m, angle)
-    return sign * _summed(rest * rest, 0)
+    sign, residue = _reduced(m, angle)
+    return sign * _summed(residue * residue, 0)
 
 
 def _reduced(m: Any, angle: Scalar) -> tuple[Scalar, Scalar]:
     """The sign that an angle's whole half turns give to its sine and cosine, and what is left without them."""
     halves = m.round(angle * (1.0 / math.pi))
     odd = halves - 2.0 * m.round(0.5 * halves)
-    return 1.0 - 2.0 * (odd * odd), (angle - PI * halves) - PI_REST * halves
+    return 1.0 - 2.0 * (odd * odd), (angle - PI * halves) - PI_RESIDUE * halves
 
 
 def _summed(square: Scalar, first: int) -> Scalar:
@@ -255,7 +255,7 @@ SYMBOLS: Any = SimpleNamespace(
     set_aside=_set_aside,
     outside=_outside,
 )
-"""What `numpy` is to arrays."""
+"""The namespace that is to traced numbers as `numpy` is to arrays."""
 
 
 # A trace as machine code.
@@ -281,7 +281,7 @@ FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
 class Outputs(NamedTuple):
-    """What is written into an array ``(rows, N)``.
+    """Numbers to be written into an array ``(rows, N)``.
 
     Attributes:
         array: Its name.
@@ -393,28 +393,32 @@ class _Body:
         self._turn = "wide" if lanes > 1 else "narrow"
         self._bases: dict[str, str] = {}
         self._values: dict[int, str] = {}
-        needed, waiting = set[int](), [number for number, _, _ in goals]
-        while waiting:
-            number = waiting.pop()
-            if number not in needed:
-                needed.add(number)
-                waiting += operations[number].operands
+        needed = {number for number, _, _ in goals}
+        for number in reversed(range(len(operations))):  # what an operation takes stands before it
+            needed.update(operations[number].operands if number in needed else ())
         for number in sorted(needed):
             self._values[number] = self._value(operations[number])
         for number, array, row in goals:
-            self._store(self._values[number], operations[number].kind, array, row)
+            value, kind = self._values[number], operations[number].kind
+            place, memory = self._place(array, row, kind)
+            if kind == FLAG:
+                value = self._new(f"zext {self._type(FLAG)} {value} to {memory}")
+            self.lines.append(f"  store {memory} {value}, ptr {place}, align 1")
 
     def _value(self, operation: Operation) -> str:
         """The name of an operation's result, or a constant."""
-        if operation.name == "constant":
-            return self._constant(operation)
-        if operation.name == "input":
+        name, result = operation.name, operation.kind
+        if name == "constant":
+            value = operation.detail
+            text = f"0x{struct.pack('>d', float.fromhex(value)).hex().upper()}" if result == DOUBLE else str(value)
+            return text if self._lanes == 1 else f"<{', '.join([f'{result} {text}'] * self._lanes)}>"
+        if name == "input":
             array, row = operation.detail
-            return self._load(array, row, operation.kind)
+            place, memory = self._place(array, row, result)
+            value = self._new(f"load {memory}, ptr {place}, align 1")
+            return value if result != FLAG else self._new(f"trunc {memory} {value} to {self._type(FLAG)}")
         values = [self._values[i] for i in operation.operands]
-        return self._computed(operation.name, self._operations[operation.operands[0]].kind, operation.kind, values)
-
-    def _computed(self, name: str, kind: str, result: str, values: list[str]) -> str:
+        kind = self._operations[operation.operands[0]].kind
         taken = self._type(kind)
         if name in INTRINSICS:
             operands = ", ".join(f"{taken} {value}" for value in values)
@@ -439,35 +443,20 @@ class _Body:
     def _type(self, kind: str) -> str:
         return _type(kind, self._lanes)
 
-    def _constant(self, operation: Operation) -> str:
-        value, kind = operation.detail, operation.kind
-        text = f"0x{struct.pack('>d', float.fromhex(value)).hex().upper()}" if kind == DOUBLE else str(value)
-        return text if self._lanes == 1 else f"<{', '.join([f'{kind} {text}'] * self._lanes)}>"
-
-    def _place(self, array: str, row: int, kind: str) -> str:
-        """Pointer to this turn's entries in a row of an array."""
+    def _place(self, array: str, row: int, kind: str) -> tuple[str, str]:
+        """Pointer to this turn's entries in a row of an array, and their type in memory."""
         if array not in self._bases:
             slot = self._new(f"getelementptr ptr, ptr %bases, i64 {self._arrays.index(array)}")
             self._bases[array] = self._new(f"load ptr, ptr {slot}")
         before = self._new(f"mul i64 {row}, %count")
         entry = self._new(f"add i64 {before}, %{self._turn}_at")
-        return self._new(f"getelementptr {'i8' if kind == FLAG else kind}, ptr {self._bases[array]}, i64 {entry}")
-
-    def _load(self, array: str, row: int, kind: str) -> str:
-        place, memory = self._place(array, row, kind), self._type("i8" if kind == FLAG else kind)
-        value = self._new(f"load {memory}, ptr {place}, align 1")
-        return value if kind != FLAG else self._new(f"trunc {memory} {value} to {self._type(FLAG)}")
-
-    def _store(self, value: str, kind: str, array: str, row: int) -> None:
-        place, memory = self._place(array, row, kind), self._type("i8" if kind == FLAG else kind)
-        if kind == FLAG:
-            value = self._new(f"zext {self._type(FLAG)} {value} to {memory}")
-        self.lines.append(f"  store {memory} {value}, ptr {place}, align 1")
+        memory = "i8" if kind == FLAG else kind
+        return self._new(f"getelementptr {memory}, ptr {self._bases[array]}, i64 {entry}"), self._type(memory)
 
 
 @lru_cache(maxsize=64)
 def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, list[int]]:
-    """What keeps code in memory, and the addresses of its functions.
+    """The engine that keeps code in memory, and the addresses of its functions.
 
     Args:
         code: LLVM's language.
@@ -482,7 +471,7 @@ def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, lis
     features = sorted(binding.get_host_cpu_features().items())
     target = binding.Target.from_default_triple().create_target_machine(
         cpu=binding.get_host_cpu_name(),
-        features=",".join(f"{'+' if there else '-'}{feature}" for feature, there in features),
+        features=",".join(f"{'+' if present else '-'}{feature}" for feature, present in features),
         opt=2 if thorough else 0,
     )
     module = binding.parse_assembly(code)

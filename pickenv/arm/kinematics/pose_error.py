@@ -101,7 +101,7 @@ def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[
     if set_aside(m, large) or not possible(m, large):
         return vector
     exact = rotation_between(m, reference, actual)
-    return tuple(chosen(m, large, other, own) for other, own in zip(exact, vector, strict=True))
+    return tuple(chosen(m, large, part, series) for part, series in zip(exact, vector, strict=True))
 
 
 def frame_error(
@@ -146,6 +146,6 @@ def displace_pose(pose: Pose, error: ArrayLike) -> Pose:
     """The pose that differs from ``pose`` by ``error`` ``(..., 6)`` in the sense of `pose_error`."""
     error = np.asarray(error, dtype=float)
     if pose.position.ndim == error.ndim == 1:
-        moved = np.array(displaced_frame(math, frame_of(pose), error.tolist()))
-        return Pose(moved[9:], moved[:9].reshape(3, 3).T)
+        frame = np.array(displaced_frame(math, frame_of(pose), error.tolist()))
+        return Pose(frame[9:], frame[:9].reshape(3, 3).T)
     return pose_of(displaced_frame(np, frame_of(pose), list(np.ascontiguousarray(np.moveaxis(error, -1, 0)))))

@@ -1,4 +1,4 @@
-"""Which part of a pose error the joints can remove, and how: the truncated pseudo-inverse of the joint Jacobian.
+"""The part of a pose error that joints can remove, by the truncated pseudo-inverse of the joint Jacobian.
 
 The hybrid picking arm has six joints but task rank 5 everywhere (J1, J2 and J4 are parallel, J5 and J6 too), so J^-1 of
 Qiao 2026 eq (15) does not exist: singular values below `DIRECTION_TOLERANCE` of the largest are cut off, and the
@@ -95,15 +95,16 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
         In memory the poses lie next to each other.
     """
     n = geometry.links
-    found, tool_frame, shape = _frames(geometry, q)
+    frame_list, tool_frame, shape = _frames(geometry, q)
     links, tool = np.empty((12, n + 1, *shape)), np.empty((3, *shape))  # components first
-    for i, frame in enumerate(found):
+    for i, frame in enumerate(frame_list):
         for component, value in enumerate(frame):
             links[component, i] = value
     for component, value in enumerate(tool_frame[9:]):
         tool[component] = value
     jacobian = np.zeros((6, 5 * n + 12, *shape))
-    twist = [_per_link(values, shape) for values in (np.cos(geometry.alpha), np.sin(geometry.alpha), geometry.a)]
+    angles = np.cos(geometry.alpha), np.sin(geometry.alpha), geometry.a
+    twist = [np.moveaxis(np.broadcast_to(values, (*shape, n)), -1, 0) for values in angles]
     before, after, origin = tuple(links[:, :-1]), tuple(links[:, 1:]), tuple(tool)
     for k, kind in enumerate(LINK_PARAMETERS):
         for row, value in enumerate(link_column(kind, before, after, origin, twist)):
@@ -130,11 +131,6 @@ def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple
     return links, attach(links[-1], chain.tool), shape
 
 
-def _per_link(values: Array, shape: tuple[int, ...]) -> Array:
-    """Link parameters ``(..., n)`` as ``(n, ...)``, for poses of this shape."""
-    return np.moveaxis(np.broadcast_to(values, (*shape, values.shape[-1])), -1, 0)
-
-
 DIRECTION_TOLERANCE = 5e-3
 """Below this share of the largest singular value a direction counts as impossible.
 
@@ -143,11 +139,11 @@ On the picking arm the fifth singular value stays above 0.11 of the first, and a
 
 
 POSITION_FIRST = 0.05
-"""What a radian counts, in m, where fewer than six joints have to choose between position and attitude; else 1."""
+"""Weight of a radian, in m, where fewer than six joints have to choose between position and attitude; else 1."""
 
 
 def attitude_weight(joints: int) -> float:
-    """What a radian counts against a metre in the task of an arm with so many joints."""
+    """The weight of a radian against a metre in the task of an arm with so many joints."""
     return 1.0 if joints >= 6 else POSITION_FIRST
 
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm.effects.drives import MeasurementNoise, read_frame
 from pickenv.arm.effects.effect import BESIDE
-from pickenv.arm.effects.hysteresis import one_stop
+from pickenv.arm.effects.structure import one_stop
 from pickenv.arm.kinematics.forward import Frame, Scalar, forward, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.plant.plant import Plant, PlantState, Ready
@@ -35,7 +35,7 @@ Place: TypeAlias = Callable[[Array], Scalar]
 
 @dataclass(frozen=True)
 class Pace:
-    """How the arm is moved.
+    """Settings of how the arm is moved.
 
     Attributes:
         speed: Share of the joints' largest speeds, above 0.
@@ -68,9 +68,9 @@ def commands(plant: Plant, start: ArrayLike, target: ArrayLike, pace: Pace) -> I
     duration = move_time(plant, start, target, pace)
     steps = np.ceil(duration / pace.period - 1e-9)
     for step in range(1, int(steps.max(initial=0.0)) + 1):
-        left = np.clip((steps - step) * pace.period / np.maximum(duration, pace.period), 0.0, 1.0)
+        share = np.clip((steps - step) * pace.period / np.maximum(duration, pace.period), 0.0, 1.0)  # still to go
         time = np.where(step <= steps, pace.period, 0.0)
-        yield target + (start - target) * left[..., None], time if time.ndim else pace.period
+        yield target + (start - target) * share[..., None], time if time.ndim else pace.period
     if pace.dwell or not steps.any():
         yield np.broadcast_to(target, np.broadcast_shapes(start.shape, target.shape)), pace.dwell
 
@@ -91,6 +91,7 @@ def moved(
     target: ArrayLike,
     pace: Pace,
     place: Place | None = None,
+    normal: Array | None = None,
 ) -> tuple[PlantState, Frame]:
     """Move from the command ``start`` to ``target`` and wait: the state, and the true tool frame then.
 
@@ -102,7 +103,13 @@ def moved(
         target: Joints ``(..., n)``.
         pace: Speed, control period and waiting time.
         place: Makes components of arrays where ``m`` wants others.
+        normal: Standard normal numbers of this one stop's friction ``(2, n, ...)``, forward and backward of each joint:
+            without its scatter, an arm would repeat exactly. None for the usual friction.
     """
+    band = plant.effect("stick_band")
+    if normal is not None and band is not None and band.scatter:
+        rows = [in_components(m, np.moveaxis(row, 0, -1), place) for row in normal]
+        plant = plant.with_effect(one_stop(m, band, rows))
     *before, last = (
         (in_components(m, command, place), time if place is None or isinstance(time, float) else place(time))
         for command, time in commands(plant, start, target, pace)
@@ -110,35 +117,6 @@ def moved(
     for q, time in before:
         state = plant.carried(m, state, q, time)
     return plant.advance(m, state, *last)
-
-
-def stopped(
-    plant: Plant,
-    m: ModuleType,
-    state: PlantState,
-    start: ArrayLike,
-    target: ArrayLike,
-    pace: Pace,
-    normal: Array,
-    place: Place | None = None,
-) -> tuple[PlantState, Frame]:
-    """A move whose friction is that of this one stop: without its scatter, an arm would repeat exactly.
-
-    Args:
-        plant: As for `moved`, and so are the others.
-        m: The namespace.
-        state: The state.
-        start: Joints before.
-        target: Joints after.
-        pace: How it moves.
-        normal: Standard normal numbers of this stop ``(2, n, ...)``: forward and backward of each joint.
-        place: Makes components of arrays.
-    """
-    band = plant.effect("stick_band")
-    if band is not None and band.scatter:
-        rows = [in_components(m, np.moveaxis(row, 0, -1), place) for row in normal]
-        plant = plant.with_effect(one_stop(m, band, rows))
-    return moved(plant, m, state, start, target, pace, place)
 
 
 INSTRUMENTS = Path(__file__).parent / "instruments"
@@ -149,7 +127,7 @@ TRACKER = "laser_tracker"
 
 @toml_table
 class Instrument:
-    """What measures the arm, and how.
+    """An instrument that measures the arm.
 
     Attributes:
         name: Its name.
@@ -171,7 +149,7 @@ class Instrument:
     noise: MeasurementNoise | None = None
 
     def noise_on(self, plant: Plant) -> MeasurementNoise | None:
-        """How it errs at this plant: by its own numbers, else by those that the plant states."""
+        """Its errors at this plant: by its own numbers, else by those that the plant states."""
         noise: MeasurementNoise | None = plant.effect("measurement_noise") if self.noise is None else self.noise
         return noise
 
@@ -245,19 +223,19 @@ def visited(
     """
     if instrument.dwell is None or not plant.has_state or not len(joints):
         return plant.tool_frame(m, in_components(m, joints, place))
-    alone = joints.ndim == 2
-    one = math if alone else m
+    single = joints.ndim == 2
+    space = math if single else m
     plant = replace(plant, ready=Ready(plant.geometry, plant.chain))  # each stop has its friction, and the same chain
-    here = np.broadcast_to((plant.arm.nominal.lower + plant.arm.nominal.upper) / 2.0, joints.shape[1:])
-    state = switched_on(plant, one, here, instrument.warm_up, place)
+    start = np.broadcast_to((plant.arm.nominal.lower + plant.arm.nominal.upper) / 2.0, joints.shape[1:])
+    state = switched_on(plant, space, start, instrument.warm_up, place)
     pace, frames = Pace(period=instrument.period, dwell=instrument.dwell), []
     for target, normal in zip(joints, stops, strict=True):
-        state, frame = stopped(plant, one, state, here, target, pace, normal, place)
-        here = target
+        state, frame = moved(plant, space, state, start, target, pace, place, normal)
+        start = target
         frames.append(frame)
-    if alone:
+    if single:
         return tuple(np.array(column) for column in zip(*frames, strict=True))
-    zero = in_components(m, here, place)[0] * 0.0  # of many arms a component may be the same number for all
+    zero = in_components(m, start, place)[0] * 0.0  # of many arms a component may be the same number for all
     return tuple(m.stack([value + zero for value in column]) for column in zip(*frames, strict=True))
 
 
@@ -292,7 +270,7 @@ def alone(plant: Plant, *names: str) -> Plant:
 
 @dataclass(frozen=True)
 class Share:
-    """How far the tool moves, over all reaches, mm.
+    """Distances that the tool moves, over all reaches, mm.
 
     Attributes:
         mean: Mean distance.
@@ -350,11 +328,13 @@ class EffectShares:
         for name, share in self.alone.items():
             figures = f"{share.mean:13.3f}{share.varying:10.3f}{share.p95:9.3f}{share.max:9.3f}"
             lines.append(f"{name.replace('_', ' '):<20}{figures}{self.without[name].mean:17.3f}")
-        lines.append("-" * len(head))
         total = self.all
-        lines.append(f"{'all':<20}{total.mean:13.3f}{total.varying:10.3f}{total.p95:9.3f}{total.max:9.3f}{0.0:17.3f}")
-        lines.append("alone: the only effect that is on; without: what all the others leave")
-        lines.append(f"sum of the means {self.sum_of_means:.3f}, root of the sum of squares {self.root_sum_square:.3f}")
+        lines += [
+            "-" * len(head),
+            f"{'all':<20}{total.mean:13.3f}{total.varying:10.3f}{total.p95:9.3f}{total.max:9.3f}{0.0:17.3f}",
+            "alone: the only effect that is on; without: what all the others leave",
+            f"sum of the means {self.sum_of_means:.3f}, root of the sum of squares {self.root_sum_square:.3f}",
+        ]
         return "\n".join(lines)
 
 
@@ -379,39 +359,28 @@ def effect_shares(
     joints = np.asarray(joints, dtype=float)
     if joints.ndim != 2 or len(joints) < 2:
         raise ValueError(f"joints have shape {joints.shape}; give at least two rows of joint commands")
-    on, believed = causes_of(plant), forward(plant.arm.nominal, joints).position
+    causes, nominal = causes_of(plant), forward(plant.arm.nominal, joints).position
+    start = np.roll(joints, 1, axis=0)
 
     def share(*names: str) -> Share:
-        return _share(_reached(alone(plant, *names), joints, running_time, pace) - believed)
+        """The tool after reaches from the joints before (the first from the last), against the nominal one."""
+        some = alone(plant, *names)
+        _, frame = moved(some, np, switched_on(some, np, start, running_time), start, joints, pace)
+        error = np.stack(np.broadcast_arrays(*frame[9:]), -1) - nominal
+        millimetres, varying = (1e3 * np.linalg.norm(part, axis=-1) for part in (error, error - error.mean(axis=0)))
+        p95 = float(np.quantile(millimetres, 0.95))
+        return Share(float(millimetres.mean()), p95, float(millimetres.max()), float(varying.mean()))
 
-    shares = {name: share(name) for name in on}
-    means = [own.mean for own in shares.values()]
+    shares = {name: share(name) for name in causes}
+    means = [single.mean for single in shares.values()]
     return EffectShares(
         plant=plant.name,
         reaches=len(joints),
         running_hours=running_time / 3600.0,
         dwell=pace.dwell,
         alone=shares,
-        without={name: share(*(other for other in on if other != name)) for name in on},
-        all=share(*on),
+        without={name: share(*(cause for cause in causes if cause != name)) for name in causes},
+        all=share(*causes),
         sum_of_means=float(np.sum(means)),
         root_sum_square=float(np.sqrt(np.sum(np.square(means)))),
-    )
-
-
-def _reached(plant: Plant, joints: Array, running_time: float, pace: Pace) -> Array:
-    """True tool positions ``(P, 3)`` after reaches from the joints before (the first from the last), m."""
-    start = np.roll(joints, 1, axis=0)
-    _, frame = moved(plant, np, switched_on(plant, np, start, running_time), start, joints, pace)
-    return np.stack(np.broadcast_arrays(*frame[9:]), -1)
-
-
-def _share(moved_by: Array) -> Share:
-    millimetres = 1e3 * np.linalg.norm(moved_by, axis=-1)
-    varying = 1e3 * np.linalg.norm(moved_by - moved_by.mean(axis=0), axis=-1)
-    return Share(
-        mean=float(millimetres.mean()),
-        p95=float(np.quantile(millimetres, 0.95)),
-        max=float(millimetres.max()),
-        varying=float(varying.mean()),
     )

@@ -1,4 +1,4 @@
-"""How accurate an arm is by ISO 9283:1998, on the simulated arm: AP, RP, vAP and dAP, raw and calibrated.
+"""Accuracy of an arm by ISO 9283:1998, on the simulated arm: AP, RP, vAP and dAP, raw and calibrated.
 
 Thirty cycles over five poses of the inclined plane of the largest cube in the workspace, at full speed; the warm arm,
 except for the drift. AP = |mean - command|; RP = mean distance from the mean + 3 standard deviations. mm and deg.
@@ -7,18 +7,18 @@ except for the drift. AP = |mean - command|; RP = mean distance from the mean + 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Array, Frame, Geometry, Plant, PlantState, Pose, forward, inverse, load_instrument, pose_error
+from pickenv.arm import Array, Geometry, Plant, PlantState, Pose, forward, inverse, load_instrument, pose_error
 from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.kinematics.workspace import Cube, largest_cube
-from pickenv.arm.plant.campaign import TRACKER, Instrument, Pace, move_time, stopped, switched_on
+from pickenv.arm.kinematics.inverse import Cube, largest_cube
+from pickenv.arm.plant.campaign import TRACKER, Instrument, Pace, move_time, moved, switched_on
 from pickenv.base import Ends, InputError, statistic_interval
 
 Compensate = Callable[[Array], Array]
@@ -39,7 +39,7 @@ NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / mat
 
 @dataclass(frozen=True)
 class Iso9283Settings:
-    """How the test is run; the standard's numbers unless changed.
+    """Settings of the test; the standard's numbers unless changed.
 
     Attributes:
         cycles: Measurements per pose.
@@ -91,7 +91,7 @@ class PosePerformance:
 
 @dataclass(frozen=True)
 class Performance:
-    """What one controller, raw or calibrated, gets out of the arm.
+    """Figures that one controller, raw or calibrated, gets out of the arm.
 
     Attributes:
         poses: AP and RP at P1 to P5.
@@ -157,13 +157,15 @@ class Iso9283Result:
             "warm_up_h": self.settings.warm_up / 3600.0,
             "drift_h": self.settings.drift_time / 3600.0,
         }
-        cube = {"centre_mm": (1e3 * self.cube.centre).tolist(), "edge_mm": 1e3 * self.cube.edge}
-        found: dict[str, Any] = {}
-        for name, performance in self.performances().items():
-            worst = {key: getattr(performance, key) for key in ("worst_accuracy_mm", "worst_repeatability_mm")}
-            found[name] = asdict(performance) | worst
-        head = {"standard": "ISO 9283:1998", "plant": self.plant, "settings": settings, "cube": cube}
-        return head | {"instrument_repeatability_mm": self.instrument_mm} | found
+        worst = ("worst_accuracy_mm", "worst_repeatability_mm")
+        return {
+            "standard": "ISO 9283:1998",
+            "plant": self.plant,
+            "settings": settings,
+            "cube": {"centre_mm": (1e3 * self.cube.centre).tolist(), "edge_mm": 1e3 * self.cube.edge},
+            "instrument_repeatability_mm": self.instrument_mm,
+            **{name: asdict(run) | {k: getattr(run, k) for k in worst} for name, run in self.performances().items()},
+        }
 
     def report(self) -> str:
         """The test report, for people."""
@@ -184,13 +186,13 @@ class Iso9283Result:
                 f"{'vAP [mm]':>10}",
             ]
             for pose in performance.poses:
-                turn = max(pose.repeatability_deg)
-                ends = pose.repeatability_ci95_mm
+                ends, variation = pose.repeatability_ci95_mm, performance.variation_mm.get(pose.name)
                 interval = "-" if ends is None else f"{ends[0]:.3f} to {ends[1]:.3f}"
-                figures = f"{pose.accuracy_mm:9.3f}{pose.repeatability_mm:9.3f}  {interval:<14}"
-                figures += f"{pose.accuracy_deg:10.4f}{turn:10.4f}"
-                variation = performance.variation_mm.get(pose.name)
-                lines.append(f"{pose.name:<12}{figures}" + (f"{variation:10.3f}" if variation is not None else ""))
+                lines.append(
+                    f"{pose.name:<12}{pose.accuracy_mm:9.3f}{pose.repeatability_mm:9.3f}  {interval:<14}"
+                    f"{pose.accuracy_deg:10.4f}{max(pose.repeatability_deg):10.4f}"
+                    + ("" if variation is None else f"{variation:10.3f}")
+                )
             lines.append(
                 f"drift dAP over {s.drift_time / 3600:g} h: {performance.drift_mm:.3f} mm, "
                 f"{performance.drift_deg:.4f} deg; the mean position wanders by {performance.wander_mm:.3f} mm"
@@ -223,17 +225,19 @@ def iso9283(
         InputError: If a test pose cannot be reached.
     """
     settings = settings or Iso9283Settings()
-    cube = cube or _cube_for(plant.arm.nominal)
+    cube = cube or _largest_cube(plant.arm.nominal)
     seed = int(rng.integers(2**63))
     targets = _joints_for(plant, cube.inclined_plane(), None, cube.free)
     approaches = _approaches(plant, cube.inclined_plane(), targets, settings.approach, cube.free)
-    wanted = forward(reference or plant.arm.nominal, targets)
+    goals = forward(reference or plant.arm.nominal, targets)
     instrument = load_instrument(TRACKER)
-    noise, ranges = instrument.noise_on(plant), np.linalg.norm(wanted.position - instrument.stand, axis=-1)
+    noise, ranges = instrument.noise_on(plant), np.linalg.norm(goals.position - instrument.stand, axis=-1)
 
     def performance(change: Compensate) -> Performance:
         same = np.random.default_rng(seed)
-        return _Test(plant, settings, instrument, change(targets), change(approaches), wanted, same).performance()
+        mounting = same.spawn(1)[0].normal(size=3).tolist()
+        test = _Test(plant, settings, instrument, change(targets), change(approaches), goals, same, mounting)
+        return test.performance()
 
     return Iso9283Result(
         plant=plant.name,
@@ -245,7 +249,7 @@ def iso9283(
     )
 
 
-def _cube_for(geometry: Geometry) -> Cube:
+def _largest_cube(geometry: Geometry) -> Cube:
     """The largest cube; with any attitude where an arm of fewer than six joints can hold none."""
     try:
         return largest_cube(geometry)
@@ -276,32 +280,37 @@ def _approaches(plant: Plant, poses: Pose, targets: Array, length: float, free: 
 
 @dataclass(frozen=True, eq=False)
 class _Test:
-    """One controller's run through all parts of the test."""
+    """One controller's run through all parts of the test; ``mounting``: normal numbers of the target's one mounting."""
 
     plant: Plant
     settings: Iso9283Settings
     instrument: Instrument
     commands: Array
     approaches: Array
-    wanted: Pose
+    goals: Pose
     rng: np.random.Generator
-
-    @cached_property
-    def mounting(self) -> list[float]:
-        """Standard normal numbers of the one mounting of the target."""
-        return list(self.rng.spawn(1)[0].normal(size=3).tolist())
+    mounting: list[float]
 
     def performance(self) -> Performance:
         """All figures."""
-        variation = [self._variation(k) for k in range(len(VARIATION_POSES))]
-        names = [f"P{i + 1}" for i in VARIATION_POSES]
+        cycles, home = self.settings.cycles, self.commands[0]
+        warm = switched_on(self.plant, math, home, self.settings.warm_up)
+        variation = {}
+        for pose, approaches in zip(VARIATION_POSES, self.approaches, strict=True):
+            stops = [stop for start in approaches for stop in ((start, None), (self.commands[pose], pose)) * cycles]
+            _, errors = self._errors(warm, home, stops)
+            pairs = list(combinations(errors.reshape(len(approaches), cycles, 6).mean(axis=1), 2))
+            gaps = [max(float(np.linalg.norm((a - b)[part])) for a, b in pairs) for part in (slice(3), slice(3, 6))]
+            variation[f"P{pose + 1}"] = 1e3 * gaps[0], math.degrees(gaps[1])
         hours, means = self._drift()
         parts = means[:, :3], means[:, 3:], means[:, :3] - means[0, :3]
         accuracy, turn, wander = (np.linalg.norm(part, axis=-1) for part in parts)
+        _, errors = self._errors(warm, home, [(self.commands[i], i) for _ in range(cycles) for i in ORDER])
+        errors = errors.reshape(cycles, len(ORDER), 6)
         return Performance(
-            poses=self._poses(),
-            variation_mm=dict(zip(names, (1e3 * v[0] for v in variation), strict=True)),
-            variation_deg=dict(zip(names, (math.degrees(v[1]) for v in variation), strict=True)),
+            poses=tuple(_pose_performance(f"P{i + 1}", errors[:, ORDER.index(i)]) for i in sorted(ORDER)),
+            variation_mm={name: distance for name, (distance, _) in variation.items()},
+            variation_deg={name: angle for name, (_, angle) in variation.items()},
             drift_mm=1e3 * float(np.abs(accuracy - accuracy[0]).max()),
             drift_deg=math.degrees(float(np.abs(turn - turn[0]).max())),
             wander_mm=1e3 * float(wander.max()),
@@ -309,76 +318,45 @@ class _Test:
             drift_accuracy_mm=tuple((1e3 * accuracy).tolist()),
         )
 
-    def _poses(self) -> tuple[PosePerformance, ...]:
-        state, here = self._warm()
-        errors: dict[int, list[Array]] = {i: [] for i in ORDER}
-        for _ in range(self.settings.cycles):
-            for i in ORDER:
-                state, frame = self._move(state, here, self.commands[i])
-                here = self.commands[i]
-                errors[i].append(self._error(i, frame))
-        return tuple(_pose_performance(f"P{i + 1}", np.array(errors[i])) for i in sorted(errors))
-
-    def _variation(self, k: int) -> tuple[float, float]:
-        """Largest distance (m, rad) between the mean poses of the three approach directions."""
-        pose = VARIATION_POSES[k]
-        state, here = self._warm()
-        means = []
-        for before in self.approaches[k]:
-            errors = []
-            for _ in range(self.settings.cycles):
-                state, _ = self._move(state, here, before)
-                state, frame = self._move(state, before, self.commands[pose])
-                here = self.commands[pose]
-                errors.append(self._error(pose, frame))
-            means.append(np.mean(errors, axis=0))
-        apart = [a - b for i, a in enumerate(means) for b in means[:i]]
-        return max(float(np.linalg.norm(gap[:3])) for gap in apart), max(
-            float(np.linalg.norm(gap[3:])) for gap in apart
-        )
-
     def _drift(self) -> tuple[list[float], Array]:
         """Hours, and the mean error ``(T, 6)`` at P1, from switching the cold arm on."""
-        away, home = self.commands[1], self.commands[0]
+        settings, away, home = self.settings, self.commands[1], self.commands[0]
+        stops = [(away, None), (home, 0)] * settings.drift_cycles
+        move = float(move_time(self.plant, home, away, settings.pace)) + settings.pace.dwell
         state, clock = switched_on(self.plant, math, home, 0.0), 0.0
         hours, means = [], []
-        for k in range(round(self.settings.drift_time / self.settings.drift_interval) + 1):
-            wait = max(k * self.settings.drift_interval - clock, 0.0)
+        for k in range(round(settings.drift_time / settings.drift_interval) + 1):
+            wait = max(k * settings.drift_interval - clock, 0.0)
             state, clock = self.plant.carried(math, state, home.tolist(), wait), clock + wait
             hours.append(clock / 3600.0)
-            errors = []
-            for _ in range(self.settings.drift_cycles):
-                state, _ = self._move(state, home, away)
-                state, frame = self._move(state, away, home)
-                errors.append(self._error(0, frame))
-            way = float(move_time(self.plant, home, away, self.settings.pace))
-            clock += 2.0 * self.settings.drift_cycles * (way + self.settings.pace.dwell)
-            means.append(np.mean(errors, axis=0))
+            state, errors = self._errors(state, home, stops)
+            clock += 2.0 * settings.drift_cycles * move
+            means.append(errors.mean(axis=0))
         return hours, np.array(means)
 
-    def _warm(self) -> tuple[PlantState, Array]:
-        return switched_on(self.plant, math, self.commands[0], self.settings.warm_up), self.commands[0]
-
-    def _move(self, state: PlantState, start: Array, target: Array) -> tuple[PlantState, Frame]:
-        """A move, and the stop at its end."""
-        normal = self.rng.normal(size=(2, len(target)))
-        return stopped(self.plant, math, state, start, target, self.settings.pace, normal)
-
-    def _error(self, i: int, frame: Frame) -> Array:
-        """Measured pose error (6,) against the commanded pose, m and rad."""
-        noise = self.instrument.noise_on(self.plant)
-        if noise is not None:
-            reading = self.rng.normal(size=6).tolist()
-            frame = read_frame(math, noise, self.instrument.stand, frame, reading, self.mounting)
-        return pose_error(Pose(self.wanted.position[i], self.wanted.rotation[i]), pose_of(frame))
+    def _errors(
+        self, state: PlantState, start: Array, stops: Sequence[tuple[Array, int | None]]
+    ) -> tuple[PlantState, Array]:
+        """The state after moves, and errors ``(..., 6)``, m and rad, measured at those stops that say of which pose."""
+        noise, errors = self.instrument.noise_on(self.plant), []
+        for target, i in stops:
+            normal = self.rng.normal(size=(2, len(target)))
+            state, frame = moved(self.plant, math, state, start, target, self.settings.pace, normal=normal)
+            start = target
+            if i is None:
+                continue
+            if noise is not None:
+                reading = self.rng.normal(size=6).tolist()
+                frame = read_frame(math, noise, self.instrument.stand, frame, reading, self.mounting)
+            errors.append(pose_error(Pose(self.goals.position[i], self.goals.rotation[i]), pose_of(frame)))
+        return state, np.array(errors)
 
 
 def _pose_performance(name: str, errors: Array) -> PosePerformance:
     """Figures of errors ``(cycles, 6)`` in m and rad."""
-    mean = errors.mean(axis=0)
-    repeated = _repeatability(errors)
+    mean, repeatability = errors.mean(axis=0), _repeatability(errors)
     ends = None  # an arm that repeats to rounding has no scatter to resample
-    if repeated > 1e-12:
+    if repeatability > 1e-12:
         ends = statistic_interval(errors, lambda some: math.log(1e3 * _repeatability(some)), CYCLES)
     turns = np.degrees(3.0 * errors[:, 3:].std(axis=0, ddof=1))
     x, y, z = (1e3 * mean[:3]).tolist()
@@ -386,7 +364,7 @@ def _pose_performance(name: str, errors: Array) -> PosePerformance:
         name=name,
         accuracy_mm=1e3 * float(np.linalg.norm(mean[:3])),
         accuracy_deg=math.degrees(float(np.linalg.norm(mean[3:]))),
-        repeatability_mm=1e3 * repeated,
+        repeatability_mm=1e3 * repeatability,
         repeatability_deg=(float(turns[0]), float(turns[1]), float(turns[2])),
         repeatability_ci95_mm=None if ends is None else (math.exp(ends[0]), math.exp(ends[1])),
         mean_error_mm=(x, y, z),

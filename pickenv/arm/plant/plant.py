@@ -16,17 +16,78 @@ from types import ModuleType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.effects.effect import BESIDE, DRIVE, Components, Effect, Load, Passage
+from pickenv.arm.effects.residual_field import ResidualField
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, pose_of, split_joints
-from pickenv.arm.kinematics.geometry import Geometry, Pose
-from pickenv.arm.plant.posterior import Posterior
+from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.base import registry
 
+# What a calibration knows of one arm, and how surely: numbers of which `pickenv.arm.plant.twin_file` makes plants. The
+# arm's numbers are linear in standard normal ones, plus what was not identified: a parameter that the data cannot tell
+# from others may lie anywhere in its tolerance, as long as the others give way so that what was measured stays.
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The meaning of each coefficient beside the geometry, in order: leads, harmonics, moments, then the boom's two.
+
+    Attributes:
+        leads: The joint of each lead error, from 0.
+        harmonics: Joint and order (1/rad, 1/m) of each periodic error, which has a sine and a cosine coefficient.
+        moments: As `pickenv.arm.effects.drives.GravityYield` has them.
+        up: Direction against gravity in the axes of frame 0.
+        boom: Joint of a boom that bends and its free length in m, or None; tip load and own weight over EI.
+    """
+
+    leads: tuple[int, ...] = ()
+    harmonics: tuple[tuple[int, float], ...] = ()
+    moments: tuple[tuple[int, int, str], ...] = ()
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    boom: tuple[int, float] | None = None
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int]:
+        """Number of coefficients of each kind."""
+        return len(self.leads), 2 * len(self.harmonics), len(self.moments), 2 * (self.boom is not None)
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """An arm as it was found; P = 5L + 12 + k parameters: the geometry's, then the coefficients.
+
+    Attributes:
+        identified: Geometry found, base and tool in the instrument's frame.
+        aligned: Base and tool of the nominal arm in that frame.
+        layout: What the coefficients are.
+        coefficients: The coefficients found ``(k,)``.
+        factor: Parameters per standard normal number ``(P, p)``.
+        unseen: Places of the parameters that were not identified ``(d,)``.
+        traces: Parameters per unit of each of them ``(P, d)``: itself, and what gives way.
+        field: The residual's mean, or None.
+        field_factor: Weights of each output's smooth waves, cosines then sines, per standard normal number
+            ``(O, 2 K, 2 K)``.
+        rough: Standard deviation of each output's rough waves together ``(O,)``, m and rad.
+        notes: What was told apart and how, one sentence each.
+    """
+
+    identified: Geometry
+    aligned: tuple[Pose, Pose]
+    layout: Layout
+    coefficients: Array
+    factor: Array
+    unseen: NDArray[np.int64]
+    traces: Array
+    field: ResidualField | None
+    field_factor: Array
+    rough: Array
+    notes: tuple[str, ...] = ()
+
+
 PlantState = tuple[Components, ...]
-"""What a plant remembers from one moment to the next: the memory of each effect that has one, in the plant's order."""
+"""A plant's memory from one moment to the next: the memory of each effect that has one, in the plant's order."""
 
 
 class Ready(NamedTuple):
@@ -37,8 +98,8 @@ class Ready(NamedTuple):
 
 
 _Step: TypeAlias = tuple[tuple[Callable[..., Components], ...], Callable[[Passage, Components], None]]
-"""What an effect has for its memory (`Effect.begin`, `rest`, `carry`; nothing where it has none), and its `Effect.act`:
-looked up once, for in steps of one arm that costs as much as they do."""
+"""Methods that an effect has for its memory (`Effect.begin`, `rest`, `carry`; nothing where it has none), and its
+`Effect.act`: looked up once, for in steps of one arm that costs as much as they do."""
 
 BEGIN, REST, CARRY = range(3)
 
@@ -85,8 +146,8 @@ class Plant:
     @property
     def names(self) -> list[str]:
         """The names of its effects, in the order of tables: what ships first."""
-        order = {name: i for i, name in enumerate(registry.names("effect"))}
-        return sorted((effect.name for effect in self.effects), key=lambda name: order.get(name, len(order)))
+        names = {effect.name: None for effect in self.effects}
+        return list(dict.fromkeys([*(name for name in registry.names("effect") if name in names), *names]))
 
     def effect(self, name: str) -> Any:
         """The effect of this name, or None where it is switched off."""
@@ -103,10 +164,9 @@ class Plant:
         Raises:
             ValueError: If there is no such effect, in this plant or another.
         """
-        off = {effects} if isinstance(effects, str) else set(effects)
-        known = {*registry.names("effect"), *(effect.name for effect in self.effects)}
-        for name in sorted(off - known):
-            raise ValueError(f"unknown effect '{name}'; a plant has {', '.join(registry.names('effect'))}")
+        off, registered = {effects} if isinstance(effects, str) else set(effects), registry.names("effect")
+        for name in sorted(off - {*registered, *(effect.name for effect in self.effects)}):
+            raise ValueError(f"unknown effect '{name}'; a plant has {', '.join(registered)}")
         return replace(self, effects=tuple(effect for effect in self.effects if effect.name not in off))
 
     @cached_property
@@ -114,7 +174,9 @@ class Plant:
         """The effects that act, in order: those before the last that remembers, that one, and those after it."""
         on_arm = [effect for effect in self.effects if effect.place < BESIDE]
         acting = [effect for effect in on_arm if self.load is not None or not effect.needs_load]
-        steps: list[_Step] = [((own.begin, own.rest, own.carry) if own.remembers else (), own.act) for own in acting]
+        steps: list[_Step] = [
+            ((effect.begin, effect.rest, effect.carry) if effect.remembers else (), effect.act) for effect in acting
+        ]
         end = max((i for i, (memory, _) in enumerate(steps, 1) if memory), default=0)
         return steps[: max(end - 1, 0)], steps[max(end - 1, 0) : end], steps[end:]
 
@@ -122,7 +184,7 @@ class Plant:
     def _motors(self) -> list[tuple[Effect, int]]:
         """The effects on the motors and the places of their memories, from the drive's side: counts are read last."""
         motors = [effect for effect in self.effects if effect.place < DRIVE]
-        return [(effect, sum(other.remembers for other in motors[:i])) for i, effect in enumerate(motors)][::-1]
+        return [(effect, sum(before.remembers for before in motors[:i])) for i, effect in enumerate(motors)][::-1]
 
     @cached_property
     def has_state(self) -> bool:
@@ -166,7 +228,7 @@ class Plant:
     def _passage(
         self, m: ModuleType, q: Sequence[Scalar], how: int, state: PlantState = (), dt: Scalar = 0.0
     ) -> tuple[PlantState, Passage]:
-        """What the effects remember (`Effect.carry`, ...), and the passage up to where the last that does will act."""
+        """Memories of the effects (`Effect.carry`, ...), and the passage up to where the last that has one will act."""
         at = Passage(m, self.chain, self.load, q)
         memories: list[Components] = []
         before, last, _ = self._steps
@@ -190,7 +252,7 @@ class Plant:
         return at.frame
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
-        """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m.
+        """The report of the motor encoders after `advance` to ``state`` at the command ``q``, rad or m.
 
         The motor in whole counts, with its following error: they see neither drive errors nor friction, backlash,
         deflection or swing.

@@ -1,25 +1,35 @@
 """Plants are TOML files: which arm, and the size and source of each effect. The presets lie in `plants`.
 
-A calibrated arm's plant is a file of its own kind (`pickenv.arm.plant.twin_file`).
+A calibrated arm's plant is a file of its own kind (`pickenv.arm.plant.twin_file`). A name may also ask for an arm
+without error ("ideal:ur5e"), or for one of a tolerance class ("coarse:ur5e").
 """
 
 from __future__ import annotations
 
-from dataclasses import make_dataclass
+from collections.abc import Iterable
+from dataclasses import make_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from pickenv.arm.effects.effect import Load, table_of
+import numpy as np
+from scipy.stats import qmc
+
+from pickenv.arm.effects.drives import ThermalGrowth
+from pickenv.arm.effects.effect import Load, gravity_torques, table_of
+from pickenv.arm.effects.structure import Backlash, JointCompliance
 from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.load import load_arm
+from pickenv.arm.files.arm_file import load_arm, shipped_arms
+from pickenv.arm.kinematics.forward import chain_of, frames
+from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.tolerances import SizesTable, Tolerances, draw_plants, load_tolerances, shipped_tolerances
 from pickenv.arm.plant.twin_file import read_twin
-from pickenv.base import LINE, Check, InputError, Then, file_named, read_toml, registry, shipped_in, toml_of, toml_table
+from pickenv.base import InputError, is_file, registry, shortened, toml_tables
 
 PLANTS = Path(__file__).parent / "plants"
 
-NAMED = Check(lambda value: isinstance(value, str), "the name of a shipped arm or a path to an arm file")
+NAMED = toml_tables.Check(lambda value: isinstance(value, str), "the name of a shipped arm or a path to an arm file")
 
 
 def _arm(name: Any, context: Any) -> Arm:
@@ -41,7 +51,7 @@ def one_link_per_joint(arm: Arm) -> Arm:
 
 @cache
 def plant_file(effects: tuple[str, ...]) -> Any:
-    """What a plant file holds that may have tables of these effects.
+    """The type of a plant file that may have tables of these effects.
 
     Raises:
         InputError: If one of them is not registered, or cannot be loaded.
@@ -49,12 +59,12 @@ def plant_file(effects: tuple[str, ...]) -> Any:
     tables = {name: table_of(name) for name in effects}
     optional = {"load": Load} | {name: table for name, table in tables.items() if table is not None}
     members: list[Any] = [
-        ("arm", Annotated[Arm, Then(_arm, Annotated[str, NAMED])]),
-        ("name", Annotated[str, LINE]),
+        ("arm", Annotated[Arm, toml_tables.Then(_arm, Annotated[str, NAMED])]),
+        ("name", Annotated[str, toml_tables.LINE]),
         ("source", str),
         *((key, table | None if isinstance(table, type) else table, None) for key, table in optional.items()),
     ]
-    return toml_table(make_dataclass("PlantFile", members, frozen=True))
+    return toml_tables.toml_table(make_dataclass("PlantFile", members, frozen=True))
 
 
 def shipped_effects() -> tuple[str, ...]:
@@ -64,7 +74,7 @@ def shipped_effects() -> tuple[str, ...]:
 
 def shipped_plants() -> list[str]:
     """Names of the plant presets that come with pickenv."""
-    return shipped_in(PLANTS)
+    return toml_tables.shipped_in(PLANTS)
 
 
 def read_plant(name: str | Path) -> Plant:
@@ -77,9 +87,10 @@ def read_plant(name: str | Path) -> Plant:
     """
     if Path(name).suffix == ".npz":
         return read_twin(name)
-    path = file_named("plant", name, PLANTS, ".toml, .npz")
-    others = tuple(name for name in registry.names("effect") if name in toml_of(path)[0])
-    parts = dict(vars(read_toml(plant_file(tuple(dict.fromkeys((*shipped_effects(), *others)))), path, context={})))
+    path = toml_tables.file_named("plant", name, PLANTS, ".toml, .npz")
+    foreign = (name for name in registry.names("effect") if name in toml_tables.toml_of(path)[0])
+    kind = plant_file(tuple(dict.fromkeys((*shipped_effects(), *foreign))))
+    parts = dict(vars(toml_tables.read_toml(kind, path, context={})))
     del parts["source"]
     arm, called, load = (parts.pop(key) for key in ("arm", "name", "load"))
     effects = tuple(effect for effect in parts.values() if effect is not None)
@@ -89,3 +100,141 @@ def read_plant(name: str | Path) -> Plant:
         if fault := effect.fault(arm):
             raise InputError(f"{path}: {fault}")
     return Plant(called, arm, arm.nominal if arm.true is None else arm.true, load, effects)
+
+
+# Plants by name. Of an arm that comes with a plant, that plant's effects are taken. Any other arm is sized by the
+# class: how far joints yield under the arm's own weight, the gaps in its gears, and how it warms up. Only the ratio of
+# a bare arm's masses counts then, as nothing else hangs on it: each link is a rod of one mass per length.
+
+
+IDEAL = "ideal"
+"""The plant without any error: the true arm is the nominal one."""
+
+FIRST_ARM = "qiao2026"
+"""The arm of a class, or without error, where none is named."""
+
+SAMPLES = 2**10
+"""Poses among which a joint's largest torque is sought."""
+
+LEAST_TORQUE = 0.01
+"""A joint that gravity does not load is as stiff as one with this share of its kind's largest torque."""
+
+
+def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
+    """Read a plant.
+
+    Args:
+        name: A preset's name, a path to a plant file (.toml) or a twin (.npz), "ideal:ARM", or "CLASS:ARM" with a
+            tolerance class and an arm or plant, each by name or path. Of a class, it is the design that arms are drawn
+            from (`draw_arms`).
+        without: Effects to switch off.
+
+    Raises:
+        InputError: If plant, arm, class or effect are unknown or a number is impossible; names the file and the key.
+    """
+    kind, arm_name = _split(name)
+    if kind == IDEAL:
+        arm = load_arm(arm_name)
+        plant = Plant(name=IDEAL, arm=arm, geometry=arm.nominal)
+    elif kind:
+        plant = replace(_design(arm_name, load_tolerances(kind)), name=str(name))
+    else:
+        plant = read_plant(name)
+    try:
+        return plant.without(without)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+
+def class_of(name: str | Path) -> Tolerances | None:
+    """The tolerance class that a plant's name begins with, None where there is none."""
+    kind, _ = _split(name)
+    return load_tolerances(kind) if kind not in ("", IDEAL) else None
+
+
+def draw_arms(
+    name: str | Path, tolerances: str | Path, count: int, rng: np.random.Generator, *, without: Iterable[str] = ()
+) -> Plant:
+    """Arms of a plant's design, as `draw_plants` draws them: from the class that the name begins with, or else another.
+
+    Args:
+        name: As `load_plant` takes it.
+        tolerances: The class of a plant whose name begins with none.
+        count: Number of arms, at least 1.
+        rng: The parent of the arms' streams.
+        without: Effects to switch off.
+
+    Raises:
+        InputError: As `load_plant` and `draw_plants` do.
+    """
+    return draw_plants(load_plant(name, without=without), class_of(name) or load_tolerances(tolerances), count, rng)
+
+
+def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
+    """A plant of an arm of which nothing but its geometry is known."""
+    one_link_per_joint(arm)
+    slides, load = np.array(arm.nominal.prismatic), rods(arm)
+    torques = _largest_torques(arm, load)
+    torques = np.maximum(torques, [LEAST_TORQUE * torques[slides == slide].max() for slide in slides])
+    torques[torques == 0] = 1.0  # gravity loads no joint of the kind: whatever the stiffness, none yields
+    sags = [sizes.sliding_sag if slide else sizes.turning_sag for slide in slides]
+    gaps = tuple(sizes.sliding_gap if slide else sizes.turning_gap for slide in slides)
+    return Plant(
+        name=arm.name,
+        arm=arm,
+        geometry=arm.nominal,
+        load=load,
+        effects=(
+            Backlash(gaps, tuple((sizes.preload_share * torques).tolist())),
+            JointCompliance(tuple((torques / sags).tolist())),
+            ThermalGrowth((sizes.expansion,) * len(slides), 0.0, final_rise, sizes.warm_up),
+        ),
+    )
+
+
+def rods(arm: Arm) -> Load:
+    """Links as rods from each joint to the next, with slides run out half, and from the last to the tool; 1 kg/m."""
+    g = arm.nominal
+    middle = np.where(g.prismatic, (g.lower + g.upper) / 2, 0.0)
+    after = np.arange(1, g.joints)
+    d = g.d[after] + middle[after]
+    ends = np.stack([g.a[after], -d * np.sin(g.alpha[after]), d * np.cos(g.alpha[after])], axis=-1)
+    ends = np.concatenate([ends, g.tool.position[None]])
+    mass = np.linalg.norm(ends, axis=-1)
+    x, y, z = (ends / 2.0).T.tolist()
+    return Load(tuple(mass.tolist()), tuple(zip(x, y, z, strict=True)))
+
+
+def _largest_torques(arm: Arm, load: Load) -> Array:
+    """Size of each joint's largest torque or force under gravity (n,), N*m or N."""
+    g = arm.nominal
+    spread = qmc.Halton(g.joints, scramble=False).random(SAMPLES)
+    chain = chain_of(g)
+    torques = gravity_torques(chain, frames(np, chain, list((g.lower + (g.upper - g.lower) * spread).T)), load)
+    return np.array([np.abs(torque).max() for torque in torques])
+
+
+def _split(name: str | Path) -> tuple[str, str]:
+    """The class and the arm or plant that a name names; no class where it is a plant's own name or path."""
+    kind, colon, arm_name = str(name).partition(":")
+    if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
+        return kind, arm_name or FIRST_ARM
+    if colon and not is_file(str(name)) and (arm_name in (*shipped_arms(), *shipped_plants())):
+        raise InputError(
+            f"unknown tolerance class '{shortened(kind)}'; give one of {', '.join((IDEAL, *shipped_tolerances()))}, or "
+            "a path to its file (.toml), before the colon"
+        )
+    return "", arm_name
+
+
+def _design(name: str, tolerances: Tolerances) -> Plant:
+    """The plant of that name, or one of an arm of that name that the class sizes."""
+    plant_file = name.endswith(".toml") and is_file(name) and "arm" in toml_tables.toml_of(name)[0]
+    if plant_file or name in shipped_plants() or name.endswith(".npz"):
+        return read_plant(name)
+    if tolerances.sizes is None:
+        raise InputError(
+            f"tolerance class '{tolerances.name}' has no [sizes], which arm '{shortened(name)}' needs as it comes "
+            "without a plant; give them, or a plant file"
+        )
+    return bare_plant(load_arm(name), tolerances.sizes, sum(tolerances.temperature_rise) / 2)

@@ -1,4 +1,4 @@
-"""How arms of one design differ: tolerance classes, and draws of as many different true arms as are wanted.
+"""Differences of arms of one design: tolerance classes, and draws of as many different true arms as are wanted.
 
 Lengths follow ISO 286-1: IT = k (0.45 D^(1/3) + 0.001 D) um up to 500 mm, k (0.004 D + 2.1) um above, with D in mm.
 Sizes of effects spread log-normally about the plant's own. Inside everything is m, rad, K, s.
@@ -7,7 +7,6 @@ Sizes of effects spread log-normally about the plant's own. Inside everything is
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -17,7 +16,7 @@ import numpy as np
 from pickenv.arm.effects.effect import Draws, standard_normal_of
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.twin_arms import twin_arms
+from pickenv.arm.plant.twin_file import twin_arms
 from pickenv.base import InputError, toml_tables
 
 TOLERANCES = Path(__file__).parent / "tolerance_classes"
@@ -80,7 +79,7 @@ def _range(rise: Any, _context: Any) -> Any:
 
 @toml_tables.toml_table
 class Tolerances:
-    """How far arms of one design may lie from each other; a tolerance file says it in sections.
+    """Limits of how far arms of one design may lie from each other; a tolerance file says it in sections.
 
     Attributes:
         name: Name of the class.
@@ -156,7 +155,8 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
     if plant.geometry.alpha.ndim != 1:
         raise InputError(f"plant '{plant.name}' is already a batch of arms; draw from a single one")
     if plant.posterior is not None:
-        return twin_arms(plant, _zone(plant, tolerances), rng.spawn(count))
+        half = half_widths(tolerances, plant.arm.nominal)[plant.posterior.unseen]
+        return twin_arms(plant, lambda even: half * _deviation(tolerances, even), rng.spawn(count))
     total = max(columns.stop for columns in random_columns(plant).values())
     return plants_from(plant, tolerances, np.stack([child.random(total) for child in rng.spawn(count)]))
 
@@ -169,22 +169,22 @@ def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
         tolerances: How far its arms differ.
         even: Numbers from 0 to 1 for each arm ``(N, K)``; `random_columns` says what each column is for.
     """
-    columns = {key: even[:, own.start : own.stop] for key, own in random_columns(plant).items()}
+    columns = {key: even[:, places.start : places.stop] for key, places in random_columns(plant).items()}
     draws = Draws(columns, tolerances.spread, tolerances.temperature_rise)
     effects = tuple(effect.drawn(draws) for effect in plant.effects)
     return replace(plant, geometry=_geometry(plant.arm.nominal, tolerances, columns["geometry"]), effects=effects)
 
 
 def random_columns(plant: Plant) -> dict[str, range]:
-    """Which of an arm's even random numbers each quantity takes: fixed places, whatever effects the plant has."""
+    """Places of each quantity among an arm's even random numbers: fixed ones, whatever effects the plant has."""
     n, drives, waves = plant.arm.nominal.joints, plant.effect("transmission_error"), plant.effect("drive_harmonics")
-    wave = len(drives.harmonics) if drives is not None else 0
+    terms = len(drives.harmonics) if drives is not None else 0
+    count, structure = len(waves.spread) if waves is not None else 0, plant.effect("local_structure")
     sizes = {"geometry": 4 * n, "temperature_rise": 1}
     sizes |= {"joint_stiffness": n, "backlash": n, "friction": 2 * n, "frequency": n, "damping": n}
     sizes |= {"ground_stiffness": 2, "sinkage": 2, "flexural_rigidity": 1, "roller_clearance": 1, "warm_up_time": 1}
-    sizes |= {"lead": n, "transmission_error": wave, "phase": wave, "kept free": 2 * max(SPARE - wave, 0)}
-    own, structure = len(waves.spread) if waves is not None else 0, plant.effect("local_structure")
-    sizes |= {"bearing_stiffness": n, "drive_harmonics": 3 * own, "kept free too": 3 * max(SPARE - own, 0)}
+    sizes |= {"lead": n, "transmission_error": terms, "phase": terms, "kept free": 2 * max(SPARE - terms, 0)}
+    sizes |= {"bearing_stiffness": n, "drive_harmonics": 3 * count, "kept free too": 3 * max(SPARE - count, 0)}
     # Last come those whose number depends on the plant.
     sizes |= {"local_structure": structure.weights if structure is not None else 0}
     sizes |= {f"own {effect.name}": len(effect.own_sizes()) for effect in plant.effects if effect.own_sizes()}
@@ -197,15 +197,11 @@ def _deviation(tolerances: Tolerances, even: Array) -> Array:
     return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else standard_normal_of(even) / 3.0
 
 
-def _length_zone(tolerances: Tolerances, length: Array) -> Array:
-    """Half-widths of lengths' tolerance zones, m."""
-    return it_tolerance(tolerances.it_grade, np.maximum(np.abs(length), tolerances.least_length)) / 2.0
-
-
 def half_widths(tolerances: Tolerances, nominal: Geometry) -> Array:
     """Half-widths of the tolerance zones of a geometry's parameters ``(5n + 12,)``, m and rad; of frames the least."""
     lengths = np.concatenate([*(getattr(nominal, name) for name in LINK_PARAMETERS), np.zeros(12)])
-    return np.where(nominal.parameter_is_angle, tolerances.angle, _length_zone(tolerances, lengths))
+    zone = it_tolerance(tolerances.it_grade, np.maximum(np.abs(lengths), tolerances.least_length))
+    return np.where(nominal.parameter_is_angle, tolerances.angle, zone / 2.0)
 
 
 def standard_deviations(tolerances: Tolerances, nominal: Geometry) -> Array:
@@ -214,19 +210,11 @@ def standard_deviations(tolerances: Tolerances, nominal: Geometry) -> Array:
     return half_widths(tolerances, nominal) / share
 
 
-def _zone(plant: Plant, tolerances: Tolerances) -> Callable[[Array], Array]:
-    """How far what a calibration did not identify may lie from where it is."""
-    assert plant.posterior is not None
-    half = half_widths(tolerances, plant.arm.nominal)[plant.posterior.unseen]
-    return lambda even: half * _deviation(tolerances, even)
-
-
 def _geometry(nominal: Geometry, tolerances: Tolerances, even: Array) -> Geometry:
-    n, count = nominal.joints, len(even)
+    n = nominal.joints
     deviation = _deviation(tolerances, even)
-    numbers: dict[str, Any] = {name: np.tile(getattr(nominal, name), (count, 1)) for name in LINK_PARAMETERS}
+    half = dict(zip(LINK_PARAMETERS, half_widths(tolerances, nominal)[: 5 * n].reshape(5, n), strict=True))
+    numbers: dict[str, Any] = {name: np.tile(getattr(nominal, name), (len(even), 1)) for name in LINK_PARAMETERS}
     for k, name in enumerate(("alpha", "a", "theta", "d")):
-        length = name in ("a", "d")
-        half = _length_zone(tolerances, getattr(nominal, name)) if length else np.full(n, tolerances.angle)
-        numbers[name] = numbers[name] + half * deviation[:, k * n : (k + 1) * n]
+        numbers[name] = numbers[name] + half[name] * deviation[:, k * n : (k + 1) * n]
     return replace(nominal, **numbers)

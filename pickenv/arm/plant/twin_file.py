@@ -1,8 +1,13 @@
-"""A calibrated arm's plant as one verified file (.npz), with all that its arms are drawn from: a container."""
+"""Plants of a calibration's posterior: the arm as it was found, arms that the data allow, and a verified file (.npz).
+
+Everything is carried from the instrument's frame into the arm's own, so that the arm errs there as it did against the
+aligned nominal arm: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own. SI units.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -10,15 +15,120 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.arm.effects.drives import GravityYield, MeasurementNoise
+from pickenv.arm.effects.effect import Effect
 from pickenv.arm.effects.residual_field import Features, ResidualField
+from pickenv.arm.effects.structure import BoomBending, Harmonic, TransmissionError
 from pickenv.arm.files.arm import Arm, finite, geometry_arrays, geometry_from_arrays
-from pickenv.arm.kinematics.geometry import Geometry, Pose
-from pickenv.arm.plant.plant import Plant
-from pickenv.arm.plant.posterior import Layout, Posterior
-from pickenv.arm.plant.twin_arms import twin_plant
-from pickenv.base import InputError, read_container, refusing_damage, write_container
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose, behind, inverse_pose
+from pickenv.arm.plant.plant import Layout, Plant, Posterior
+from pickenv.base import GRAVITY, InputError, read_container, refusing_damage, write_container
 from pickenv.base.container import named_part, part_of
+
+Zone = Callable[[Array], Array]
+"""Turns even numbers 0 to 1, one per parameter that was not identified, into deviations within tolerances, m or rad."""
+
+
+def twin_plant(name: str, arm: Arm, posterior: Posterior, noise: MeasurementNoise | None) -> Plant:
+    """The arm as it was found; its residual is the mean, which is no arm: judge on draws."""
+    geometry = _carried(arm, posterior, [posterior.identified])
+    parts = (*_effects(arm, posterior, posterior.coefficients), posterior.field, noise)
+    return Plant(name, arm, geometry, effects=tuple(part for part in parts if part is not None), posterior=posterior)
+
+
+def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) -> Plant:
+    """Arms that the data allow, one per stream, as one plant whose numbers are arrays.
+
+    Effects that the plant has switched off stay off.
+
+    Args:
+        plant: A plant of a posterior.
+        zone: How far parameters that were not identified may lie from where they are.
+        streams: One generator per arm.
+    """
+    posterior = plant.posterior
+    assert posterior is not None
+    field = posterior.field if plant.effect("residual") is not None else None
+    deltas, weights = [], []
+    for rng in streams:
+        unseen = zone(rng.random(len(posterior.unseen)))
+        deltas.append(posterior.traces @ unseen + posterior.factor @ rng.standard_normal(posterior.factor.shape[1]))
+        if field is not None:
+            weights.append((field.weight + _weights(posterior, field, rng)).astype(np.float32))
+    delta, count = np.array(deltas), len(posterior.identified.parameter_names)
+    geometry = _carried(plant.arm, posterior, [posterior.identified.displaced(row[:count]) for row in delta])
+    parts = _effects(plant.arm, posterior, posterior.coefficients + delta[:, count:])
+    if field is not None:
+        parts.append(replace(field, weight=np.array(weights)))
+    arms = plant.with_effect(*(part for part in parts if plant.effect(part.name) is not None))
+    return replace(arms, geometry=geometry, posterior=None, ready=None)
+
+
+def _weights(posterior: Posterior, field: ResidualField, rng: np.random.Generator) -> Array:
+    """Deviation of the waves' weights ``(O, 2, K)`` from their mean."""
+    outputs, count, smooth = field.features.outputs, field.features.count, posterior.field_factor.shape[-1] // 2
+    normal = rng.standard_normal((outputs, 2 * smooth))
+    learnt = np.einsum("okl,ol->ok", posterior.field_factor, normal).reshape(outputs, 2, smooth)
+    rough = rng.standard_normal((outputs, 2, count - smooth))
+    rough = rough * posterior.rough[:, None, None] / np.sqrt(max(count - smooth, 1))
+    return np.concatenate([learnt, rough], axis=-1)
+
+
+def _carried(arm: Arm, posterior: Posterior, geometries: Sequence[Geometry]) -> Geometry:
+    """Geometries in the arm's own frame: one as it is, several as one whose numbers are arrays."""
+    base, tool = posterior.aligned
+    nominal = arm.nominal
+    first, last = behind(nominal.base, inverse_pose(base)), behind(inverse_pose(tool), nominal.tool)
+    frames = {
+        "base": [behind(first, geometry.base) for geometry in geometries],
+        "tool": [behind(geometry.tool, last) for geometry in geometries],
+    }
+    links = {name: [getattr(geometry, name) for geometry in geometries] for name in LINK_PARAMETERS}
+    parts: dict[str, Any] = {name: rows[0] for name, rows in (links | frames).items()}
+    if geometries[0] is not posterior.identified:
+        parts = {name: np.stack(rows) for name, rows in links.items()}
+        parts |= {name: _together(poses) for name, poses in frames.items()}
+    return replace(nominal, **parts)
+
+
+def _together(poses: Sequence[Pose]) -> Pose:
+    """One pose where all are alike, else one per arm."""
+    position, rotation = (np.stack(parts) for parts in zip(*poses, strict=True))
+    alike = np.ptp(position, axis=0).max() == 0.0 and np.ptp(rotation, axis=0).max() == 0.0
+    return poses[0] if alike else Pose(position, rotation)
+
+
+def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect]:
+    """The effects that coefficients ``(k,)`` stand for, or those of many arms ``(N, k)``."""
+    layout, columns = posterior.layout, [_scalar(column) for column in np.moveaxis(coefficients, -1, 0)]
+    ends = np.cumsum(layout.sizes).tolist()
+    leads, waves, moments, boom = (columns[a:b] for a, b in zip([0, *ends], ends, strict=False))
+    effects: list[Effect] = []
+    if leads or waves:
+        lead: list[Any] = [0.0] * arm.nominal.joints
+        for joint, size in zip(layout.leads, leads, strict=True):
+            lead[joint] = lead[joint] + size
+        pairs = zip(layout.harmonics, waves[::2], waves[1::2], strict=True)
+        terms = (
+            Harmonic(joint, _scalar(np.hypot(sine, cosine)), math.tau / order, _scalar(np.arctan2(cosine, sine)))
+            for (joint, order), sine, cosine in pairs
+        )
+        effects.append(TransmissionError(tuple(lead), tuple(terms)))
+    if moments:
+        effects.append(GravityYield(layout.moments, tuple(moments), layout.up))
+    if layout.boom is not None:
+        joint, length = layout.boom
+        effects.append(BoomBending(joint, length, GRAVITY, *boom))
+    return effects
+
+
+def _scalar(value: Any) -> Any:
+    """An array of arms as it is, one number as a float."""
+    return value if np.ndim(value) else float(value)
+
+
+# The file: a container that holds all that the arms are drawn from.
+
 
 TWIN = "twin"
 TWIN_FORMAT = 1
@@ -33,39 +143,40 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
     Raises:
         InputError: If it was not, or if effects were added to it or switched off; or if the file cannot be written.
     """
-    known = plant.posterior
-    if known is None:
+    posterior, nominal = plant.posterior, plant.arm.nominal
+    if posterior is None:
         raise InputError(f"plant '{plant.name}' was not made of a calibration; plants of that kind are TOML files")
-    arrays: dict[str, NDArray[Any]] = {}
     noise = plant.effect("measurement_noise")
-    if plant.names != (own := twin_plant(plant.name, plant.arm, known, noise).names):
+    names = twin_plant(plant.name, plant.arm, posterior, noise).names
+    if plant.names != names:
         raise InputError(
-            f"plant '{plant.name}' has the effects {', '.join(plant.names)}, its calibration found {', '.join(own)}; "
+            f"plant '{plant.name}' has the effects {', '.join(plant.names)}, its calibration found {', '.join(names)}; "
             "write it as it was made"
         )
-    geometries = {"arm": plant.arm.nominal, "identified": known.identified, "aligned": _with_frames(plant.arm, known)}
+    base, tool = posterior.aligned
+    geometries = {
+        **{"arm": nominal, "identified": posterior.identified},
+        "aligned": replace(nominal, base=base, tool=tool),
+    }
+    arrays: dict[str, NDArray[Any]] = {}
     for key, geometry in geometries.items():
         arrays |= named_part(f"{key}/", geometry_arrays(geometry))
     parts = ("coefficients", "factor", "unseen", "traces", "field_factor", "rough")
-    arrays |= {"speed": plant.arm.speed} | {name: getattr(known, name) for name in parts}
-    if known.field is not None:
-        field = known.field
-        arrays |= {
-            "frequency": field.features.frequency,
-            "centre": np.array(field.features.centre),
-            "weight": field.weight,
-        }
-        arrays |= {"offset": np.array(field.offset), "turn": np.array(field.turn)}
+    arrays |= {"speed": plant.arm.speed} | {name: getattr(posterior, name) for name in parts}
+    field = posterior.field
+    if field is not None:
+        arrays |= {"frequency": field.features.frequency, "centre": np.array(field.features.centre)}
+        arrays |= {name: np.array(getattr(field, name)) for name in ("weight", "offset", "turn")}
     header = {
         "name": plant.name,
         "arm": plant.arm.name,
         "source": plant.arm.source,
-        "joint_names": plant.arm.nominal.joint_names,
-        "prismatic": plant.arm.nominal.prismatic,
-        "layout": asdict(known.layout),
-        "periodic": None if known.field is None else known.field.features.periodic,
+        "joint_names": nominal.joint_names,
+        "prismatic": nominal.prismatic,
+        "layout": asdict(posterior.layout),
+        "periodic": None if field is None else field.features.periodic,
         "noise": None if noise is None else vars(noise),
-        "notes": known.notes,
+        "notes": posterior.notes,
     }
     return write_container(path, TWIN, header, arrays, version=TWIN_FORMAT)
 
@@ -76,14 +187,9 @@ def read_twin(path: str | Path) -> Plant:
     Raises:
         InputError: If the file is missing, damaged in any byte, of another kind or version, or holds no arm.
     """
-    found = read_container(path, TWIN, remake=REMAKE_TWIN, version=TWIN_FORMAT)
+    container = read_container(path, TWIN, remake=REMAKE_TWIN, version=TWIN_FORMAT)
     with refusing_damage(path, f"a {TWIN} file", REMAKE_TWIN):
-        return _plant_of(found.header, found.arrays)
-
-
-def _with_frames(arm: Arm, known: Posterior) -> Geometry:
-    base, tool = known.aligned
-    return replace(arm.nominal, base=base, tool=tool)
+        return _plant_of(container.header, container.arrays)
 
 
 def _plant_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Plant:
@@ -133,11 +239,9 @@ def _layout(content: Mapping[str, Any], geometry: Geometry) -> Layout:
         up=tuple(float(part) for part in content["up"]),  # type: ignore[arg-type]
         boom=None if boom is None else (int(boom[0]), float(boom[1])),
     )
-    joints = [*layout.leads, *(joint for joint, _ in layout.harmonics), *(pair[0] for pair in layout.moments)]
-    joints += [pair[1] for pair in layout.moments] + ([layout.boom[0]] if layout.boom else [])
-    if not all(0 <= joint < geometry.joints for joint in joints) or not {pair[2] for pair in layout.moments} <= set(
-        "mxyz"
-    ):
+    joints = {*layout.leads, *(joint for joint, _ in layout.harmonics), *((boom or ())[:1])}
+    joints |= {joint for pair in layout.moments for joint in pair[:2]}
+    if not joints <= set(range(geometry.joints)) or not {moment for *_, moment in layout.moments} <= set("mxyz"):
         raise InputError("it names a joint that its arm does not have")
     return layout
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
-from pickenv.arm.plant.tree import leaves
+from pickenv.arm.plant.plant_batch import leaves
 from pickenv.base import InputError
 from pickenv.envs.harvesting.harvest_task import AS_DRAWN, GivenZones, HarvestTask, drawn_zone
 from pickenv.envs.shared.situation import CONTROL_PERIOD

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from pickenv.arm import Array
-from pickenv.arm.plant.tree import tree_map
+from pickenv.arm.plant.plant_batch import tree_map
 from pickenv.envs.harvesting.harvest_batch import COLLECTED, HANGING, HarvestState
 from pickenv.envs.harvesting.harvest_task import HarvestTask
 from pickenv.envs.shared.arm_env import GHOST_WORDS, staged

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant
-from pickenv.arm.plant.tree import leaves, tree_map
+from pickenv.arm.plant.plant_batch import leaves, tree_map
 from pickenv.envs.shared.arm_batch import ArmBatch, Columns, Flags, NumpyArms, Rows, Words
 from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.simulation import (

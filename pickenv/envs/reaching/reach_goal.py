@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.plant.named_plants import IDEAL
+from pickenv.arm.plant.plant_file import IDEAL
 from pickenv.envs.reaching.reach import ReachEnv
 from pickenv.envs.shared.backends import NUMPY
 from pickenv.envs.shared.simulation import GOAL_NUMBERS, View, goal_observation, goal_reward

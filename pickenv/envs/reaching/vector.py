@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant
-from pickenv.arm.plant.named_plants import IDEAL
+from pickenv.arm.plant.plant_file import IDEAL
 from pickenv.base import InputError, is_there, register, require
 from pickenv.base.registry import get, names
 from pickenv.envs.reaching.batch import Batch, NumpyBatch, Start, Views

@@ -18,9 +18,9 @@ from scipy.stats import qmc
 
 from pickenv.arm import Array, Frame, Geometry, Plant, draw_plants, forward, load_plant, plant_at
 from pickenv.arm.kinematics.forward import Chain, Scalar, chain_of, frames
-from pickenv.arm.plant.named_plants import class_of, draw_arms
 from pickenv.arm.plant.plant import Ready
 from pickenv.arm.plant.plant_batch import plant_count
+from pickenv.arm.plant.plant_file import class_of, draw_arms
 from pickenv.base import InputError, check_limit
 from pickenv.base.limits import shown
 from pickenv.envs.shared.situation import Components, Situation, make_situation

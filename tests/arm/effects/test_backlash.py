@@ -9,10 +9,10 @@ import pytest
 import torch
 from hypothesis import given, strategies as st
 
-from pickenv.arm import Passage, forward, load_plant
+from pickenv.arm import Load, Passage, forward, load_plant
 from pickenv.arm.effects.drives import Encoder, Servo
-from pickenv.arm.effects.effect import Load, Loads
-from pickenv.arm.effects.hysteresis import Backlash, StickBand, one_stop, play
+from pickenv.arm.effects.effect import Loads
+from pickenv.arm.effects.structure import Backlash, StickBand, one_stop, play
 
 WAYS = st.lists(st.floats(-1, 1), min_size=1, max_size=30)
 GAPS = st.floats(0, 0.3)

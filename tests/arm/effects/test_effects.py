@@ -6,17 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.arm import load_plant, rotation_matrix
-from pickenv.arm.effects.effect import GRAVITY, Load, Loads, gravity_torques
+from pickenv.arm import Load, Passage, attach, chain_of, frames, gravity_torques, load_plant, rotation_matrix
+from pickenv.arm.effects.effect import Loads
 from pickenv.arm.effects.structure import (
     BoomBending,
     Harmonic,
     JointCompliance,
     TransmissionError,
-    driven_joints,
     turn_horizontally,
 )
-from pickenv.arm.kinematics.forward import attach, chain_of, frames
+from pickenv.base import GRAVITY
 
 BOOM = BoomBending(joint=2, length=0.4, flexural_rigidity=1.2e4, end_mass=2.0, mass_per_length=1.8)
 
@@ -27,6 +26,13 @@ def bent(boom, payload, q, rotation, position=(0.0, 0.0, 0.0)):
     at = SimpleNamespace(joints=q, load=Load((), (), payload))
     result = np.array(boom.flexure(at)(boom.joint, frame))
     return result[:9].reshape(3, 3), result[9:]
+
+
+def driven_by(m, effect, q):
+    """Where an effect's drives hold the joints of a command."""
+    at = Passage(m, None, None, q)
+    effect.act(at, ())
+    return at.driven
 
 
 def upright_to(z):
@@ -109,15 +115,15 @@ def test_gravity_torques_are_the_slope_of_the_potential_energy(draw):
 
 def test_a_lead_error_grows_with_travel_and_a_harmonic_returns_after_its_period():
     error = TransmissionError(lead=(0.0, 1e-4), harmonics=(Harmonic(0, 3e-4, 1.5, 0.4), Harmonic(1, 5e-5, 0.4, -1.0)))
-    at_zero = driven_joints(math, error, [0.0, 0.0])
+    at_zero = driven_by(math, error, [0.0, 0.0])
     np.testing.assert_allclose(at_zero, [3e-4 * math.sin(0.4), -5e-5 * math.sin(1.0)])
-    after = driven_joints(math, error, [1.5, 0.4])
+    after = driven_by(math, error, [1.5, 0.4])
     np.testing.assert_allclose(np.subtract(after, at_zero), [1.5, 0.4 * (1 + 1e-4)], rtol=1e-14)
-    quarter = driven_joints(math, error, [1.5 * (0.25 - 0.4 / (2 * math.pi)), 0.0])
+    quarter = driven_by(math, error, [1.5 * (0.25 - 0.4 / (2 * math.pi)), 0.0])
     assert quarter[0] - 1.5 * (0.25 - 0.4 / (2 * math.pi)) == pytest.approx(3e-4)
 
 
 def test_harmonics_of_one_joint_add_up():
     error = TransmissionError(lead=(0.0,), harmonics=(Harmonic(0, 1e-3, 1.0, 0.3), Harmonic(0, 2e-3, 0.5, 0.1)))
     expected = 0.2 + 1e-3 * math.sin(0.4 * math.pi + 0.3) + 2e-3 * math.sin(0.8 * math.pi + 0.1)
-    assert driven_joints(math, error, [0.2])[0] == pytest.approx(expected, abs=1e-15)
+    assert driven_by(math, error, [0.2])[0] == pytest.approx(expected, abs=1e-15)

@@ -10,12 +10,23 @@ import numpy as np
 import pytest
 
 import pickenv
-from pickenv.arm import Effect, Passage, Plant, draw_plants, load_plant, load_tolerances, plant_at
-from pickenv.arm.effects.effect import GEAR, TOOL, Components
-from pickenv.arm.files.joint_keys import PER_JOINT
-from pickenv.arm.kinematics.forward import Scalar
-from pickenv.arm.plant.campaign import draw_reaches, effect_shares
-from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.arm import (
+    GEAR,
+    PER_JOINT,
+    PLANTS,
+    TOOL,
+    Components,
+    Effect,
+    Passage,
+    Plant,
+    Scalar,
+    draw_plants,
+    draw_reaches,
+    effect_shares,
+    load_plant,
+    load_tolerances,
+    plant_at,
+)
 from pickenv.base import ARCMIN, MM, SECONDS, InputError, registry, toml_table
 from pickenv.commands.plants import effects as effects_command
 from pickenv.experiments.study import deviations

@@ -6,13 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import load_plant, rotation_matrix
-from pickenv.arm.effects.effect import GRAVITY, Load
-from pickenv.arm.effects.ground import BaseTilt
-from pickenv.arm.effects.structure import RollerPlay
-from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
+from pickenv.arm import Load, chain_of, frames, load_plant, pose_of, rotation_matrix
+from pickenv.base import GRAVITY, registry
 
 PIVOT = (0.2, -0.1, -0.6)
+BaseTilt, RollerPlay = (registry.get("effect", name) for name in ("base_tilt", "roller_play"))
 GROUND = BaseTilt((4e4, 6e4), PIVOT, creep=0.5, settlement=2e-3, time_constant=5400.0)
 LOAD = Load((4.0, 3.0, 2.4, 0.9, 0.6, 0.5), tuple((0.05, 0.01 * i, -0.1) for i in range(6)), 0.25)
 BARE = load_plant("geometry_only")

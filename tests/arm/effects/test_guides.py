@@ -10,16 +10,20 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at, rotation_matrix
-from pickenv.arm.effects.effect import GRAVITY, Load, Loads
-from pickenv.arm.effects.hysteresis import (
-    Bearing,
-    BoomCouple,
-    BoomTorsion,
-    SlideCompliance,
+from pickenv.arm import (
+    Load,
+    chain_of,
+    draw_plants,
+    frames,
+    load_plant,
+    load_tolerances,
+    plant_at,
+    pose_of,
+    rotation_matrix,
 )
-from pickenv.arm.effects.structure import BoomBending
-from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
+from pickenv.arm.effects.effect import Loads
+from pickenv.arm.effects.structure import Bearing, BoomBending, BoomCouple, BoomTorsion, SlideCompliance
+from pickenv.base import GRAVITY
 
 BARE = load_plant("geometry_only")
 LOAD = Load(

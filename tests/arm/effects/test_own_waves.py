@@ -1,6 +1,7 @@
 """Waves that an arm has for itself: spread as the plant file says, others in every arm, alike on all executors."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,15 +9,8 @@ import pytest
 import torch
 from scipy import stats
 
-from pickenv.arm import draw_plants, forward, load_plant, load_tolerances, plant_at
-from pickenv.arm.effects.residual_field import (
-    StructureTable,
-    drawn_harmonics,
-    drawn_structure,
-    local_structure_of,
-    standard_normal_of,
-)
-from pickenv.arm.plant.plant_file import PLANTS, shipped_effects
+from pickenv.arm import PLANTS, draw_plants, forward, load_plant, load_tolerances, plant_at, shipped_effects
+from pickenv.arm.effects.residual_field import StructureTable, local_structure_of, standard_normal_of
 from pickenv.base import InputError
 
 EFFECTS = shipped_effects()
@@ -61,8 +55,9 @@ def test_orders_lie_evenly_between_their_bounds_and_coefficients_fall_with_them(
 
 
 def test_a_wave_is_its_two_coefficients():
-    spread = FIELD.effect("drive_harmonics").spread[:1]
-    found = drawn_harmonics(spread, np.array([0.25, 0.9, 0.2])).harmonics[0]
+    drives = FIELD.effect("drive_harmonics")
+    spread = drives.spread[:1]
+    found = replace(drives, spread=spread).of_numbers(np.array([0.25, 0.9, 0.2])).harmonics[0]
     per = 0.75 / spread[0].longest + 0.25 / spread[0].shortest
     assert found.period == pytest.approx(1 / per)
     std = spread[0].std / (per * spread[0].longest) ** spread[0].decay
@@ -74,11 +69,11 @@ def test_a_wave_is_its_two_coefficients():
 
 
 def test_a_wave_of_one_arm_is_plain_numbers_and_those_of_many_lie_along_an_axis():
-    spread = FIELD.effect("drive_harmonics").spread
-    even = np.random.default_rng(0).random((4, 3 * len(spread)))
-    many = drawn_harmonics(spread, even).harmonics
+    drives = FIELD.effect("drive_harmonics")
+    even = np.random.default_rng(0).random((4, 3 * len(drives.spread)))
+    many = drives.of_numbers(even).harmonics
     for i in range(4):
-        for wave, alone in zip(many, drawn_harmonics(spread, even[i]).harmonics, strict=True):
+        for wave, alone in zip(many, drives.of_numbers(even[i]).harmonics, strict=True):
             assert all(type(size) is float for size in (alone.amplitude, alone.period, alone.phase))
             assert (wave.amplitude[i], wave.period[i], wave.phase[i]) == (alone.amplitude, alone.period, alone.phase)
 
@@ -98,7 +93,7 @@ def test_the_structure_is_a_sum_of_waves_whose_draws_are_the_files_seed_after_se
     np.testing.assert_allclose(found.field.weight, weight, rtol=1e-6)
     assert found.weights == 30 and found.std == pytest.approx(3e-4 / math.sqrt(5))
     others = np.random.default_rng(1).random((2, 30))
-    drawn = drawn_structure(found, others)
+    drawn = found.of_numbers(others)
     np.testing.assert_allclose(drawn.field.weight[1], found.std * stats.norm.ppf(others[1]).reshape(3, 2, 5), rtol=1e-6)
     q = [0.3, 0.2, 0.5, -0.4, 0.1, 1.0]
     waves = (np.array(q) @ frequency).reshape(3, 5)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pickenv.arm import load_plant
+from pickenv.arm import Pace, load_plant, moved
 from pickenv.arm.effects.ground import Settling
-from pickenv.arm.plant.campaign import Pace, commands, move_time, moved
+from pickenv.arm.plant.campaign import commands, move_time
 
 FREQUENCY, ZETA, SHARE, RISE = 6.0, 0.03, 0.4, 0.05
 MODE = Settling((FREQUENCY,), (ZETA,), (SHARE,), RISE)

@@ -5,8 +5,7 @@ import os
 import numpy as np
 import pytest
 
-from pickenv.arm import load_arm, load_plant, shipped_arms
-from pickenv.arm.files.arm_file import ARMS
+from pickenv.arm import ARMS, load_arm, load_plant, shipped_arms
 from pickenv.base import InputError
 
 SHIPPED = (ARMS / "qiao2026.toml").read_text(encoding="utf-8")

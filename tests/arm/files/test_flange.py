@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from pickenv.arm import load_arm
-from pickenv.arm.files.flange import Carried, flange
+from pickenv.arm.files.joint_chain import Carried, flange
 from pickenv.base import InputError
 
 PUBLISHED = {

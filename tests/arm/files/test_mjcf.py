@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, load_arm, pose_error
-from pickenv.arm.files.mjcf import load_mjcf
 from pickenv.base import InputError
 
 mujoco = pytest.importorskip("mujoco")
@@ -55,7 +54,7 @@ def test_so101_as_its_makers_publish_it_moves_as_in_mujoco(data_folder: Path, ti
 
 
 def test_a_scene_is_read_through_what_it_includes(data_folder: Path) -> None:
-    scene, own = (load_mjcf(so101(data_folder, name)).nominal for name in ("scene.xml", "so101_new_calib.xml"))
+    scene, own = (load_arm(so101(data_folder, name)).nominal for name in ("scene.xml", "so101_new_calib.xml"))
     q = np.random.default_rng(1).uniform(own.lower, own.upper, (20, 5))
     np.testing.assert_array_equal(pose_error(forward(own, q), forward(scene, q)), 0)
 

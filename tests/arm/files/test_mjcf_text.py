@@ -6,9 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, load_arm, shipped_arms
-from pickenv.arm.files.mjcf import load_mjcf, mjcf_text, write_mjcf
-from pickenv.arm.kinematics.geometry import Coupling
+from pickenv.arm import Coupling, forward, load_arm, mjcf_text, shipped_arms, write_mjcf
 from pickenv.base import InputError
 
 
@@ -38,7 +36,7 @@ def test_mujoco_stands_where_the_arm_stands(name, draw):
 @pytest.mark.parametrize("name", shipped_arms())
 def test_it_is_read_back_as_the_same_arm(name, draw, tmp_path):
     geometry = load_arm(name).nominal
-    back = load_mjcf(write_mjcf(geometry, tmp_path / "arm.xml", name), "tool").nominal
+    back = load_arm(f"{write_mjcf(geometry, tmp_path / 'arm.xml', name)}#tool").nominal
     joints = draw(geometry, 50)
     one, other = forward(geometry, joints), forward(back, joints)
     np.testing.assert_allclose(other.position, one.position, rtol=0, atol=1e-9)

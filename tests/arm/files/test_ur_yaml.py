@@ -8,7 +8,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose, forward, load_arm, pose_error
-from pickenv.arm.files.load import UR_KEYS, UR_LINKS
+from pickenv.arm.files.arm_file import UR_KEYS, UR_LINKS
 from pickenv.base import InputError
 
 HALF = 1.570796327

@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from pickenv.arm import Geometry, Pose, forward, load_arm, pose_error, rotation_matrix
-from pickenv.arm.files.urdf import load_urdf, urdf_text, write_urdf
-from pickenv.arm.kinematics.forward import geometry_from_axes
+from pickenv.arm import (
+    Geometry,
+    Pose,
+    forward,
+    geometry_from_axes,
+    load_arm,
+    load_urdf,
+    pose_error,
+    rotation_matrix,
+    urdf_text,
+    write_urdf,
+)
 from pickenv.base import InputError
 
 FOREIGN = """<?xml version="1.0"?>

@@ -4,8 +4,7 @@ import math
 
 import pytest
 
-from pickenv.arm import forward, inverse, joint_jacobian, load_plant
-from pickenv.arm.kinematics.forward import chain_of, tool_frame
+from pickenv.arm import chain_of, forward, inverse, joint_jacobian, load_plant, tool_frame
 
 
 def test_forward_of_one_pose_on_floats(benchmark, qiao, draw):

@@ -8,9 +8,18 @@ import numpy as np
 import pytest
 import torch
 
-from pickenv.arm import forward, forward_torch, joint_jacobian, load_arm, load_plant, parameter_jacobian
-from pickenv.arm.kinematics.forward import chain_of, pose_of, tool_frame
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
+from pickenv.arm import (
+    LINK_PARAMETERS,
+    chain_of,
+    forward,
+    forward_torch,
+    joint_jacobian,
+    load_arm,
+    load_plant,
+    parameter_jacobian,
+    pose_of,
+    tool_frame,
+)
 
 MODELS = [("qiao2026", "nominal"), ("qiao2026", "true"), ("ur5", "nominal"), ("wam", "nominal")]
 

@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 from scipy.stats import qmc
 
-from pickenv.arm import forward, inverse, joint_jacobian, load_arm, noncompensable_error, pose_error, task_directions
-from pickenv.arm.kinematics import inverse as inverse_module, workspace
-from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.arm import (
+    forward,
+    inverse,
+    joint_jacobian,
+    load_arm,
+    noncompensable_error,
+    pose_error,
+    task_directions,
+    truncated_inverse,
+)
+from pickenv.arm.kinematics import inverse as inverse_module
 
 ALWAYS = {"position_tolerance": np.inf, "attitude_tolerance": np.inf}
 
@@ -79,7 +87,7 @@ def starts_of(monkeypatch, geometry, target, start, **more):
     """Where each descent begins, and with which rank tolerance, for one target that is never reached."""
     seen = []
 
-    def standing(geometry, goals, q, middle, half, rank_tolerance, max_iterations):
+    def standing(geometry, goals, q, rank_tolerance, max_iterations, parts):
         seen.append((q.copy(), rank_tolerance, max_iterations))
         return q
 
@@ -125,15 +133,9 @@ def test_a_target_counts_as_reached_up_to_the_tolerance_itself(part):
     left = inverse(geometry, target, q, **stand, **ALWAYS)
     size = left.position_error if part == "position" else left.attitude_error - 0.0
     for tolerance, reached in ((size * (1 + 1e-9), True), (size * (1 - 1e-9), False)):
-        found = inverse_module._judge(
-            geometry,
-            replace_position(target, target.position[None])._replace(rotation=target.rotation[None]),
-            left.joints[None],
-            tolerance if part == "position" else np.inf,
-            tolerance if part == "attitude" else np.inf,
-            5e-3,
-        )
-        assert found.reached.tolist() == [reached]
+        tolerances = ALWAYS | {f"{part}_tolerance": tolerance}
+        found = inverse(geometry, target, left.joints, restarts=0, max_iterations=0, **tolerances)
+        assert bool(found.reached) == reached
     error = pose_error(forward(geometry, left.joints), target)
     assert left.position_error == pytest.approx(np.linalg.norm(error[:3]))
     assert left.attitude_error == pytest.approx(np.linalg.norm(error[3:]))
@@ -196,28 +198,28 @@ def test_the_largest_filled_cube_is_found(seed):
     filled = rng.random((5, 6, 7)) < 0.3
     corner = rng.integers(0, 3, 3)
     filled[tuple(slice(c, c + 1 + seed % 4) for c in corner)] = True
-    found, size = workspace._largest_filled(filled)
+    found, size = inverse_module._largest_filled(filled)
     assert size == largest_by_search(filled)
     assert filled[tuple(slice(c, c + size + 1) for c in found)].all()
 
 
 def test_a_full_and_an_empty_grid_are_told_apart():
-    assert workspace._largest_filled(np.ones((3, 4, 5), dtype=bool))[1] == 2
-    assert workspace._largest_filled(np.zeros((3, 4, 5), dtype=bool)) == ((0, 0, 0), 0)
-    assert workspace._largest_filled(np.ones((1, 4, 5), dtype=bool))[1] == 0
+    assert inverse_module._largest_filled(np.ones((3, 4, 5), dtype=bool))[1] == 2
+    assert inverse_module._largest_filled(np.zeros((3, 4, 5), dtype=bool)) == ((0, 0, 0), 0)
+    assert inverse_module._largest_filled(np.ones((1, 4, 5), dtype=bool))[1] == 0
 
 
 def test_of_several_cubes_the_middle_one_is_taken():
     filled = np.zeros((2, 2, 8), dtype=bool)
     filled[:] = True
-    assert workspace._largest_filled(filled) == ((0, 0, 3), 1)
+    assert inverse_module._largest_filled(filled) == ((0, 0, 3), 1)
 
 
 def test_the_cube_stands_on_the_grid_of_the_samples(qiao):
     """Step, grid and edge recomputed from the same evenly spread joints."""
     geometry = qiao.nominal
     steps = 8
-    cube = workspace.largest_cube(geometry, steps=steps)
+    cube = inverse_module.largest_cube(geometry, steps=steps)
     spread = qmc.Halton(6, scramble=False).random(2**14)
     points = forward(geometry, geometry.lower + (geometry.upper - geometry.lower) * spread).position
     step = np.ptp(points, axis=0).max() / steps
@@ -230,12 +232,12 @@ def test_the_cube_stands_on_the_grid_of_the_samples(qiao):
     corners = cube.centre + cube.edge / 2 * np.array(list(product((-1, 1), repeat=3)))
     assert (corners >= points.min(axis=0) - 1e-9).all() and (corners <= points.max(axis=0) + step).all()
     turned = forward(geometry, middle + 0.2).rotation
-    np.testing.assert_array_equal(workspace.largest_cube(geometry, turned, steps=steps).rotation, turned)
+    np.testing.assert_array_equal(inverse_module.largest_cube(geometry, turned, steps=steps).rotation, turned)
 
 
 def test_the_five_poses_are_those_of_the_standard():
     """C1, C2, C7, C8 of ISO 9283's figure: the upper edge at -x, the lower one at +x; a tenth from the corners."""
-    poses = workspace.Cube(np.array([1.0, 2.0, 3.0]), 0.5, np.eye(3)).inclined_plane()
+    poses = inverse_module.Cube(np.array([1.0, 2.0, 3.0]), 0.5, np.eye(3)).inclined_plane()
     corners = 0.25 * np.array([[0, 0, 0], [-1, -1, 1], [-1, 1, 1], [1, 1, -1], [1, -1, -1]])
     np.testing.assert_allclose(poses.position, [1.0, 2.0, 3.0] + 0.8 * corners)
     np.testing.assert_array_equal(poses.rotation, np.broadcast_to(np.eye(3), (5, 3, 3)))
@@ -249,10 +251,10 @@ def test_each_grid_point_near_a_sample_is_sought_once_from_the_nearest_one(qiao,
         asked.append((goals, start, options))
         return inverse(geometry, goals, start, **options)
 
-    monkeypatch.setattr(workspace, "inverse", listening)
-    workspace.largest_cube(qiao.nominal, steps=6)
+    monkeypatch.setattr(inverse_module, "inverse", listening)
+    inverse_module.largest_cube(qiao.nominal, steps=6)
     ((goals, start, options),) = asked
-    assert options == {"max_iterations": 10, "restarts": 0}
+    assert options == {"max_iterations": 10, "restarts": 0, "position_only": False}
     joints = qiao.nominal.lower + np.ptp([qiao.nominal.lower, qiao.nominal.upper], axis=0) * qmc.Halton(
         6, scramble=False
     ).random(2**14)

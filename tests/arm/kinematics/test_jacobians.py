@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, joint_jacobian, load_arm, parameter_jacobian, pose_error
-from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
+from pickenv.arm import chain_of, forward, frames, joint_jacobian, load_arm, parameter_jacobian, pose_error, pose_of
 
 STEP = 1e-5
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, forward_torch, load_arm, pose_error
-from pickenv.arm.kinematics.forward import pose_of
+from pickenv.arm import Pose, forward, forward_torch, load_arm, pose_error, pose_of
 
 GOLDEN = {
     key: np.array(value)

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from pickenv.arm.kinematics.backend import outside
-
-pytest.importorskip("llvmlite")
 from pickenv.arm.kinematics.machine_code import (
     DOUBLE,
     FLAG,
@@ -22,6 +20,8 @@ from pickenv.arm.kinematics.machine_code import (
     cosine,
     sine,
 )
+
+pytest.importorskip("llvmlite")
 
 EXACT = {
     "arithmetic": lambda m, a, b, c: a + b * c - a / b + 0.1 - (2.0 - c) / 3.0 + (-a) * 1e-30,

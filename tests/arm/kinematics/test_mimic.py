@@ -7,8 +7,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from pickenv.arm import Pose, forward, forward_torch, inverse, joint_jacobian, load_arm, parameter_jacobian, pose_error
-from pickenv.arm.files.urdf import load_urdf, urdf_text, write_urdf
+from pickenv.arm import (
+    Pose,
+    forward,
+    forward_torch,
+    inverse,
+    joint_jacobian,
+    load_arm,
+    load_urdf,
+    parameter_jacobian,
+    pose_error,
+    urdf_text,
+    write_urdf,
+)
 from pickenv.base import InputError
 
 

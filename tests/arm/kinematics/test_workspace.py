@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Geometry, Pose, forward, inverse, load_arm, shipped_arms
-from pickenv.arm.kinematics.workspace import Cube, farthest, largest_cube
+from pickenv.arm import Cube, Geometry, Pose, farthest, forward, inverse, largest_cube, load_arm, shipped_arms
 from pickenv.base import InputError
 
 

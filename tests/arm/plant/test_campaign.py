@@ -9,26 +9,30 @@ import torch
 
 from pickenv.arm import (
     Instrument,
+    Iso9283Settings,
+    MeasurementNoise,
+    Pace,
     Pose,
     draw_plants,
     forward,
     inverse,
+    iso9283,
+    largest_cube,
     load_instrument,
     load_plant,
     load_tolerances,
+    normal_draws,
     plant_at,
     plants_on,
     pose_error,
+    pose_of,
     rotation_matrix,
+    shipped_effects,
     shipped_instruments,
 )
-from pickenv.arm.effects.drives import MeasurementNoise, read_frame
-from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.kinematics.workspace import largest_cube
+from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.plant import campaign
-from pickenv.arm.plant.campaign import Pace, normal_draws, visited
-from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283
-from pickenv.arm.plant.plant_file import shipped_effects
+from pickenv.arm.plant.campaign import visited
 from pickenv.base import InputError
 from pickenv.calibration import random_joints, simulated_tracker
 
@@ -117,14 +121,14 @@ def test_the_first_stop_is_come_to_from_the_middle_of_the_joints_ranges(sign):
 
 
 def test_the_pace_is_the_instruments_and_one_arm_runs_on_floats(monkeypatch):
-    paces, kinds, stop = [], [], campaign.stopped
+    paces, kinds, move = [], [], campaign.moved
 
     def noted(plant, m, state, here, target, pace, *more):
         paces.append(pace)
         kinds.append(m)
-        return stop(plant, m, state, here, target, pace, *more)
+        return move(plant, m, state, here, target, pace, *more)
 
-    monkeypatch.setattr(campaign, "stopped", noted)
+    monkeypatch.setattr(campaign, "moved", noted)
     slow = replace(EXACT, period=0.25, dwell=7.0)
     visited(ORCHARD, np, anywhere(2), slow, np.zeros((2, 2, 6)))
     many = draw_plants(ORCHARD, load_tolerances("medium"), 2, np.random.default_rng(0))

@@ -7,9 +7,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Geometry, Pose, forward, load_arm, load_plant, rotation_matrix
-from pickenv.arm.effects.effect import GRAVITY, Load, gravity_torques
-from pickenv.arm.kinematics.forward import chain_of, frames
+from pickenv.arm import (
+    Geometry,
+    Load,
+    Pose,
+    chain_of,
+    forward,
+    frames,
+    gravity_torques,
+    load_arm,
+    load_plant,
+    rotation_matrix,
+)
+from pickenv.base import GRAVITY
 
 
 def place(body, position, rotation):

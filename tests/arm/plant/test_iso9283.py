@@ -8,11 +8,17 @@ import pytest
 from scipy import stats
 from scipy.spatial import cKDTree
 
-from pickenv.arm import load_arm, load_instrument, load_plant
-from pickenv.arm.kinematics.workspace import largest_cube
-from pickenv.arm.plant.campaign import Pace
-from pickenv.arm.plant.iso9283 import NORM_OF_NOISE, Iso9283Settings, _pose_performance, iso9283
-from pickenv.arm.plant.plant_file import shipped_effects
+from pickenv.arm import (
+    Iso9283Settings,
+    Pace,
+    iso9283,
+    largest_cube,
+    load_arm,
+    load_instrument,
+    load_plant,
+    shipped_effects,
+)
+from pickenv.arm.plant.iso9283 import NORM_OF_NOISE, _pose_performance
 from pickenv.base import InputError
 from pickenv.calibration import random_joints, read_measurements, simulated_tracker
 

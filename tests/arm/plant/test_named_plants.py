@@ -5,9 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, load_arm, load_plant, load_tolerances, plant_at, shipped_arms, shipped_plants
-from pickenv.arm.plant.named_plants import class_of, draw_arms, rods
-from pickenv.arm.plant.plant_batch import plant_count
+from pickenv.arm import (
+    Pose,
+    class_of,
+    draw_arms,
+    forward,
+    load_arm,
+    load_plant,
+    load_tolerances,
+    plant_at,
+    plant_count,
+    shipped_arms,
+    shipped_plants,
+)
 from pickenv.base import GRAVITY, InputError
 
 BARE = sorted(set(shipped_arms()) - set(shipped_plants()))
@@ -79,7 +89,7 @@ def test_no_joint_of_a_bare_arm_sags_more_than_its_class_says_and_one_nearly_as_
 def test_the_rods_run_from_joint_to_joint(arm: str) -> None:
     """Twice a rod's centre is where the next frame stands, with slides half run out."""
     geometry = load_arm(arm).nominal
-    load = rods(load_arm(arm))
+    load = load_plant(f"coarse:{arm}").load
     q = np.where(geometry.prismatic, (geometry.lower + geometry.upper) / 2, 0.0)
     chains = []
     for count in range(1, geometry.joints + 1):

@@ -7,10 +7,17 @@ import numpy as np
 import pytest
 import torch
 
-from pickenv.arm import forward, load_plant
-from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.plant.campaign import Pace, causes_of, draw_reaches, effect_shares
-from pickenv.arm.plant.plant_file import PLANTS, shipped_effects
+from pickenv.arm import (
+    PLANTS,
+    Pace,
+    causes_of,
+    draw_reaches,
+    effect_shares,
+    forward,
+    load_plant,
+    pose_of,
+    shipped_effects,
+)
 from pickenv.base import InputError
 
 EFFECTS = shipped_effects()

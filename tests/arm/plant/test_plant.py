@@ -7,24 +7,29 @@ import numpy as np
 import pytest
 
 from pickenv.arm import (
+    Load,
+    Passage,
+    arrays_of,
+    chain_of,
     draw_plants,
     forward,
+    frames,
     load_plant,
     load_tolerances,
     plant_at,
     plants_on,
     pose_error,
+    pose_of,
     rotation_matrix,
+    shipped_effects,
     shipped_plants,
+    tree_map,
+    with_links,
 )
-from pickenv.arm.effects.effect import Load
-from pickenv.arm.effects.structure import BoomBending, JointCompliance, driven_joints
-from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
-from pickenv.arm.plant.plant_batch import arrays_of, with_links
-from pickenv.arm.plant.plant_file import shipped_effects
-from pickenv.arm.plant.tree import tree_map
+from pickenv.base import registry
 
 EFFECTS = shipped_effects()
+BoomBending, JointCompliance = (registry.get("effect", name) for name in ("boom_bending", "joint_compliance"))
 
 MOVING = ["joint_compliance", "boom_bending", "transmission_error"]
 
@@ -36,6 +41,13 @@ def plant():
 
 def only(effect):
     return load_plant("qiao2026", without=[name for name in EFFECTS if name != effect])
+
+
+def driven_by(m, effect, q):
+    """Where an effect's drives hold the joints of a command."""
+    at = Passage(m, None, None, q)
+    effect.act(at, ())
+    return at.driven
 
 
 def equal(pose, other):
@@ -97,7 +109,7 @@ def test_boom_bending_lowers_and_swings_what_the_boom_carries(qiao, draw):
 
 def test_transmission_error_acts_before_the_chain(plant, qiao, draw):
     q = draw(qiao.true, 10)
-    driven = np.stack(driven_joints(np, plant.effect("transmission_error"), list(q.T)), axis=-1)
+    driven = np.stack(driven_by(np, plant.effect("transmission_error"), list(q.T)), axis=-1)
     assert np.abs(driven - q).max() > 1e-5
     assert equal(only("transmission_error").tool_pose(q), forward(qiao.true, driven))
 
@@ -124,7 +136,7 @@ def test_drive_errors_come_before_everything_else(name):
     rough = plant.with_effect(replace(plant.effect("transmission_error"), lead=(0.05,) * 6))
     assert rough.effect("joint_compliance") is not None and rough.effect("boom_bending") is not None
     q = [0.2, 0.3, 0.5, -0.1, 0.1, 0.5]
-    driven = driven_joints(math, rough.effect("transmission_error"), q)
+    driven = driven_by(math, rough.effect("transmission_error"), q)
     assert max(abs(a - b) for a, b in zip(q, driven, strict=True)) > 0.01
     smooth = rough.without(["transmission_error"])
     np.testing.assert_allclose(rough.tool_frame(math, q), smooth.tool_frame(math, driven), rtol=0, atol=1e-14)

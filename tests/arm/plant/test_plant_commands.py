@@ -7,8 +7,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from pickenv.arm import load_arm, load_plant, shipped_arms
-from pickenv.arm.plant.campaign import causes_of
+from pickenv.arm import causes_of, load_arm, load_plant, shipped_arms
 from pickenv.base import InputError
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.commands import plants

@@ -6,12 +6,21 @@ import numpy as np
 import pytest
 import torch
 
-from pickenv.arm import draw_plants, forward, load_plant, load_tolerances, plant_at, plants_on, shipped_tolerances
-from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS
-from pickenv.arm.plant.plant_batch import plant_count
-from pickenv.arm.plant.plant_file import shipped_effects
-from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
+from pickenv.arm import (
+    LINK_PARAMETERS,
+    TOLERANCES,
+    draw_plants,
+    forward,
+    it_tolerance,
+    load_plant,
+    load_tolerances,
+    plant_at,
+    plant_count,
+    plants_on,
+    pose_of,
+    shipped_effects,
+    shipped_tolerances,
+)
 from pickenv.base import InputError
 
 EFFECTS = shipped_effects()

@@ -21,7 +21,7 @@ from pickenv.arm import (
     write_twin,
 )
 from pickenv.arm.effects.effect import Load
-from pickenv.arm.effects.hysteresis import StickBand
+from pickenv.arm.effects.structure import StickBand
 from pickenv.arm.kinematics.geometry import Coupling
 from pickenv.arm.plant.tolerances import it_tolerance
 from pickenv.base import InputError, write_container
