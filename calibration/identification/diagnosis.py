@@ -191,9 +191,7 @@ def checked_rows(
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
     sets = (train, test) if len(test.joints) else (train,)
-    scales = found.sizes.scales
-    if isinstance(train, Stacked) and isinstance(test, Stacked):  # of held-out rows some stations may have none
-        scales = scales[train.channels_of(test)]
+    scales = found.sizes.scales[train.channels_of(test)]  # of held-out rows some stations may have none
     sizes = [found.sizes_of(data, scales if data is test else None).sigma for data in sets]
     far = [np.flatnonzero(~(size <= OUTLIER_SIGMA)) for size in sizes]
     if 2 * len(far[0]) >= len(train.joints):
@@ -205,9 +203,8 @@ def checked_rows(
     listed: list[LeftOut] = []
     for data, size, rows in zip(sets, sizes, far, strict=True):
         listed += _far_rows(arm, found, data, size, rows, held_out=data is test, kept=not robust)
-    if isinstance(train, Stacked):
-        train = train.weighed(found.sizes.scales[train.first_channels()].tolist())
-        sets = (train, *sets[1:])
+    train = train.weighed(found.sizes.scales)
+    sets = (train, *sets[1:])
     if robust:
         near = [np.setdiff1d(np.arange(len(data.joints)), rows) for data, rows in zip(sets, far, strict=True)]
         left = [data.select(rows) for data, rows in zip(sets, near, strict=True)]

@@ -20,7 +20,6 @@ from scipy.spatial.distance import cdist
 
 from pickenv.arm import Array
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.measurements import Stacked, frame_columns
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
 
 POSE = 6
@@ -120,15 +119,15 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
     """
     residual = data.residual(model, unknowns)
     rows, channels = data.equations()
-    own = rows >= 0
-    many = own & (np.bincount(rows[own], minlength=len(data.joints))[rows] > POSE)
+    read = rows >= 0
+    many = read & (np.bincount(rows[read], minlength=len(data.joints))[rows] > POSE)
     sizes = np.ones(int(channels.max(initial=0)) + 1)
     spare = np.clip(1.0 - leverage, LEAST_SPARE, 1.0)
     for channel in range(len(sizes)):
-        here = own & (channels == channel)
-        if here.any():
-            sizes[channel] = np.sqrt((STATED + np.sum(residual[here] ** 2)) / (STATED + np.sum(spare[here])))
-    scatter = np.where(own, sizes[channels], 1.0)
+        member = read & (channels == channel)
+        if member.any():
+            sizes[channel] = np.sqrt((STATED + np.sum(residual[member] ** 2)) / (STATED + np.sum(spare[member])))
+    scatter = np.where(read, sizes[channels], 1.0)
     if many.any():
         return _of_pictures(data, model, unknowns, residual, rows, many, leverage, scatter, sizes)
     share, length = _alike(data.joints, residual / scatter, rows)
@@ -138,7 +137,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
     usual = _usual(like, USUAL)
     common = 1.0 - share + share * usual
     closer = np.maximum((1.0 - share + share * like) / common, 1.0)
-    return RowNoise(np.where(own, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
+    return RowNoise(np.where(read, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
 
 
 def neighbours(joints: Array, length: float) -> Array:
@@ -204,7 +203,7 @@ def _of_pictures(
     sizes: Array,
 ) -> RowNoise:
     """Where rows have many equations: each channel's own scatter, and the pose's error that they share."""
-    tool = tool_columns(data, model, unknowns)
+    tool = data.by_tool(model, unknowns)
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
     _, channels = data.equations()
     channel = np.array([channels[at[0]] for at in places])
@@ -213,10 +212,9 @@ def _of_pictures(
     square = np.array([residual[at] @ residual[at] for at in places])
     count = np.array([len(at) for at in places], dtype=float)
     spare = max(1.0 - leverage[many].sum() / (POSE * len(places)), LEAST_SPARE)
-    white = np.array([sizes[each] for each in channel]) ** 2
+    white = sizes[channel] ** 2
     bound = np.sqrt(np.trace(gram, axis1=1, axis2=2).mean() / POSE)
-    pose = np.repeat([1.0, 1.0], 3) / max(bound, 1e-300)
-    pose = pose**2
+    pose = (np.ones(POSE) / max(bound, 1e-300)) ** 2
     for _ in range(ROUNDS):
         covariance = np.linalg.inv(gram / white[:, None, None] + np.diag(1.0 / pose))
         mean = (covariance @ (right / white[:, None])[..., None])[..., 0]
@@ -224,22 +222,14 @@ def _of_pictures(
         sums = np.diagonal(second, axis1=1, axis2=2).mean(axis=0) / spare
         pose = np.repeat([sums[:3].mean(), sums[3:].mean()], 3)
         remains = square - 2.0 * np.sum(mean * right, axis=1) + np.einsum("nij,nji->n", gram, second)
-        for each in np.unique(channel):
-            here = channel == each
-            sizes[each] = np.sqrt((STATED + remains[here].sum()) / (STATED + count[here].sum()))
+        for k in np.unique(channel):
+            views = channel == k
+            sizes[k] = np.sqrt((STATED + remains[views].sum()) / (STATED + count[views].sum()))
         white = sizes[channel] ** 2
     shared = []
-    for at, each in zip(places, channel, strict=True):
-        scatter[at] = sizes[each]
-        basis, strength, _ = np.linalg.svd(tool[at] * np.sqrt(pose) / sizes[each], full_matrices=False)
+    for at, size in zip(places, sizes[channel], strict=True):
+        scatter[at] = size
+        basis, strength, _ = np.linalg.svd(tool[at] * np.sqrt(pose) / size, full_matrices=False)
         shared.append(SharedPose(at, basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)))
     std = float(np.sqrt(pose[0])), float(np.sqrt(pose[3]))
     return RowNoise(scatter, sizes, shared=tuple(shared), pose_std=std)
-
-
-def tool_columns(data: Observations, model: ArmModel, unknowns: Array) -> Array:
-    """Derivatives of the stated equations by the tool's pose, in its own axes ``(E, 6)``."""
-    whole = [(data, model, unknowns, 1.0)]
-    parts = data.seen_by_station(model, unknowns) if isinstance(data, Stacked) else whole
-    place = frame_columns(model.geometry, "tool")
-    return np.concatenate([part.jacobian(seen, own)[0][:, place] / scale for part, seen, own, scale in parts])

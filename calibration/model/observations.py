@@ -190,6 +190,15 @@ class Observations(Equations, Protocol):
     def fingerprint(self) -> str:
         """Hash of the numbers, which a calibration records."""
 
+    def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
+        """Derivatives of the equations by the tool's pose, in its own axes ``(E, 6)``."""
+
+    def channels_of(self, other: Observations) -> Rows:
+        """The channels of these rows that those of other rows of the same instruments are."""
+
+    def weighed(self, scales: Array) -> Self:
+        """The rows of several stations weighed by their scatter, given by channel ``(C,)``; one station as it is."""
+
 
 @dataclass(frozen=True, eq=False)
 class Stated:
@@ -312,6 +321,18 @@ class OneGroup:
     def fingerprint(self) -> str:
         """Of joints and readings."""
         return hash_of(self.joints, self.readings())
+
+    def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
+        """The tool's columns of the Jacobian."""
+        return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
+
+    def channels_of(self, other: Observations) -> Rows:
+        """All of them."""
+        return np.arange(int(self.equations()[1].max(initial=-1)) + 1)
+
+    def weighed(self, scales: Array) -> Self:
+        """Themselves."""
+        return self
 
     def unknowns(self) -> tuple[str, ...]:
         """The numbers that are not known exactly."""
