@@ -122,15 +122,15 @@ class Identification:
 
     def report(self) -> str:
         """A short report for people: rank, condition, what was dropped, and the parameters in mm and degrees."""
-        names, kept = self.identifiability.names, self.identifiability.kept
+        names, base = self.identifiability.names, self.identifiability.kept
         state = "converged" if self.converged else "NOT CONVERGED"
         lines = [
             f"{state} after {len(self.residual_rms) - 1} iterations on {self.poses} poses ({self.kind})",
-            f"identifiable: {len(kept)} of {len(names)} parameters, condition {self.identifiability.condition:.1f}",
+            f"identifiable: {len(base)} of {len(names)} parameters, condition {self.identifiability.condition:.1f}",
         ]
         lines += [f"  dropped {d.name}: {describe_absorption(d.absorbed_by)}" for d in self.identifiability.dropped]
         lines.append(f"{'parameter':>10}  {'change':>12}  {'± 1 sigma':>12}")
-        for k in kept:
+        for k in base:
             scale, unit = (np.degrees(1.0), "deg") if is_angle(names[k]) else (1e3, "mm")
             change, std = self.delta[k] * scale, self.standard_deviation[k] * scale
             lines.append(f"{names[k]:>10}  {change:>12.5f}  {std:>12.5f} {unit}")

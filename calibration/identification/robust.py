@@ -516,8 +516,8 @@ def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int)
             yield (*groups[:number], joined, *groups[number + 1 :])
         elif number == 0:
             yield (*groups, SetUp((i,)))
-    for own in (("base",), ("tool",), OWN):
-        yield (*groups, SetUp((i,), own))
+    for frames in (("base",), ("tool",), OWN):
+        yield (*groups, SetUp((i,), frames))
 
 
 def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp], i: int) -> bool:

@@ -135,14 +135,14 @@ def averaged_over_scales(
             (`pickenv.calibration.model.noise.RowNoise.common`).
         free: Groups whose scales are averaged over.
     """
-    count, kept = columns.shape[1] - len(model.std), solution.identifiability.kept
-    known = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
-    width = np.r_[np.full(count, UNKNOWN_STD), model.std * known][kept]
-    group = np.r_[np.full(count, ""), model.group][kept]
-    moved = np.zeros(columns.shape[1])
-    moved[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
+    count, base = columns.shape[1] - len(model.std), solution.identifiability.kept
+    scale = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
+    width = np.r_[np.full(count, UNKNOWN_STD), model.std * scale][base]
+    group = np.r_[np.full(count, ""), model.group][base]
+    offset = np.zeros(columns.shape[1])
+    offset[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
     upper, right = triangle(columns, residual)
-    upper, right = upper[:, kept] * width, right + upper @ moved
+    upper, right = upper[:, base] * width, right + upper @ offset
     gram, right = upper.T @ upper, upper.T @ right
     member = np.array([group == name for name in free]).reshape(len(free), len(group))
     mean, std = np.zeros(len(free)), np.full(len(free), np.log(SPREAD))
@@ -169,8 +169,8 @@ def averaged_over_scales(
     centre = weight @ means
     covariance = np.einsum("n,ni,nij,nj->ij", weight, factor, spread, factor)
     covariance += np.einsum("n,ni,nj->ij", weight, means - centre, means - centre)
-    change = -moved
-    change[kept] += centre * width
+    change = -offset
+    change[base] += centre * width
     scales = dict(zip(free, np.exp(mean).tolist(), strict=True))
     return Average(scales, change, np.asarray(covariance * np.outer(width, width)))
 
@@ -178,11 +178,11 @@ def averaged_over_scales(
 def _with_average(solution: Identification, average: Average) -> Identification:
     """The solution moved to the mean of the averaged posterior."""
     names = list(solution.unknowns)
-    own, ours = np.split(average.change, [len(names)])
+    steps, change = np.split(average.change, [len(names)])
     assert solution.prior is not None
     delta = np.zeros(len(solution.arm_model.parameter_names))
-    delta[solution.prior.parameters.columns] = ours
-    unknowns = dict(zip(names, (np.array([*solution.unknowns.values()]) + own).tolist(), strict=True))
+    delta[solution.prior.parameters.columns] = change
+    unknowns = dict(zip(names, (np.array([*solution.unknowns.values()]) + steps).tolist(), strict=True))
     return replace(
         solution,
         arm_model=solution.arm_model.displaced(delta),

@@ -92,9 +92,9 @@ class JointTerm(Term, Protocol):
     def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
         """What all coefficients together move each joint by, times the joint Jacobian."""
         which, steps = self.steps(geometry, joints, conditions)
-        moved = (coefficients * (np.arange(geometry.joints)[:, None] == list(which))) @ steps.T
+        displacements = (coefficients * (np.arange(geometry.joints)[:, None] == list(which))) @ steps.T
         by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
-        return np.asarray(np.einsum("ijn,jn->ni", by_joint, moved))
+        return np.asarray(np.einsum("ijn,jn->ni", by_joint, displacements))
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +137,12 @@ class ArmModel:
         """What the terms add to the pose ``(..., 6)``, m and rad."""
         joints = np.asarray(joints, dtype=float)
         flat, first = joints.reshape(-1, joints.shape[-1]), 0
-        moved = np.zeros((len(flat), 6))
+        total = np.zeros((len(flat), 6))
         for term in self.terms:
             last = first + len(term.names(self.geometry))
-            moved += term.displacement(self.geometry, flat, conditions or Conditions(), self.coefficients[first:last])
+            total += term.displacement(self.geometry, flat, conditions or Conditions(), self.coefficients[first:last])
             first = last
-        return np.reshape(moved, (*joints.shape[:-1], 6))
+        return np.reshape(total, (*joints.shape[:-1], 6))
 
     def jacobian(self, joints: Array, conditions: Conditions | None = None) -> Array:
         """Derivative of the pose by every parameter ``(N, 6, 5n + 12 + k)``."""
@@ -163,8 +163,8 @@ class ArmModel:
         """
         joints = np.asarray(joints, dtype=float)
         jacobian = self.jacobian(joints.reshape(-1, joints.shape[-1]), conditions)[..., np.asarray(columns)]
-        found = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
-        return np.asarray(found.reshape(*joints.shape[:-1], 6, 6))
+        covariances = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
+        return np.asarray(covariances.reshape(*joints.shape[:-1], 6, 6))
 
     def displaced(self, delta: Array) -> ArmModel:
         """This model with ``delta`` ``(5n + 12 + k,)`` added to its parameters."""
@@ -233,9 +233,9 @@ class ComplianceTerm(JointTerm):
             raise InputError("joint compliance needs measured torques or link masses; give a torque column or a load")
         payload = self.load.payload if conditions.payload is None else conditions.payload
         chain = chain_of(geometry)
-        found = frames(np, chain, split_joints(geometry.joints, joints))
+        link_frames = frames(np, chain, split_joints(geometry.joints, joints))
         load = Load(self.load.mass, self.load.centre, payload)
-        torque = _repeated(gravity_torques(chain, found, load), len(joints)).T
+        torque = _repeated(gravity_torques(chain, link_frames, load), len(joints)).T
         return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
 
 
@@ -266,8 +266,8 @@ class BendingTerm(Term):
         if geometry.coupling is not None:
             raise InputError("the bending of a boom needs an arm whose joints move one link each; leave the term out")
         chain = chain_of(geometry)
-        found = frames(np, chain, split_joints(geometry.joints, joints))
-        boom, tool = _placed(found[self.joint + 1], len(joints)), forward(geometry, joints).position
+        link_frames = frames(np, chain, split_joints(geometry.joints, joints))
+        boom, tool = _placed(link_frames[self.joint + 1], len(joints)), forward(geometry, joints).position
         z, tip = boom[:, 2], boom[:, 3]
         across = z * z[:, 2:] - np.array([0.0, 0.0, 1.0])
         turn = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], -1)
@@ -377,12 +377,13 @@ class ThermalTerm(Term):
             raise InputError("thermal expansion needs temperatures; give a temperature column")
         n = geometry.links
         jacobian = parameter_jacobian(geometry, joints)
-        moved = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), 1)
+        travel = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), 1)
         lengths = np.concatenate(
-            [np.broadcast_to(geometry.a, moved.shape), geometry.d + moved * np.array(geometry.slides)], 1
+            [np.broadcast_to(geometry.a, travel.shape), geometry.d + travel * np.array(geometry.slides)],
+            1,
         )
-        chosen = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
-        return np.asarray(np.einsum("nip,np->ni", chosen, lengths * conditions.temperature[:, None])[..., None])
+        by_length = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
+        return np.asarray(np.einsum("nip,np->ni", by_length, lengths * conditions.temperature[:, None])[..., None])
 
 
 @dataclass(frozen=True)
@@ -405,17 +406,17 @@ class GravityTerm(JointTerm):
 
     def moments(self, geometry: Geometry) -> list[tuple[int, int, str]]:
         """(joint, link, moment) of each coefficient; "m" mass at the link's origin, "p" payload at the tool."""
-        found = []
+        moments = []
         for i in self.joints:
-            moved = [link for link, _ in geometry.links_of(i)]
-            if all(geometry.slides[link] for link in moved):
-                found += [(i, link, "m") for link in moved]
+            driven = [link for link, _ in geometry.links_of(i)]
+            if all(geometry.slides[link] for link in driven):
+                moments += [(i, link, "m") for link in driven]
             else:
-                links = range(moved[0], geometry.links)
-                found += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (moved[0], "m")]
+                links = range(driven[0], geometry.links)
+                moments += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (driven[0], "m")]
             if self.payload:
-                found.append((i, geometry.links, "p"))
-        return found
+                moments.append((i, geometry.links, "p"))
+        return moments
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """Joint, link and moment: gravity2_3x."""
@@ -438,11 +439,11 @@ class GravityTerm(JointTerm):
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = chain_of(geometry)
-        found = frames(np, chain, split_joints(geometry.joints, joints))
+        links = frames(np, chain, split_joints(geometry.joints, joints))
         # Axes and origin ``(4, 3, N)`` of each link, and of the tool: of what is carried. About an axis z a lever's
         # weight turns by z . (lever x up) = lever . (up x z).
         placed = [
-            _repeated(frame, len(joints)).reshape(4, 3, -1) for frame in (*found[1:], attach(found[-1], chain.tool))
+            _repeated(frame, len(joints)).reshape(4, 3, -1) for frame in (*links[1:], attach(links[-1], chain.tool))
         ]
         up = geometry.base.rotation @ np.array(self.up)
         about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
@@ -660,8 +661,8 @@ def pose_carrier() -> Arm:
 def joints_of_finished_poses(poses: Pose) -> Array:
     """The joints ``(N, 6)`` that hold poses ``(N,)``."""
     geometry = pose_carrier().nominal
-    rest = forward(geometry, np.zeros(6))
+    zero = forward(geometry, np.zeros(6))
     along = np.stack([forward(geometry, row).position for row in np.eye(6)[:3]], axis=1)
     slides = np.linalg.solve(along, poses.position.T).T
-    angles = Rotation.from_matrix(rest.rotation.T @ poses.rotation).as_euler("ZYZ")
+    angles = Rotation.from_matrix(zero.rotation.T @ poses.rotation).as_euler("ZYZ")
     return np.concatenate([slides, angles * (1.0, -1.0, 1.0)], axis=1)

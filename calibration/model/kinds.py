@@ -284,7 +284,7 @@ class SocketObservations(OneGroup):
         """The median of the ball's positions in each socket, which a few gross rows hardly move."""
         ball = tool_points(model, self.joints, self.conditions, np.array(self.tip))
         rests = [ball[self.socket == i] for i in range(len(self._names))]
-        sockets = [np.median(rest if len(rest) else ball, axis=0) for rest in rests]
+        sockets = [np.median(points if len(points) else ball, axis=0) for points in rests]
         return np.concatenate([*sockets, self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:

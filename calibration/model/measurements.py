@@ -418,7 +418,7 @@ class Stacked:
     def equations(self) -> tuple[Rows, Rows]:
         """Rows and channels; each station has channels of its own."""
         parts = [part.equations() for part in self.parts]
-        rows = [np.where(own >= 0, own + first, -1) for (own, _), first in zip(parts, self._first_rows(), strict=True)]
+        rows = [np.where(row >= 0, row + first, -1) for (row, _), first in zip(parts, self._first_rows(), strict=True)]
         return np.concatenate(rows), _numbered([channels for _, channels in parts])
 
     def unknowns(self) -> tuple[str, ...]:
@@ -454,7 +454,7 @@ class Stacked:
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
         """Of all stations, each by its own tool."""
         stations = self._with(unknowns)
-        return np.concatenate([part.data.by_tool(*part.seen(model, own)) / part.scale for part, own in stations])
+        return np.concatenate([part.data.by_tool(*part.seen(model, values)) / part.scale for part, values in stations])
 
     def readings(self) -> Array:
         """Of all stations, each in columns of its own."""

@@ -57,9 +57,9 @@ def named(places: Sequence[tuple[str, int]]) -> str:
     """Files and lines as a message names them."""
     texts = []
     for file in dict.fromkeys(file for file, _ in places):
-        lines = [str(line) for line in sorted(line for other, line in places if other == file)]
-        shown = ", ".join(lines[:NAMED]) + (f" and {len(lines) - NAMED} more" if len(lines) > NAMED else "")
-        texts.append(f"{file}: {'row' if len(lines) == 1 else 'rows'} {shown}")
+        lines = [str(line) for line in sorted(line for name, line in places if name == file)]
+        numbers = ", ".join(lines[:NAMED]) + (f" and {len(lines) - NAMED} more" if len(lines) > NAMED else "")
+        texts.append(f"{file}: {'row' if len(lines) == 1 else 'rows'} {numbers}")
     return "; ".join(texts)
 
 
@@ -369,8 +369,8 @@ class OneGroup:
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Misses in standard uncertainties, what is known of the numbers, likewise, and what else holds."""
         numbers = self.numbers.whole(unknowns)
-        known = self.numbers.residual(unknowns)
-        return np.concatenate([self.whitened(model, numbers).ravel(), known, self.bonds(numbers)[0]])
+        statements = self.numbers.residual(unknowns)
+        return np.concatenate([self.whitened(model, numbers).ravel(), statements, self.bonds(numbers)[0]])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Of the same, by the model and by the unknowns."""
@@ -402,8 +402,8 @@ class OneGroup:
 
 def hash_of(*parts: Array) -> str:
     """Hash of numbers to 1e-9 m and rad; a trip through a CSV file keeps it."""
-    whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
-    return hashlib.sha256(b"".join(part.tobytes() for part in whole)).hexdigest()[:16]
+    integers = [np.rint(part * 1e9).astype(np.int64) for part in parts]
+    return hashlib.sha256(b"".join(part.tobytes() for part in integers)).hexdigest()[:16]
 
 
 def origins_of(data: Observations) -> Origins:
@@ -466,9 +466,9 @@ def same_poses(joints: Array) -> Rows:
     low, high = np.full(cells.shape, np.inf), np.full(cells.shape, -np.inf)
     np.minimum.at(low, cell, joints)
     np.maximum.at(high, cell, joints)
-    one, other = KDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray").T
-    near = np.maximum(low[one] - high[other], low[other] - high[one]).max(axis=1, initial=-np.inf) <= SAME_POSE
-    links = coo_array((near[near], (one[near], other[near])), shape=(len(cells), len(cells)))
+    a, b = KDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray").T
+    near = np.maximum(low[a] - high[b], low[b] - high[a]).max(axis=1, initial=-np.inf) <= SAME_POSE
+    links = coo_array((near[near], (a[near], b[near])), shape=(len(cells), len(cells)))
     count, pose = connected_components(links, directed=False)
     least, most = np.full((count, joints.shape[1]), np.inf), np.full((count, joints.shape[1]), -np.inf)
     np.minimum.at(least, pose, low)
@@ -520,23 +520,23 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
         InputError: If the split is impossible.
     """
     count = len(observations.joints)
-    wanted = max(1, count // 5) if test_rows is None else test_rows
+    most = max(1, count // 5) if test_rows is None else test_rows
     poses = same_poses(observations.joints)
     if not observations.groups.any():
-        return random_split(poses, wanted, rng)
+        return random_split(poses, most, rng)
     home = home_groups(observations.groups, poses)
     train, test = [], []
     for number in np.unique(home):
         rows = np.flatnonzero(home == number)
-        share = max(1, round(wanted * len(rows) / count))
+        share = max(1, round(most * len(rows) / count))
         if len(rows) - share < 2:
             raise InputError(
                 f"{observations.source}: socket or station {number + 1} has {len(rows)} rows, too few to hold "
                 f"{share} of them out"
             )
-        here, there = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
-        train.append(rows[here])
-        test.append(rows[there])
+        training, held_out = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
+        train.append(rows[training])
+        test.append(rows[held_out])
     return np.concatenate(train), np.concatenate(test)
 
 
@@ -564,10 +564,10 @@ def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows
     begin = round(0.35 * count - first / 2), round(0.75 * count - second / 2)
     if begin[0] < 0 or begin[0] + first > begin[1] or begin[1] + second > count:
         raise InputError(f"{test_rows} of {rows} rows cannot be held out as two separate blocks; hold out fewer")
-    held = np.zeros(count, dtype=bool)
+    held_out = np.zeros(count, dtype=bool)
     for start, length in zip(begin, (first, second), strict=True):
-        held[start : start + length] = True
-    return np.flatnonzero(~held[poses]), np.flatnonzero(held[poses])
+        held_out[start : start + length] = True
+    return np.flatnonzero(~held_out[poses]), np.flatnonzero(held_out[poses])
 
 
 def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, Rows]]:
@@ -602,7 +602,7 @@ def home_groups(groups: Rows, poses: Rows) -> Rows:
 def _check(poses: Rows, test_rows: int) -> None:
     rows, count = len(poses), len(np.unique(poses))
     if count < 2:
-        there = "is 1 row" if rows == 1 else f"are {rows} rows of one pose" if rows else "is 0 row"
-        raise InputError(f"there {there}, and none can be both trained on and held out; measure more poses")
+        rows_in_words = "is 1 row" if rows == 1 else f"are {rows} rows of one pose" if rows else "is 0 row"
+        raise InputError(f"there {rows_in_words}, and none can be both trained on and held out; measure more poses")
     if not 0 < test_rows < rows:
         raise InputError(f"{test_rows} test rows of {rows} leave nothing to train on or to test; give 1 to {rows - 1}")

@@ -136,8 +136,8 @@ class PriorModel:
 
     def without_base(self) -> PriorModel:
         """The same with the base held still: no instrument without a frame can see where it stands."""
-        kept = np.array([not name.startswith("base_") for name in self.parameters.names])
-        return replace(self, parameters=self.parameters.some(kept), std=self.std[kept], group=self.group[kept])
+        further = np.array([not name.startswith("base_") for name in self.parameters.names])
+        return replace(self, parameters=self.parameters.some(further), std=self.std[further], group=self.group[further])
 
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
         """The same with further terms, whose coefficients are expected at zero."""
@@ -178,17 +178,17 @@ def prior_model(
         parameters = frames_model(geometry) if arm == CARRIER else geometric_model(geometry, known)
         std = np.full(len(parameters.names), np.inf)
         return PriorModel(parameters, start, std, _groups(parameters, geometry, known), "none: any value is as likely")
-    made = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)
+    made_to = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)
     zeros = joint_zeros_model(geometry)
     parameters = complete_model(geometry)
     if fit == "offsets":
         parameters = zeros if known else frames_model(geometry).joined(zeros)
     group = _groups(parameters, geometry, known)
-    std = standard_deviations(made, geometry)[parameters.columns]
+    std = standard_deviations(made_to, geometry)[parameters.columns]
     angle = geometry.parameter_is_angle[parameters.columns]
     std = np.where(group == FRAMES, np.where(angle, FRAME_STD[1], FRAME_STD[0]), std)
     scales = {} if scale is None else dict.fromkeys(MADE, scale)
-    return PriorModel(parameters, start, std, group, f"tolerance class {made.name}", scales)
+    return PriorModel(parameters, start, std, group, f"tolerance class {made_to.name}", scales)
 
 
 def expected_sizes(model: ArmModel) -> Array:

@@ -117,9 +117,9 @@ class Bpnn:
         bits alone and among many.
         """
         if self._code is not None:
-            given = np.asarray(joints, dtype=float)
-            found = self._code(given.reshape(-1, given.shape[-1]))
-            return found.reshape(*given.shape[:-1], len(self.output_std)).astype(float)
+            inputs = np.asarray(joints, dtype=float)
+            outputs = self._code(inputs.reshape(-1, inputs.shape[-1]))
+            return outputs.reshape(*inputs.shape[:-1], len(self.output_std)).astype(float)
         values = np.asarray(joints, dtype=self._dtype)
         if values.ndim == 1:
             return np.asarray(_through(self._layers, values), dtype=float)
@@ -166,10 +166,10 @@ class Bpnn:
 
     def arrays(self) -> dict[str, Array]:
         """All numbers by name, for saving."""
-        named = {name: getattr(self, name) for name in SCALES}
+        arrays = {name: getattr(self, name) for name in SCALES}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            named |= {f"weight{i}": weight, f"bias{i}": bias}
-        return named
+            arrays |= {f"weight{i}": weight, f"bias{i}": bias}
+        return arrays
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> Bpnn:

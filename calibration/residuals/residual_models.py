@@ -58,10 +58,10 @@ class JointInputs:
             raise InputError(
                 f"joints have shape {joints.shape}, but the residual model was fitted for {len(self.periodic)} joints"
             )
-        given = 0 if conditions is None else np.asarray(conditions).shape[-1]
-        if given != self.conditions:
+        count = 0 if conditions is None else np.asarray(conditions).shape[-1]
+        if count != self.conditions:
             raise InputError(
-                f"the residual model needs {self.conditions} conditions beside the joints, but got {given}"
+                f"the residual model needs {self.conditions} conditions beside the joints, but got {count}"
             )
         return (_raw_inputs(joints, conditions, self.periodic) - self.mean) / self.std
 
@@ -124,9 +124,9 @@ class LearntResidual:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All numbers by name, for saving without pickle."""
-        named: dict[str, NDArray[Any]] = {"kind": np.array(self.kind), "conditions": np.array(self.inputs.conditions)}
-        named |= {name: getattr(self.inputs, name) for name in ("periodic", "mean", "std")}
-        return named | named_part("model_", self.model.arrays())
+        arrays: dict[str, NDArray[Any]] = {"kind": np.array(self.kind), "conditions": np.array(self.inputs.conditions)}
+        arrays |= {name: getattr(self.inputs, name) for name in ("periodic", "mean", "std")}
+        return arrays | named_part("model_", self.model.arrays())
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> LearntResidual:

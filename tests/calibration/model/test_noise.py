@@ -90,6 +90,9 @@ class Pictures:
         columns[:, 5 * model.geometry.links + 6 :][:, :6] = self.effect.reshape(-1, 6)
         return columns, np.zeros((self.values.size, 0))
 
+    def by_tool(self, model, unknowns):
+        return self.effect.reshape(-1, 6)
+
 
 @pytest.fixture(scope="module")
 def pictures():
