@@ -153,20 +153,25 @@ class Measurements(OneGroup):
         """Of joints, positions and attitudes."""
         return hash_of(self.joints, self.position, *([] if self.rotation is None else [self.rotation]))
 
+    def table(self) -> tuple[list[str], Array]:
+        """Column names with units, and the values in those units, one row per pose."""
+        names = [*joint_columns(self.prismatic), "x_mm", "y_mm", "z_mm"]
+        columns = [self.joints * _units(self.prismatic), self.position * 1e3]
+        if self.rotation is not None:
+            names += ["rx_deg", "ry_deg", "rz_deg"]
+            columns.append(np.degrees(rotation_vector(self.rotation)))
+        return names, np.concatenate(columns, axis=1)
+
     def write_csv(self, path: str | Path) -> Path:
         """Write our own CSV format, whole or not at all; `reading.read.read_measurements` reads it back.
 
         Where the frames are known, a last column says so in every row.
         """
-        names = [*joint_columns(self.prismatic), "x_mm", "y_mm", "z_mm"]
-        columns: list[NDArray[Any]] = [self.joints * _units(self.prismatic), self.position * 1e3]
-        if self.rotation is not None:
-            names += ["rx_deg", "ry_deg", "rz_deg"]
-            columns.append(np.degrees(rotation_vector(self.rotation)))
-        if self.frames == "known":
-            names.append(FRAMES_COLUMN)
-            columns = [*(part.astype(object) for part in columns), np.full((len(self), 1), self.frames, dtype=object)]
-        return write_table(path, names, np.concatenate(columns, axis=1))
+        names, values = self.table()
+        if self.frames == "fitted":
+            return write_table(path, names, values)
+        frames = np.full((len(self), 1), self.frames, dtype=object)
+        return write_table(path, [*names, FRAMES_COLUMN], np.concatenate([values.astype(object), frames], axis=1))
 
 
 def joint_columns(prismatic: Sequence[bool]) -> list[str]:

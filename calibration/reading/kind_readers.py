@@ -414,49 +414,44 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
     assert file is not None and file.pixels is not None and file.board is not None and file.camera is not None
     if len(paths) != 1:
         raise InputError(f"views of a board are given as one file or folder, not as {len(paths)}; give one")
-    path = Path(paths[0])
-    table, home = _table(path, file.pixels, description)
+    table, home = _table(Path(paths[0]), file.pixels, description)
     camera = _lens(file.camera, home)
-    if (poses := file.poses) is None:
-        joints = read_joints(table, description, geometry)
-    else:
-        turned = rotations(poses.convention, table.values(poses.rotation) * TO_SI[poses.rotation_unit])
-        joints = joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))
     pictures: list[Path] = []
     if file.pixels.position:
         rows, views = _found_in_table(table, file.pixels, file.board, camera)
-        joints = joints[rows]
     else:
         pictures = _pictures(table, file.pixels, home)
         rows, views = list(range(len(table.lines))), _found_in_pictures(table, file.board, pictures)
-    if file.poses is None:
-        refuse_repeated_joints([description], joints, geometry)
     for row, view in zip(rows, views, strict=True):
         if view.size != camera.size:
             raise InputError(
                 f"{table.where}: row {table.lines[row]}: the picture has {view.size[0]} x {view.size[1]} px, but the "
                 f"lens is for {camera.size[0]} x {camera.size[1]}; give the camera's numbers at this resolution"
             )
-    found_views = PixelObservations(
+    if (poses := file.poses) is None:
+        joints = read_joints(table, description, geometry)[rows]
+        refuse_repeated_joints([description], joints, geometry)
+    else:
+        turned = rotations(poses.convention, table.values(poses.rotation) * TO_SI[poses.rotation_unit])
+        joints = joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))[rows]
+    std = np.stack([view.std for view in views])
+    lines = np.array(table.lines, dtype=np.int64)[rows]
+    data = PixelObservations(
         joints=joints,
         corners=np.stack([view.pixels for view in views]),
         seen=np.stack([view.seen for view in views]),
         board=file.board.corners,
         camera=camera,
         lens_std=_lens_std(file.camera),
-        std=np.stack(
-            [view.std if file.pixels.std_px is None else np.full_like(view.std, file.pixels.std_px) for view in views]
-        ),
+        std=std if file.pixels.std_px is None else np.full_like(std, file.pixels.std_px),
         mount=file.pixels.mount,
         source=table.where,
         remarks=np.array([view.remark for view in views]),
         pictures=np.array([str(path) for path in pictures]) if pictures else None,
-        origins=Origins(
-            (table.where,), np.zeros(len(rows), dtype=np.int64), np.array(table.lines, dtype=np.int64)[rows]
-        ),
+        origins=Origins((table.where,), np.zeros_like(lines), lines),
     )
-    refuse_duplicates(joints, found_views, origins_of(found_views))
-    return found_views
+    refuse_duplicates(joints, data, origins_of(data))
+    return data
 
 
 def _table(path: Path, pixels: PixelsTable, description: ColumnDescription) -> tuple[Table, Path]:

@@ -102,62 +102,57 @@ class Rbf(SavedArrays):
     offset: Array
 
     @staticmethod
-    def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Rbf:
-        """Fit it as `fit_rbf` does."""
-        return fit_rbf(inputs, targets, rng)
+    def fit(
+        inputs: Array,
+        targets: Array,
+        rng: np.random.Generator,
+        *,
+        centres: int = 200,
+        widths: Sequence[float] = (0.25, 0.5, 1.0, 2.0),
+        ridges: Sequence[float] = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2),
+        rounds: int = 20,
+    ) -> Rbf:
+        """Fit the network.
+
+        Args:
+            inputs: Standardised inputs ``(N, F)``.
+            targets: Residuals to learn ``(N, k)``, m and rad.
+            rng: Draws the first centres of k-means.
+            centres: Number of basis functions at most; a third of the rows where these are few.
+            widths: Widths tried, in units of the median distance between rows and centres.
+            ridges: Ridge coefficients tried, relative to the largest squared singular value.
+            rounds: Rounds of k-means.
+
+        Raises:
+            InputError: If there are fewer than ten rows.
+        """
+        rows = len(inputs)
+        if rows < 10:
+            raise InputError(f"{rows} poses are too few for an RBF network; measure at least 10")
+        middles = k_means(inputs, min(centres, rows // 3), rng, rounds)
+        offset, scale = targets.mean(axis=0), column_std(targets, 1e-12)
+        scaled = (targets - offset) / scale
+        unit = float(np.sqrt(np.median(_squared_distances(inputs, middles))))
+        best, solution = np.inf, (1.0, np.zeros((len(middles), targets.shape[1])))
+        for width in (factor * unit for factor in widths):
+            with single_threaded():
+                u, s, vt = np.linalg.svd(_gaussians(inputs, middles, width), full_matrices=False)
+            coordinates = u.T @ scaled
+            outside = np.sum(scaled**2) - np.sum(coordinates**2)
+            for ridge in ridges:
+                damping = ridge * s[0] ** 2
+                shares = s**2 / (s**2 + damping)
+                missed = outside + np.sum(((1.0 - shares)[:, None] * coordinates) ** 2)
+                score = missed / (1.0 - shares.sum() / rows) ** 2
+                if score < best:
+                    best, solution = score, (width, vt.T @ ((s / (s**2 + damping))[:, None] * coordinates))
+        return Rbf(middles, solution[0], solution[1] * scale, offset)
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
         return np.asarray(
             _gaussians(np.asarray(inputs, dtype=float), self.centres, self.width) @ self.weights + self.offset
         )
-
-
-def fit_rbf(
-    inputs: Array,
-    targets: Array,
-    rng: np.random.Generator,
-    *,
-    centres: int = 200,
-    widths: Sequence[float] = (0.25, 0.5, 1.0, 2.0),
-    ridges: Sequence[float] = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2),
-    rounds: int = 20,
-) -> Rbf:
-    """Fit the network.
-
-    Args:
-        inputs: Standardised inputs ``(N, F)``.
-        targets: Residuals to learn ``(N, k)``, m and rad.
-        rng: Draws the first centres of k-means.
-        centres: Number of basis functions at most; a third of the rows where these are few.
-        widths: Widths tried, in units of the median distance between rows and centres.
-        ridges: Ridge coefficients tried, relative to the largest squared singular value.
-        rounds: Rounds of k-means.
-
-    Raises:
-        InputError: If there are fewer than ten rows.
-    """
-    rows = len(inputs)
-    if rows < 10:
-        raise InputError(f"{rows} poses are too few for an RBF network; measure at least 10")
-    middles = k_means(inputs, min(centres, rows // 3), rng, rounds)
-    offset, scale = targets.mean(axis=0), column_std(targets, 1e-12)
-    scaled = (targets - offset) / scale
-    unit = float(np.sqrt(np.median(_squared_distances(inputs, middles))))
-    best, solution = np.inf, (1.0, np.zeros((len(middles), targets.shape[1])))
-    for width in (factor * unit for factor in widths):
-        with single_threaded():
-            u, s, vt = np.linalg.svd(_gaussians(inputs, middles, width), full_matrices=False)
-        coordinates = u.T @ scaled
-        outside = np.sum(scaled**2) - np.sum(coordinates**2)
-        for ridge in ridges:
-            damping = ridge * s[0] ** 2
-            shares = s**2 / (s**2 + damping)
-            missed = outside + np.sum(((1.0 - shares)[:, None] * coordinates) ** 2)
-            score = missed / (1.0 - shares.sum() / rows) ** 2
-            if score < best:
-                best, solution = score, (width, vt.T @ ((s / (s**2 + damping))[:, None] * coordinates))
-    return Rbf(middles, solution[0], solution[1] * scale, offset)
 
 
 def k_means(points: Array, count: int, rng: np.random.Generator, rounds: int) -> Array:
@@ -248,9 +243,46 @@ class GaussianProcess(SavedArrays):
     output_std: Array
 
     @staticmethod
-    def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> GaussianProcess:
-        """Fit it as `fit_gaussian_process` does."""
-        return fit_gaussian_process(inputs, targets, rng)
+    def fit(
+        inputs: Array, targets: Array, rng: np.random.Generator, settings: GaussianProcessSettings | None = None
+    ) -> GaussianProcess:
+        """Fit one process per output.
+
+        Args:
+            inputs: Standardised inputs ``(N, F)``.
+            targets: Residuals to learn ``(N, k)``, m and rad.
+            rng: Draws the starts of the search, and the rows that are kept where there are too many.
+            settings: How; the defaults when left out.
+
+        Raises:
+            InputError: If there are fewer than ten rows.
+        """
+        settings = settings or GaussianProcessSettings()
+        if len(inputs) < 10:
+            raise InputError(f"{len(inputs)} poses are too few for a Gaussian process; measure at least 10")
+        order = rng.permutation(len(inputs))
+        rows = np.sort(order[: settings.rows])
+        some = np.sort(order[: settings.likelihood_rows])
+        mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
+        scaled = (targets - mean) / std
+        lengths, amplitudes, noises, weights = [], [], [], []
+        with single_threaded():
+            for j in range(targets.shape[1]):
+                amplitude, length, noise = _most_likely(inputs[some], scaled[some, j], rng, settings)
+                factor = _factor(_kernel(inputs[rows], inputs[rows], length, amplitude), noise)
+                lengths.append(length)
+                amplitudes.append(amplitude)
+                noises.append(noise)
+                weights.append(cho_solve((factor, True), scaled[rows, j]))
+        return GaussianProcess(
+            rows=inputs[rows],
+            length_scales=np.array(lengths),
+            amplitude=np.array(amplitudes),
+            noise=np.array(noises),
+            weights=np.array(weights),
+            output_mean=mean,
+            output_std=std,
+        )
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
@@ -289,48 +321,6 @@ class GaussianProcess(SavedArrays):
 
     def _kernel(self, output: int, inputs: Array) -> Array:
         return _kernel(inputs, self.rows, self.length_scales[output], float(self.amplitude[output]))
-
-
-def fit_gaussian_process(
-    inputs: Array, targets: Array, rng: np.random.Generator, settings: GaussianProcessSettings | None = None
-) -> GaussianProcess:
-    """Fit one process per output.
-
-    Args:
-        inputs: Standardised inputs ``(N, F)``.
-        targets: Residuals to learn ``(N, k)``, m and rad.
-        rng: Draws the starts of the search, and the rows that are kept where there are too many.
-        settings: How; the defaults when left out.
-
-    Raises:
-        InputError: If there are fewer than ten rows.
-    """
-    settings = settings or GaussianProcessSettings()
-    if len(inputs) < 10:
-        raise InputError(f"{len(inputs)} poses are too few for a Gaussian process; measure at least 10")
-    order = rng.permutation(len(inputs))
-    rows = np.sort(order[: settings.rows])
-    some = np.sort(order[: settings.likelihood_rows])
-    mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
-    scaled = (targets - mean) / std
-    lengths, amplitudes, noises, weights = [], [], [], []
-    with single_threaded():
-        for j in range(targets.shape[1]):
-            amplitude, length, noise = _most_likely(inputs[some], scaled[some, j], rng, settings)
-            factor = _factor(_kernel(inputs[rows], inputs[rows], length, amplitude), noise)
-            lengths.append(length)
-            amplitudes.append(amplitude)
-            noises.append(noise)
-            weights.append(cho_solve((factor, True), scaled[rows, j]))
-    return GaussianProcess(
-        rows=inputs[rows],
-        length_scales=np.array(lengths),
-        amplitude=np.array(amplitudes),
-        noise=np.array(noises),
-        weights=np.array(weights),
-        output_mean=mean,
-        output_std=std,
-    )
 
 
 def _most_likely(

@@ -1,7 +1,6 @@
 """Our own CSV files: what is written is read back."""
 
 import csv
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -32,35 +31,28 @@ def test_a_trip_through_a_file_keeps_every_digit(tmp_path, noisy, dynamic, posit
     assert back.fingerprint() == data.fingerprint()
 
 
-def written(data, folder):
-    """Header and cells of the data's file."""
-    with data.write_csv(folder / "written.csv").open(newline="", encoding="utf-8") as file:
-        names, *rows = csv.reader(file)
-    return names, np.array(rows)
-
-
 def test_the_file_names_every_unit(noisy, tmp_path):
-    names, values = written(noisy, tmp_path)
+    names, values = noisy.table()
     joints = ["q1_deg", "q2_mm", "q3_mm", "q4_deg", "q5_mm", "q6_deg"]
-    assert names == [*joints, "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg", "frames"]
-    assert set(values[:, -1]) == {"known"}
-    numbers = values[:, :-1].astype(float)
-    scale = np.where(noisy.prismatic, 1e3, np.degrees(1.0))
-    assert np.array_equal(numbers[:, :9], np.hstack([noisy.joints * scale, noisy.position * 1e3]))
-    np.testing.assert_allclose(numbers[:, 9:], np.degrees(rotation_vector(noisy.rotation)))
+    assert names == [*joints, "x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
+    with noisy.write_csv(tmp_path / "tracker.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    assert rows[0] == [*names, "frames"] and {row[-1] for row in rows[1:]} == {"known"}
+    assert np.array_equal(np.array([row[:-1] for row in rows[1:]], dtype=float), values)
+    np.testing.assert_allclose(values[:, -3:], np.degrees(rotation_vector(noisy.rotation)))
 
 
 @pytest.mark.parametrize("units", [("rad", "m"), ("deg", "mm"), ("rad", "mm"), ("deg", "m")])
 def test_our_format_takes_either_unit_of_each_kind(tmp_path, noisy, qiao, units):
     angle, length = units
-    names, values = written(replace(noisy, frames="fitted"), tmp_path)
+    names, values = noisy.table()
     scale = [
         (np.pi / 180 if angle == "rad" else 1) if n.endswith("deg") else (1e-3 if length == "m" else 1) for n in names
     ]
     renamed = [n.replace("deg", angle).replace("mm", length) for n in names]
     path = tmp_path / "tracker.csv"
     with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file).writerows([renamed, *(values.astype(float) * scale).tolist()])
+        csv.writer(file).writerows([renamed, *(values * scale).tolist()])
     back = read_measurements(path, qiao.nominal)
     np.testing.assert_allclose(back.joints, noisy.joints, rtol=1e-15)
     np.testing.assert_allclose(back.position, noisy.position, rtol=1e-15)

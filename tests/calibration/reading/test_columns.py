@@ -7,10 +7,10 @@ import pytest
 from scipy.linalg import expm
 
 from pickenv.arm import load_arm
-from pickenv.base import InputError
+from pickenv.base import InputError, shipped_in
 from pickenv.calibration import Measurements, load_description, random_joints, read_measurements
 from pickenv.calibration.reading.csv_table import CONVENTIONS
-from pickenv.calibration.reading.description import shipped_descriptions
+from pickenv.calibration.reading.description import DESCRIPTIONS
 
 JOINTS = 'joints.columns = ["A1", "A2", "A3", "A4", "A5", "A6"]\njoints.unit = "deg"\n'
 HEADER = ["A1", "A2", "A3", "A4", "A5", "A6", "X", "Y", "Z"]
@@ -160,8 +160,8 @@ def test_attitude_conventions(read, table, convention, unit):
 
 
 def test_shipped_descriptions_are_sound():
-    assert {"ur5_jacobi2025", "wam_jacobi2025"} <= set(shipped_descriptions())
-    for name in shipped_descriptions():
+    assert {"ur5_jacobi2025", "wam_jacobi2025"} <= set(shipped_in(DESCRIPTIONS))
+    for name in shipped_in(DESCRIPTIONS):
         description = load_description(name)
         counts = {"position": {3}, "reflectors": {3, 6, 9, 12}, "wire": {1}, "sockets": {0, 1}, "pixels": {0, 2}}
         assert len(description.position) in counts[description.kind]

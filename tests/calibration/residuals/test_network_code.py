@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("llvmlite")
 
-from pickenv.calibration.residuals.network_code import CompiledNetwork
+from pickenv.calibration.residuals.bpnn import CompiledNetwork
 
 SHAPES = [(6, 40, 24, 10, 6), (3, 7, 5, 2), (4, 9, 3), (5, 2), (6, 64, 64, 64, 64, 1)]
 
