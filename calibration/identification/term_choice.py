@@ -85,14 +85,11 @@ class Linearised:
         unknowns = data.unknowns()
         values = np.array([self.unknowns[name] for name in unknowns])
         by_arm, by_unknown = data.jacobian(self.arm, values)
-        columns = np.zeros((len(by_arm), len(self.names)))
         first, count = len(self.fitted), len(self.arm.geometry.parameter_names)
-        place = {name: i for i, name in enumerate(self.names[:first])}
-        for names, part in ((unknowns, by_unknown), (self.arm.geometry.parameter_names, by_arm)):
-            columns_used = [i for i, name in enumerate(names) if name in place]
-            columns[:, [place[names[i]] for i in columns_used]] = part[:, columns_used]
-        columns[:, first:] = by_arm[:, count:]
-        return columns * self.scale, data.residual(self.arm, values)
+        place = {name: i for i, name in enumerate(unknowns + self.arm.geometry.parameter_names)}
+        places = [place[name] for name in self.names[:first]]
+        columns = np.hstack([np.hstack([by_unknown, by_arm])[:, places], by_arm[:, count:]])
+        return np.ascontiguousarray(columns) * self.scale, data.residual(self.arm, values)
 
     def misses(self, data: Observations, solution: Array) -> Array:
         """What remains of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
@@ -328,12 +325,10 @@ def refined(
     for _ in range(ROUNDS):
         wave = PeriodicTerm(wave.joints, tuple(orders.tolist()))
         linear = Linearised.of(bare, (*others, wave))
-        columns, residual, matrix, right = _with_priors(linear, observations)
-        solution = solved(matrix, right, np.arange(len(right)))
+        solution = _solution_with_priors(linear, observations)[-1]
         sines, cosines = (solution * linear.scale)[linear.coefficients_of(len(others))].reshape(-1, 2).T.tolist()
         linear = Linearised.of(bare, (*others, wave, OrderTerm(wave, tuple(sines), tuple(cosines))))
-        columns, residual, matrix, right = _with_priors(linear, observations)
-        solution = solved(matrix, right, np.arange(len(right)))
+        columns, residual, matrix, solution = _solution_with_priors(linear, observations)
         places = linear.coefficients_of(len(others) + 1)
         orders = np.clip(orders + (solution * linear.scale)[places], grid - 0.48 * FINE, grid + 0.48 * FINE)
         remains = residual - columns @ solution
@@ -344,10 +339,11 @@ def refined(
     return PeriodicTerm(wave.joints, tuple(orders.tolist()), tuple(std.tolist()))
 
 
-def _with_priors(linear: Linearised, observations: Observations) -> tuple[Array, Array, Array, Array]:
-    """Equations of all rows, columns and what is left, and their normal equations with priors."""
+def _solution_with_priors(linear: Linearised, observations: Observations) -> tuple[Array, Array, Array, Array]:
+    """Columns of all rows, what is left of them, their normal equations with priors, and the solution."""
     columns, residual = linear.equations(observations)
-    return columns, residual, columns.T @ columns + np.diag(linear.ridge), residual @ columns + linear.pull
+    matrix = columns.T @ columns + np.diag(linear.ridge)
+    return columns, residual, matrix, solved(matrix, residual @ columns + linear.pull, np.arange(len(matrix)))
 
 
 MARGIN = 0.03

@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import (
     Arm,
     Array,
-    Frame,
     Geometry,
     Pose,
     displace_pose,
@@ -267,8 +266,8 @@ class BendingTerm(Term):
             raise InputError("the bending of a boom needs an arm whose joints move one link each; leave the term out")
         chain = chain_of(geometry)
         link_frames = frames(np, chain, split_joints(geometry.joints, joints))
-        boom, tool = _placed(link_frames[self.joint + 1], len(joints)), forward(geometry, joints).position
-        z, tip = boom[:, 2], boom[:, 3]
+        boom = _repeated(link_frames[self.joint + 1], len(joints)).T.reshape(len(joints), 4, 3)  # axes and origin
+        z, tip, tool = boom[:, 2], boom[:, 3], forward(geometry, joints).position
         across = z * z[:, 2:] - np.array([0.0, 0.0, 1.0])
         turn = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], -1)
         length = (joints[:, self.joint] + self.length)[:, None]
@@ -472,11 +471,6 @@ class GravityTerm(JointTerm):
         for i in self.joints:
             moments[owners == i] = np.linalg.lstsq(columns[:, owners == i], conditions.torque[:, i], rcond=SHOWN)[0]
         return ComplianceTerm(self.joints, None, self, tuple(moments.tolist()))
-
-
-def _placed(frame: Frame, count: int) -> Array:
-    """Axes and origin of a frame ``(count, 4, 3)``, one row each, where it may have plain numbers for all poses."""
-    return _repeated(frame, count).T.reshape(count, 4, 3)
 
 
 def _repeated(parts: Sequence[Scalar], count: int) -> Array:

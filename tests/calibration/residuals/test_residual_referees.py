@@ -83,7 +83,7 @@ def test_the_network_is_trained_as_torch_trains_it(settings):
     ours = train_bpnn(x, y, np.random.default_rng(3), settings)
     np.testing.assert_allclose(ours.loss, losses, rtol=1e-4)
     later = drawn(20, seed=9)[0]
-    np.testing.assert_allclose(ours.predict(later) / y.std(axis=0), predict(later) / y.std(axis=0), atol=2e-4)
+    np.testing.assert_allclose(ours.predict(later) / y.std(axis=0), predict(later) / y.std(axis=0), atol=1e-3)
 
 
 def test_a_constant_joint_or_residual_keeps_its_place_in_the_network():
