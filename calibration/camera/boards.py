@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
 from pickenv.base import (
@@ -372,21 +372,22 @@ def find_corners(board: Board, picture: Grey, where: str) -> FoundCorners:
     Raises:
         InputError: If no corner is found; the message says what was seen instead.
     """
-    count = len(board.corners)
     numbers, places = _found(board, picture)
     if not len(numbers):
         raise InputError(f"{where}: no corner of the board was found; {_reason(board, picture)}")
-    pixels, visible, std = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
-    pixels[numbers], visible[numbers] = places, True
-    std[numbers] = corner_std(picture, places, LEAST_STD[board.kind])
     height, width = picture.shape
-    return FoundCorners(pixels, visible, std, (width, height))
+    return corners_at(board, numbers, places, corner_std(picture, places, LEAST_STD[board.kind]), (width, height))
 
 
-def no_corners(board: Board, size: tuple[int, int], remark: str) -> FoundCorners:
-    """A picture of ``size`` (px) that shows no corner, and why."""
+def corners_at(
+    board: Board, numbers: ArrayLike, places: ArrayLike, std: ArrayLike, size: tuple[int, int], remark: str = ""
+) -> FoundCorners:
+    """Corners of these numbers ``(N,)`` at places ``(N, 2)``, px, in a picture that shows none of the board's others."""
     count = len(board.corners)
-    return FoundCorners(np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count), size, remark)
+    corners = FoundCorners(np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count), size, remark)
+    numbers = np.asarray(numbers, dtype=np.int64)
+    corners.pixels[numbers], corners.seen[numbers], corners.std[numbers] = places, True, std
+    return corners
 
 
 def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) -> Array:

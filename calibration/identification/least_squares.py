@@ -22,7 +22,7 @@ from pickenv.base import InputError, single_threaded
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.measurements import FRAME_TOLERANCES, Measurements, frame_columns, random_joints
 from pickenv.calibration.model.noise import RowNoise
-from pickenv.calibration.model.observations import Equations, Imaginable, Observations
+from pickenv.calibration.model.observations import Equations, Observations
 from pickenv.calibration.model.prior import PriorModel
 
 PROBES = 60
@@ -432,8 +432,9 @@ def _enough_poses(
     if rows >= 2 * parameters:
         return  # whatever the rank elsewhere, there are enough
     part, full = sets[0], rank
-    if len(sets) == 1 and isinstance(part, Imaginable):
-        probe = part.imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
+    imagined = getattr(part, "imagined", None)  # not every data set can be asked at other poses
+    if len(sets) == 1 and imagined is not None:
+        probe = imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
         links = model.some(model.columns < len(arm.geometry.parameter_names))
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
         matrix, names = _jacobian(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)

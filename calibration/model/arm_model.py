@@ -378,8 +378,7 @@ class ThermalTerm(Term):
         jacobian = parameter_jacobian(geometry, joints)
         travel = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), 1)
         lengths = np.concatenate(
-            [np.broadcast_to(geometry.a, travel.shape), geometry.d + travel * np.array(geometry.slides)],
-            1,
+            [np.broadcast_to(geometry.a, travel.shape), geometry.d + travel * np.array(geometry.slides)], 1
         )
         by_length = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
         return np.asarray(np.einsum("nip,np->ni", by_length, lengths * conditions.temperature[:, None])[..., None])

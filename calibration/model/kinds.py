@@ -489,10 +489,6 @@ class ReflectorObservations(OneGroup):
         weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
         return np.asarray(np.sum(np.where(self.seen[..., None], local, 0.0) * weight, axis=0))
 
-    def predict(self, model: ArmModel, unknowns: Array) -> Array:
-        """Predicted points ``(N, k, 3)``, m."""
-        return self._points(model, self.numbers.whole(unknowns))
-
     def _points(self, model: ArmModel, numbers: Array) -> Array:
         tool = model.pose(self.joints, self.conditions)
         return np.asarray(tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3)))
@@ -519,12 +515,8 @@ class ReflectorObservations(OneGroup):
         return by_arm, by_place
 
     def _whitening(self) -> Array:
-        return np.broadcast_to(whitening_of(self.covariance), (*self.points.shape, 3))
-
-
-def whitening_of(covariance: Array) -> Array:
-    """W with W C W^T = 1 for covariances C ``(..., 3, 3)``: inverse of the Cholesky factor."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+        """W with W C W^T = 1 for covariances C: inverse of the Cholesky factor."""
+        return np.broadcast_to(np.linalg.inv(np.linalg.cholesky(self.covariance)), (*self.points.shape, 3))
 
 
 def tracker_covariance(

@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -110,14 +110,6 @@ class Equations(Protocol):
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Whitened derivatives by the model ``(rows, 5n + 12 + k)`` and by the unknowns ``(rows, own)``."""
-
-
-@runtime_checkable
-class Imaginable(Equations, Protocol):
-    """Equations that can be asked at other poses before anything is measured there."""
-
-    def imagined(self, joints: Array) -> Equations:
-        """What such an instrument would be asked at other joints ``(M, n)``; only kind and uncertainties are real."""
 
 
 class Observations(Equations, Protocol):

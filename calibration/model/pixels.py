@@ -216,10 +216,6 @@ class PixelObservations(OneGroup):
             return np.asarray(tool.position[:, None] + self.board @ np.swapaxes(tool.rotation, 1, 2))
         return np.asarray((self.board - tool.position[:, None]) @ tool.rotation)
 
-    def predict(self, model: ArmModel, unknowns: Array) -> Array:
-        """Where the corners should be ``(V, K, 2)``, px."""
-        return projected(self.lens_values(unknowns), self.in_camera(model))
-
     def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
         """Found minus predicted ``(R, 2)``, px, of the corners found, view by view."""
         return self._errors(model, self.lens_values(unknowns))

@@ -16,7 +16,7 @@ import numpy as np
 
 from pickenv.arm import Array, Geometry, Pose
 from pickenv.base import LIMITS, TO_SI, InputError, check_limit, read_text, register, yaml_content
-from pickenv.calibration.camera.boards import Board, FoundCorners, Grey, find_corners, no_corners, opencv, read_lens
+from pickenv.calibration.camera.boards import Board, FoundCorners, Grey, corners_at, find_corners, opencv, read_lens
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
 from pickenv.calibration.model.kinds import (
     DistanceObservations,
@@ -506,7 +506,7 @@ def _found_in_pictures(table: Table, board: Board, pictures: Sequence[Path]) -> 
         except InputError as error:
             faults.append(error)
             height, width = picture.shape
-            views.append(no_corners(board, (width, height), str(error)))
+            views.append(corners_at(board, [], np.zeros((0, 2)), [], (width, height), str(error)))
     if len(faults) > MANY_BLIND * len(views):
         raise faults[0]
     return views
@@ -526,24 +526,19 @@ def _found_in_table(
     """First row and corners of each view."""
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.position)
-    count, rows, found_views = len(board.corners), [], []
-    wrong = (numbers < 0) | (numbers >= count) | (numbers != np.rint(numbers))
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    count, rows, seen_in = len(board.corners), [], []
+    for row in np.flatnonzero((numbers < 0) | (numbers >= count) | (numbers != np.rint(numbers)))[:1]:
         raise InputError(
             f"{table.where}: row {table.lines[row]}: corner {numbers[row]:g} is none of the board's {count} (from 0); "
             "correct it or [board]"
         )
     for name in dict.fromkeys(views):
         mine = np.array([i for i, view in enumerate(views) if view == name])
-        corners = numbers[mine].astype(np.int64)
-        if len(np.unique(corners)) < len(corners):
+        if len(np.unique(numbers[mine])) < len(mine):
             raise InputError(f"{table.where}: view '{name}' has a corner twice; remove one")
-        pixel, visible = np.zeros((count, 2)), np.zeros(count, dtype=bool)
-        pixel[corners], visible[corners] = places[mine], True
         rows.append(int(mine[0]))
-        found_views.append(FoundCorners(pixel, visible, np.full(count, DEFAULT_STD), camera.size))
-    return rows, found_views
+        seen_in.append(corners_at(board, numbers[mine], places[mine], DEFAULT_STD, camera.size))
+    return rows, seen_in
 
 
 def _lens(given: LensTable, home: Path) -> Lens:
