@@ -382,7 +382,7 @@ def find_corners(board: Board, picture: Grey, where: str) -> FoundCorners:
 def corners_at(
     board: Board, numbers: ArrayLike, places: ArrayLike, std: ArrayLike, size: tuple[int, int], remark: str = ""
 ) -> FoundCorners:
-    """Corners of these numbers ``(N,)`` at places ``(N, 2)``, px, in a picture that shows none of the board's others."""
+    """Corners of these numbers ``(N,)`` at places ``(N, 2)``, px, in a picture that shows no other of the board's."""
     count = len(board.corners)
     corners = FoundCorners(np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count), size, remark)
     numbers = np.asarray(numbers, dtype=np.int64)

@@ -11,14 +11,17 @@ from pickenv.base import InputError
 from pickenv.calibration import (
     Choices,
     DistanceObservations,
+    Lens,
+    PixelObservations,
     ReflectorObservations,
     calibrate,
+    contiguous_folds,
     random_joints,
+    same_poses,
     simulated_tracker,
 )
 from pickenv.calibration.identification.diagnosis import mixed_unit, telling_views
-from pickenv.calibration.model.observations import choose, contiguous_folds, same_poses
-from pickenv.calibration.model.pixels import Lens, PixelObservations
+from pickenv.calibration.model.observations import choose
 from tests.calibration.simulated_instruments import tilt
 
 PLAIN = Choices(terms="none", residual="none")

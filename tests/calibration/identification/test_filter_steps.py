@@ -11,7 +11,10 @@ from pickenv.arm import Pose, displace_pose, forward, joint_jacobian, load_arm, 
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
+    Conditions,
     Measurements,
+    ThermalTerm,
     complete_model,
     continue_filter,
     filter_measurements,
@@ -22,9 +25,9 @@ from pickenv.calibration import (
     random_walk,
     start_filter,
     thermal_walk,
+    with_terms,
 )
 from pickenv.calibration.identification.extended_kalman_filter import predict, update
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm, with_terms
 
 NOISE = MeasurementNoise(2e-4, 5e-4)
 

@@ -8,15 +8,18 @@ from hypothesis import given, settings, strategies as st
 
 from pickenv.arm import forward, load_arm, parameter_jacobian, rotation_matrix
 from pickenv.base import InputError
-from pickenv.calibration import Measurements, complete_model, identify, link_model, random_joints
-from pickenv.calibration.identification import least_squares
-from pickenv.calibration.identification.least_squares import (
-    REDUNDANCY_TOLERANCE,
-    describe_absorption,
+from pickenv.calibration import (
+    ArmModel,
+    ErrorModel,
+    Measurements,
+    complete_model,
+    identify,
     identify_converged,
-    is_angle,
+    link_model,
+    random_joints,
 )
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
+from pickenv.calibration.identification import least_squares
+from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, describe_absorption, is_angle
 
 PAPER_DROPS = {"a2", "a3", "a5", "d3", "d4", "theta2", "d6"}
 BASE_16 = {f"alpha{i}" for i in range(6)} | {"a0", "a1", "a4", "theta1", "theta3", "theta4", "theta5", "d1", "d3", "d5"}

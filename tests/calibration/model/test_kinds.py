@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from pickenv.arm import Geometry, Pose, load_arm, rotation_matrix
 from pickenv.calibration import (
+    ArmModel,
     DistanceObservations,
     ReflectorObservations,
     SocketObservations,
@@ -17,7 +18,6 @@ from pickenv.calibration import (
     identify,
 )
 from pickenv.calibration.identification.least_squares import unknowns_of
-from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.kinds import SURFACES, steady_solution
 from pickenv.calibration.model.observations import Stated
 from tests.calibration.simulated_instruments import HERE, KINDS, other_way_round, start_and_truth, truth_of

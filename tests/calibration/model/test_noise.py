@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
-from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration import ArmModel, Measurements, random_joints
 from pickenv.calibration.model.noise import RowNoise, neighbours, noise_of, stated_noise
 
 UR5 = load_arm("ur5").nominal

@@ -7,7 +7,9 @@ import pytest
 
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, rotation_matrix
 from pickenv.calibration import (
+    ArmModel,
     DistanceObservations,
+    ErrorModel,
     Measurements,
     ReflectorObservations,
     SocketObservations,
@@ -18,8 +20,6 @@ from pickenv.calibration import (
     random_joints,
     tracker_covariance,
 )
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
-from pickenv.calibration.model.observations import nearest_rotation
 
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3
 STATION = np.array([4.0, -2.0, 1.0])
@@ -28,7 +28,8 @@ STATION = np.array([4.0, -2.0, 1.0])
 def poses_from_reflectors(points: np.ndarray, reference: np.ndarray) -> Pose:
     """Poses that carry the ``reference`` reflectors ``(k, 3)`` onto ``points`` ``(N, k, 3)``: Kabsch 1976, batched."""
     centre, middle = points.mean(axis=1), reference.mean(axis=0)
-    rotation = nearest_rotation(np.einsum("nki,kj->nij", points - centre[:, None], reference - middle))
+    u, _, vt = np.linalg.svd(np.einsum("nki,kj->nij", points - centre[:, None], reference - middle))
+    rotation = u * np.stack([np.ones(len(u)), np.ones(len(u)), np.linalg.det(u @ vt)], -1)[:, None] @ vt
     return Pose(centre - rotation @ middle, rotation)
 
 

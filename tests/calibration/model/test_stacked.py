@@ -12,18 +12,20 @@ from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.arm.kinematics.geometry import move_pose
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
     Choices,
     DistanceObservations,
+    InstrumentStation,
     Measurements,
     Observations,
+    Stacked,
     align,
     calibrate,
     frames_model,
     random_joints,
 )
 from pickenv.calibration.identification.robust import rough_start, stations_of
-from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel
-from pickenv.calibration.model.measurements import InstrumentStation, Stacked
+from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
 from tests.calibration.simulated_instruments import touches
 
 PLAIN = Choices(terms="none", residual="none")

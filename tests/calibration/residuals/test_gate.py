@@ -8,10 +8,16 @@ import pytest
 
 from pickenv.arm import Arm, Geometry, Plant, forward, rotation_matrix
 from pickenv.base import InputError
-from pickenv.calibration import Measurements, align, complete_model, frames_model, identify
-from pickenv.calibration.model.observations import blocked_split
-from pickenv.calibration.residuals.gate import gate_residuals
-from pickenv.calibration.residuals.residual_models import Fitter
+from pickenv.calibration import (
+    Fitter,
+    Measurements,
+    align,
+    blocked_split,
+    complete_model,
+    frames_model,
+    gate_residuals,
+    identify,
+)
 
 
 class Nearest:

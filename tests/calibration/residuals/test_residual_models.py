@@ -10,10 +10,21 @@ import pytest
 from pickenv.arm import Plant
 from pickenv.base import InputError
 from pickenv.base.registry import get, names
-from pickenv.calibration import Bpnn, BpnnSettings, identify, link_model, random_joints, simulated_tracker, train_bpnn
+from pickenv.calibration import (
+    Bpnn,
+    BpnnSettings,
+    Fitter,
+    LearntResidual,
+    fit_residual,
+    identify,
+    link_model,
+    random_joints,
+    simulated_tracker,
+    train_bpnn,
+)
 from pickenv.calibration.residuals import bpnn
-from pickenv.calibration.residuals.gaussian_process import Fitter, GaussianProcess, Rbf, k_means
-from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, joint_inputs
+from pickenv.calibration.residuals.gaussian_process import GaussianProcess, Rbf, k_means
+from pickenv.calibration.residuals.residual_models import joint_inputs
 
 PRISMATIC = (False, True, False)
 QUICK: dict[str, Fitter] = {name: get("residual", name).fit for name in names("residual")}

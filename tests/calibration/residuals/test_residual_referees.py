@@ -12,7 +12,7 @@ from sklearn.cluster import KMeans
 
 from pickenv.base import is_there
 from pickenv.base.registry import get
-from pickenv.calibration import Bpnn, BpnnSettings, train_bpnn
+from pickenv.calibration import Bpnn, BpnnSettings, fit_residual, train_bpnn
 from pickenv.calibration.residuals import bpnn, gaussian_process
 from pickenv.calibration.residuals.gaussian_process import (
     GaussianProcess,
@@ -21,7 +21,7 @@ from pickenv.calibration.residuals.gaussian_process import (
     column_std,
     k_means,
 )
-from pickenv.calibration.residuals.residual_models import fit_residual, joint_inputs
+from pickenv.calibration.residuals.residual_models import joint_inputs
 
 TINY = BpnnSettings(hidden=(12, 8), epochs=4, batch_size=8, dropout=0.25)
 
