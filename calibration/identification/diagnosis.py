@@ -20,7 +20,7 @@ from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import Identification, unknowns_of
 from pickenv.calibration.identification.robust import OUTLIER_SIGMA, RobustIdentification, align, apart, robust_fit
 from pickenv.calibration.model.arm_model import frames_model
-from pickenv.calibration.model.measurements import Measurements, Stacked
+from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, SAME_POSE, Kind, Observations, Rows, named, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
 
@@ -359,38 +359,35 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
 
 def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
     """Rows of any kind; pictures, of one station or several, without the views that tell too little."""
-    if data.views is not None:
-        return telling_views(data.views)
-    if not data.stations:
+    first, left_out = 0, []
+    for part in data.parts:
+        reasons = {} if part.views is None else _blind_views(part.views)
+        left_out += [(first + row, why) for row, why in reasons.items()]
+        first += len(part.joints)
+    if not left_out:
         return data, ()
-    results = [without_blind_views(part) for part in data.parts]
-    stations = zip(data.stations, results, strict=True)
-    remaining = Stacked(tuple(replace(station, data=part) for station, (part, _) in stations))
-    return remaining, tuple(item for _, items in results for item in items)
+    origins, rows = origins_of(data), np.setdiff1d(np.arange(first), [row for row, _ in left_out])
+    return data.select(rows), tuple(LeftOut(*origins.place(row), held_out=False, why=why) for row, why in left_out)
 
 
-def telling_views(views: PixelObservations) -> tuple[PixelObservations, tuple[LeftOut, ...]]:
-    """The views that tell where their board is, and those left out: too few corners, or all near one line."""
-    left_out: list[LeftOut] = []
-    clear = []
+def _blind_views(views: PixelObservations) -> dict[int, str]:
+    """Views that do not tell where their board is, and why: too few corners, or all near one line."""
+    reasons = {}
     for row, visible in enumerate(views.seen):
-        count, why = int(visible.sum()), None
+        count = int(visible.sum())
         if count < LEAST_CORNERS:
-            why = f"{count} {'corner' if count == 1 else 'corners'} found; a view needs {LEAST_CORNERS}"
-            if views.remarks is not None and views.remarks[row]:
-                why = str(views.remarks[row])
+            remark = "" if views.remarks is None else str(views.remarks[row])
+            few = f"{count} {'corner' if count == 1 else 'corners'} found; a view needs {LEAST_CORNERS}"
+            reasons[row] = remark or few
         elif _thinness(views.corners[row][visible]) < LEAST_SPREAD:
-            why = f"its {count} corners lie near one line, and do not tell how the board is turned"
-        if why is None:
-            clear.append(row)
-        else:
-            left_out.append(LeftOut(*origins_of(views).place(row), held_out=False, why=why))
-    if len(clear) < LEAST_VIEWS:
+            reasons[row] = f"its {count} corners lie near one line, and do not tell how the board is turned"
+    clear = len(views.joints) - len(reasons)
+    if clear < LEAST_VIEWS:
         raise InputError(
-            f"{views.source}: {len(clear)} of {len(views.joints)} views show enough of the board, of which "
-            f"{LEAST_VIEWS} are needed; take more pictures, with the board larger in them"
+            f"{views.source}: {clear} of {len(views.joints)} views show enough of the board, of which {LEAST_VIEWS} "
+            "are needed; take more pictures, with the board larger in them"
         )
-    return views.select(np.array(clear)), tuple(left_out)
+    return reasons
 
 
 def _thinness(places: Array) -> float:

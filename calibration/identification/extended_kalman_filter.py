@@ -269,16 +269,6 @@ class Filtered:
         used = np.setdiff1d(np.arange(len(self.nis)), self.rejected)
         return float(np.mean(self.nis[used]) / self.innovations.shape[1]) if len(used) else float("nan")
 
-    def report(self) -> str:
-        """A short report for people."""
-        base = self.identifiability
-        return (
-            f"one pass over {len(self.nis)} poses in {1e3 * self.solve_seconds:.0f} ms, "
-            f"{len(self.rejected)} refused\n"
-            f"identifiable: {base.rank} of {len(base.names)} parameters; innovations are "
-            f"{np.sqrt(self.consistency):.1f} times as large as the assumed noise explains"
-        )
-
 
 def filter_measurements(
     model: ErrorModel,

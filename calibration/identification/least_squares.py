@@ -120,22 +120,6 @@ class Identification:
         width = self.prior_std[self.identifiability.kept]
         return float(np.sum(1.0 - np.clip(np.diag(self.covariance) / width**2, 0.0, 1.0)))
 
-    def report(self) -> str:
-        """A short report for people: rank, condition, what was dropped, and the parameters in mm and degrees."""
-        names, base = self.identifiability.names, self.identifiability.kept
-        state = "converged" if self.converged else "NOT CONVERGED"
-        lines = [
-            f"{state} after {len(self.residual_rms) - 1} iterations on {self.poses} poses ({self.kind})",
-            f"identifiable: {len(base)} of {len(names)} parameters, condition {self.identifiability.condition:.1f}",
-        ]
-        lines += [f"  dropped {d.name}: {describe_absorption(d.absorbed_by)}" for d in self.identifiability.dropped]
-        lines.append(f"{'parameter':>10}  {'change':>12}  {'± 1 sigma':>12}")
-        for k in base:
-            scale, unit = (np.degrees(1.0), "deg") if is_angle(names[k]) else (1e3, "mm")
-            change, std = self.delta[k] * scale, self.standard_deviation[k] * scale
-            lines.append(f"{names[k]:>10}  {change:>12.5f}  {std:>12.5f} {unit}")
-        return "\n".join(lines)
-
 
 def unknowns_of(found: Identification, observations: Observations) -> Array:
     """The identified values of a data set's own unknowns.
@@ -155,15 +139,6 @@ def unknowns_of(found: Identification, observations: Observations) -> Array:
 def is_angle(name: str) -> bool:
     """Whether a parameter's name is that of an angle."""
     return name.startswith(("alpha", "theta", "beta")) or name.partition("_")[2].startswith("r")
-
-
-def describe_absorption(absorbed_by: dict[str, float]) -> str:
-    """Say in words what absorbs a dropped parameter."""
-    if not absorbed_by:
-        return "has no effect on these measurements"
-    parts = sorted(absorbed_by.items(), key=lambda item: -abs(item[1]))
-    largest = " ".join(f"{value:+.4g} {name}" for name, value in parts[:4])
-    return f"absorbed by {largest}" + (f" and {len(parts) - 4} more" if len(parts) > 4 else "")
 
 
 @single_threaded()

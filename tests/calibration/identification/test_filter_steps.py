@@ -203,9 +203,6 @@ def test_one_pass_is_row_after_row(qiao, positions):
     kept = np.delete(nis, [9, 17])
     coordinates = 3 if positions else 6
     assert found.consistency == pytest.approx(kept.mean() / coordinates)
-    assert f"innovations are {np.sqrt(kept.mean() / coordinates):.1f} times" in found.report()
-    assert "one pass over 25 poses" in found.report() and "2 refused" in found.report()
-    assert f"identifiable: {len(state.names)} of 24 parameters" in found.report()
     for k, name in enumerate(model.names):
         kind, joint = name.rstrip("0123456789"), int(name.lstrip("abcdefghijklmnopqrstuvwxyz"))
         joint -= kind in ("theta", "d")  # Craig's alpha and a count from 0

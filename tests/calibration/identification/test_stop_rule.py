@@ -22,7 +22,6 @@ from pickenv.calibration import (
 from pickenv.calibration.identification import least_squares
 from pickenv.calibration.identification.least_squares import (
     REDUNDANCY_TOLERANCE,
-    describe_absorption,
     is_angle,
     judged_step,
 )
@@ -226,12 +225,6 @@ def test_too_few_iterations_leave_it_unconverged(qiao, exact, monkeypatch):
 )
 def test_angles_are_told_by_their_names(name, angle):
     assert is_angle(name) == angle
-
-
-def test_what_absorbs_a_parameter_is_named_largest_first_and_four_at_most():
-    shares = {"a": 0.5, "b": -2.0, "c": 0.1, "d": 1.0}
-    assert describe_absorption(shares) == "absorbed by -2 b +1 d +0.5 a +0.1 c"
-    assert describe_absorption(shares | {"e": 0.01}) == "absorbed by -2 b +1 d +0.5 a +0.1 c and 1 more"
 
 
 def test_base_and_tool_are_parameters_where_they_are_not_known(qiao):
