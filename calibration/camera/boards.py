@@ -39,7 +39,7 @@ LensFormat = Literal["ros", "opencv"]
 MATRIX = ("camera_matrix", "cameraMatrix", "K")
 DISTORTION = ("distortion_coefficients", "distCoeffs", "D")
 MODELS = ("plumb_bob", "opencv5")
-"""What ROS calls the distortion of `pickenv.calibration.model.pixels`."""
+"""Names of the distortion of `pickenv.calibration.model.pixels` in ROS."""
 COEFFICIENTS = 5
 
 
@@ -103,7 +103,7 @@ def write_lens(lens: Lens, path: str | Path, form: LensFormat = "ros") -> Path:
 
 
 def _content(text: str, path: Path) -> Any:
-    """What YAML holds that also knows OpenCV's matrices."""
+    """Content of a YAML text, OpenCV's matrices among it."""
     import yaml  # late: a camera file is read once
 
     class Loader(yaml.SafeLoader):
@@ -213,7 +213,7 @@ class Board:
 
     @property
     def corners(self) -> Array:
-        """Where the corners are ``(K, 3)``, m: between squares, row by row; or four of each tag, clockwise."""
+        """Places of the corners ``(K, 3)``, m: between squares, row by row; or four of each tag, clockwise."""
         if self.kind != "apriltags":
             x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
             return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
@@ -226,7 +226,7 @@ class Board:
 
     @property
     def title(self) -> str:
-        """What it is, in words."""
+        """The board in words."""
         marker = f", markers {1e3 * self.marker:g} mm" if self.marker else ""
         gap = f", gaps {1e3 * self.gap:g} mm" if self.gap else ""
         names = f", {self.dictionary}" if self.dictionary else ""
@@ -457,7 +457,7 @@ def _markers(board: Board, picture: Grey) -> tuple[list[Any], list[int]]:
 
 
 def _reason(board: Board, picture: Grey) -> str:
-    """Why a picture may show no corner."""
+    """The likely reason why a picture shows no corner."""
     if len(_found(board, np.ascontiguousarray(picture[:, ::-1]))[0]):
         return "it is mirrored; give pictures as the camera makes them, not as a mirror shows them"
     if board.kind == "chessboard":

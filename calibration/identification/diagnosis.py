@@ -1,4 +1,4 @@
-"""What is wrong with a data set as a whole: rows far off or trained on, units mixed within a column, another set-up.
+"""Faults of a data set as a whole: rows far off or trained on, units mixed within a column, another set-up.
 
 No single cell betrays these. A robust fit, always made, finds the poses that agree with each other; whatever the others
 have in common (one column that fits in another unit) is said. Held-out rows pass the same checks before they judge.
@@ -60,7 +60,7 @@ def refuse_trained(train: Observations, test: Observations) -> None:
 
 
 def said_of_repeats(train: Observations, test: Observations) -> Iterator[tuple[Literal["caution", "note"], str]]:
-    """What a verdict says where rows to judge by stand at poses that were trained on: a caution where most do."""
+    """A verdict's remark on rows to judge by at poses that were trained on: a caution where most are."""
     rows = len(test.joints)
     count = int(np.count_nonzero(_nearest(train.joints, test.joints, SAME_POSE) >= 0)) if rows else 0
     if count:
@@ -239,7 +239,7 @@ def _far_rows(
 
 
 def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal["caution", "note"], str]]:
-    """What a verdict says of rows far off: a caution where they are kept, many, or of one cause, else a note.
+    """A verdict's remark on rows far off: a caution where they are kept, many, or of one cause, else a note.
 
     Args:
         listed: The rows.
@@ -291,7 +291,7 @@ def said_of_stations(found: Identification, data: Observations) -> Iterator[tupl
 
 
 def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, test: Observations) -> str:
-    """Why most held-out rows miss: another unit, another place of base or tool, or something else."""
+    """The reason why most held-out rows miss: another unit, another place of base or tool, or something else."""
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
     scale, unit_name = MISS_UNITS[test.miss_unit], test.miss_unit
     away = f"{np.median(found.misses_of(test)) * scale:.3g} {unit_name}"

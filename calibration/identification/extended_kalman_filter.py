@@ -29,7 +29,7 @@ HOUR = 3600.0
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
-    """What the filter knows after the poses it has seen.
+    """The filter's knowledge after the poses it has seen.
 
     Attributes:
         arm_model: Current estimate: geometry and coefficients of terms.

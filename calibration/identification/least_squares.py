@@ -93,7 +93,7 @@ class Identification:
 
     @property
     def scatter(self) -> float:
-        """What remains, in claimed standard uncertainties."""
+        """Root mean square of the residual, in claimed standard uncertainties."""
         return float(np.sqrt(self.chi_square / max(self.degrees_of_freedom, 1)))
 
     @property
@@ -110,13 +110,13 @@ class Identification:
 
     @property
     def narrowed(self) -> Array:
-        """How much narrower every parameter is known than before measuring, 0 to 1; 0 for dropped ones."""
+        """Share by which every parameter is known more narrowly than before measuring, 0 to 1; 0 for dropped ones."""
         with np.errstate(invalid="ignore"):
             return np.nan_to_num(np.clip(1.0 - self.standard_deviation / self.prior_std, 0.0, 1.0))
 
     @property
     def spent(self) -> float:
-        """How many parameters' worth of the rows the fit used up."""
+        """Number of parameters' worth of the rows that the fit used up."""
         width = self.prior_std[self.identifiability.kept]
         return float(np.sum(1.0 - np.clip(np.diag(self.covariance) / width**2, 0.0, 1.0)))
 
@@ -298,7 +298,7 @@ def identify_converged(
 
 
 class Progress(NamedTuple):
-    """What a Gauss-Newton step achieved, of one arm or of many ``(...)``.
+    """The achievement of a Gauss-Newton step, of one arm or of many ``(...)``.
 
     Attributes:
         offset: Squared: what the whole step would still explain, per parameter and against the scatter (relative

@@ -148,7 +148,7 @@ def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
 
 
 def apart(one: Pose, other: Pose) -> tuple[float, float]:
-    """How far two poses lie apart, m, and the angle between them, rad."""
+    """Distance of two poses, m, and the angle between them, rad."""
     turn = rotation_vector(one.rotation.T @ other.rotation)
     return float(np.linalg.norm(one.position - other.position)), float(np.linalg.norm(turn))
 
@@ -378,7 +378,7 @@ SPARE = 3
 
 
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
-    """What of an arm is identified: all of it, base and tool among it unless known; of finished poses these alone."""
+    """Parameters of an arm to identify: all, base and tool among them unless known; of finished poses these alone."""
     return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, known_frames)
 
 
@@ -480,7 +480,7 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
 
 
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
-    """Which data sets share base and tool, as the rows tell: file by file, what leaves least at least frames (BIC).
+    """Data sets that share base and tool, as the rows tell: file by file, those that leave least at least frames (BIC).
 
     Rows of one file are alike, so that only `COUNTED_ROWS` of each count: frames of its own must take away a good part
     of what remains, not only surely some of it. Files that do not tell are taken as of the first set-up.

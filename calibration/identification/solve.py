@@ -181,7 +181,7 @@ def averaged_over_scales(
 
 
 def leverages(columns: Array) -> Array:
-    """How much of each row a fit uses up, where every parameter is a standard normal number beforehand ``(E,)``."""
+    """Share of each row that a fit uses up ``(E,)``, where every parameter is a standard normal number beforehand."""
     lower = np.linalg.cholesky(np.eye(columns.shape[1]) + columns.T @ columns)
     return np.asarray(np.sum(solve_triangular(lower, columns.T, lower=True) ** 2, axis=0))
 

@@ -1,4 +1,4 @@
-"""Which parametric terms an arm needs: chosen within the training rows, on contiguous blocks held out of each fit.
+"""The parametric terms that an arm needs: chosen within the training rows, on contiguous blocks held out of each fit.
 
 Weight (joints that yield under the arm's own mass) and the drives' harmonics need no data sheet, so they can be tried
 on any arm, and compliance wherever torques were measured; they extrapolate where a learnt residual only interpolates.
@@ -92,7 +92,7 @@ class Linearised:
         return np.ascontiguousarray(columns) * self.scale, data.residual(self.arm, values)
 
     def misses(self, data: Observations, solution: Array) -> Array:
-        """What remains of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
+        """Misses of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
         change = defaultdict(float, zip(self.names, solution * self.scale, strict=True))
         terms = tuple(term for i, term in enumerate(self.arm.terms) if solution[self.coefficients_of(i)].any())
         arm = ArmModel.of(self.arm.geometry, terms)
@@ -362,7 +362,7 @@ NAMES = ("compliance", "gravity", "periodic", "thermal")
 
 @dataclass(frozen=True)
 class TermChoice:
-    """What was tried and chosen.
+    """The choice, and the candidates that were tried.
 
     Attributes:
         chosen: Names of the terms, some of `NAMES` joined by "+", or "none".

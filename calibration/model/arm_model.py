@@ -1,4 +1,4 @@
-"""What is identified: a geometry, and parametric terms for what geometry cannot say (compliance, bending, lead, heat).
+"""The model that is identified: a geometry, and parametric terms beyond it (compliance, bending, lead, heat).
 
 The pose is F(q) displaced by the sum of coefficient times column: the terms are small (millimetres), so first order is
 exact to micrometres, and every parameter, geometric or not, is one column of one Jacobian. SI units.
@@ -32,7 +32,7 @@ from pickenv.base import InputError
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What else was known of each pose; None where it was not recorded.
+    """Further conditions of each pose; None where they were not recorded.
 
     Attributes:
         payload: Mass held at the tool ``(N,)``, kg.
@@ -89,7 +89,7 @@ class JointTerm(Term, Protocol):
         return np.asarray(np.moveaxis(by_joint[:, list(which)] * steps.T, -1, 0))
 
     def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
-        """What all coefficients together move each joint by, times the joint Jacobian."""
+        """The joint Jacobian times the motion of each joint by all coefficients together."""
         which, steps = self.steps(geometry, joints, conditions)
         displacements = (coefficients * (np.arange(geometry.joints)[:, None] == list(which))) @ steps.T
         by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
@@ -133,7 +133,7 @@ class ArmModel:
         return pose if not self.terms else displace_pose(pose, self.displacement(joints, conditions))
 
     def displacement(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """What the terms add to the pose ``(..., 6)``, m and rad."""
+        """Displacement of the pose by the terms ``(..., 6)``, m and rad."""
         joints = np.asarray(joints, dtype=float)
         flat, first = joints.reshape(-1, joints.shape[-1]), 0
         total = np.zeros((len(flat), 6))
@@ -336,7 +336,7 @@ class PeriodicTerm(JointTerm):
 
 @dataclass(frozen=True)
 class OrderTerm(JointTerm):
-    """How the tool moves as a harmonic's order does: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
+    """Motion of the tool by a harmonic's order: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
 
     wave: PeriodicTerm
     sines: tuple[float, ...]
@@ -494,7 +494,7 @@ def kind_of_term(term: Term) -> str:
 
 
 def specification(term: Any) -> dict[str, Any]:
-    """What `term_from` needs to make a term again (JSON)."""
+    """A term as `term_from` makes it again (JSON)."""
     return {"kind": kind_of_term(term), **asdict(term)}
 
 
@@ -502,10 +502,9 @@ def term_from(content: Mapping[str, Any]) -> Term:
     """Make a term again from its `specification`, as a calibration file holds it."""
     numbers = _tuples(content)
     kind = KINDS[numbers.pop("kind")]
-    if numbers.get("load"):
-        numbers["load"] = Load(**numbers["load"])
-    if numbers.get("weight"):
-        numbers["weight"] = GravityTerm(**numbers["weight"])
+    for name, part in (("load", Load), ("weight", GravityTerm)):
+        if numbers.get(name):
+            numbers[name] = part(**numbers[name])
     term: Term = kind(**numbers)
     return term
 
@@ -574,7 +573,7 @@ def complete_model(geometry: Geometry) -> ErrorModel:
 
 
 def geometric_model(geometry: Geometry, known_frames: bool) -> ErrorModel:
-    """What is identified: the links alone where base and tool are known, else base and tool with them."""
+    """Parameters to identify: the links alone where base and tool are known, else base and tool with them."""
     return link_model(geometry) if known_frames else complete_model(geometry)
 
 

@@ -33,7 +33,7 @@ ORIGIN: Tip = (0.0, 0.0, 0.0)
 
 
 def tool_points(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> Array:
-    """Where a point ``(3,)`` of the tool's frame is at joints ``(N, n)``: ``(N, 3)``, m."""
+    """World positions ``(N, 3)``, m, of a point ``(3,)`` of the tool's frame at joints ``(N, n)``."""
     pose = model.pose(joints, conditions)
     return np.asarray(pose.position + pose.rotation @ tip)
 
@@ -61,7 +61,7 @@ def direction(vector: Array) -> tuple[Array, Array]:
 
 
 def unit_length(vector: Array) -> tuple[Array, Array]:
-    """How much too short a vector ``(3,)`` is, to first order ``(1,)``, and the derivative ``(1, 3)`` of its length."""
+    """A vector's shortness of length one, to first order ``(1,)``, and the derivative ``(1, 3)`` of its length."""
     return np.array([(1.0 - vector @ vector) / 2.0]), vector[None]
 
 
@@ -257,7 +257,7 @@ class SocketObservations(OneGroup):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Where the sockets are, and the tool point."""
+        """Places of the sockets, and the tool point."""
         count = 3 * len(self._names)
         return Stated(
             (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *TIP),
@@ -364,7 +364,7 @@ class DistanceObservations(OneGroup):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Where the point, line or plane is, and the instrument's own: zero, scale and tool point."""
+        """Place of the point, line or plane, and the instrument's own: zero, scale and tool point."""
         surface, zero_std = SURFACES[self.surface], 0.0 if self.surface == "plane" else self.zero_std
         return Stated(
             (*surface.names, "zero", "scale", *TIP),
@@ -401,7 +401,7 @@ class DistanceObservations(OneGroup):
         return np.einsum("ni,nip->np", along, by_model), np.hstack([by_own, np.einsum("ni,nij->nj", along, by_tip)])
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """What the surface's numbers leave open, as strong as all readings together: neither drowns the other."""
+        """The gauge of the surface's numbers, as strong as all readings together: neither drowns the other."""
         std = self.std / float(np.sqrt(max(len(self.joints), 1)))
         residual, by_values = SURFACES[self.surface].gauge(numbers[:-5])
         return residual / std, np.pad(by_values, ((0, 0), (0, 5))) / std
@@ -452,7 +452,7 @@ class ReflectorObservations(OneGroup):
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """What it would be asked at other joints ``(M, n)``, were every reflector seen."""
+        """The same at other joints ``(M, n)``, were every reflector seen."""
         return OneGroup.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
 
     def readings(self) -> Array:
@@ -461,7 +461,7 @@ class ReflectorObservations(OneGroup):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Where the reflectors sit, as far as it is known."""
+        """Places of the reflectors, as far as they are known."""
         count = 3 * self.points.shape[1]
         names = tuple(f"reflector{i + 1}_{axis}" for i in range(self.points.shape[1]) for axis in "xyz")
         values = np.zeros(count) if self.places is None else self.places.ravel()

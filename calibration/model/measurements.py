@@ -90,7 +90,7 @@ class Measurements(OneGroup):
 
     @property
     def kind(self) -> str:
-        """What was measured: "pose" or "position"."""
+        """Name of the kind: "pose" or "position"."""
         return "position" if self.rotation is None else "pose"
 
     @property
@@ -180,7 +180,7 @@ def joint_columns(prismatic: Sequence[bool]) -> list[str]:
 
 
 def _units(prismatic: Sequence[bool]) -> Array:
-    """What turns rad and m into these columns' units."""
+    """These columns' units per rad and m."""
     return np.where(prismatic, 1e3, np.degrees(1.0))
 
 
@@ -209,7 +209,7 @@ def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> A
 def simulated_tracker(
     plant: Plant, joints: ArrayLike, rng: np.random.Generator, instrument: Instrument | str = TRACKER
 ) -> Measurements:
-    """What an instrument, registered to base and tool, sees of the arm that visits ``joints`` one after another.
+    """Readings by an instrument, registered to base and tool, of the arm that visits ``joints`` one after another.
 
     One call is one campaign: the machine is switched on, warms up, drives from pose to pose and waits before each
     reading; the target is mounted once. "ideal" waits for ever at each pose.
@@ -234,7 +234,7 @@ def simulated_tracker(
 
 
 def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDraws) -> Measurements:
-    """What an instrument sees of the arm that visits ``joints`` ``(N, n)``, with these draws."""
+    """Readings by an instrument of the arm that visits ``joints`` ``(N, n)``, with these draws."""
     pose, noise = measured_poses(plant, joints, instrument, draws), instrument.noise_on(plant)
     std = attitude_std = 0.0
     if noise is not None:
@@ -297,7 +297,7 @@ class InstrumentStation:
 
     @property
     def suffix(self) -> str:
-        """What the names of its unknowns end with."""
+        """Ending of the names of its unknowns."""
         return "" if self.number == 1 else f"_{self.number}"
 
     def unknowns(self) -> tuple[str, ...]:
@@ -393,7 +393,7 @@ class Stacked:
 
     @property
     def conditions(self) -> Conditions:
-        """What every station recorded."""
+        """Conditions that every station recorded."""
         parts = [vars(part.conditions) for part in self.parts]
         common = [name for name in parts[0] if all(part[name] is not None for part in parts)]
         return Conditions(**{name: np.concatenate([part[name] for part in parts]) for name in common})

@@ -1,4 +1,4 @@
-"""What rows scatter by about a model, found from the rows themselves: variance components, and what neighbours share.
+"""The scatter of rows about a model, found from the rows themselves: variance components, and a share of neighbours.
 
 Each channel of an instrument has a scatter of its own, whatever is stated of it. What a model cannot say is alike at
 neighbouring joints. Its length and share maximise the marginal likelihood of a Gaussian process on what remains
@@ -11,7 +11,6 @@ is found by expectation maximisation (Laird and Ware 1982). SI units.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,23 +55,9 @@ ROUNDS = 40
 """Rounds of expectation maximisation."""
 
 
-class SharedPose(NamedTuple):
-    """What equations of one row share.
-
-    Attributes:
-        equations: Their places among all.
-        basis: Directions of the pose's error among them ``(m, 6)``, orthonormal.
-        shrink: How much of each is taken off in whitening ``(6,)``.
-    """
-
-    equations: Rows
-    basis: Array
-    shrink: Array
-
-
 @dataclass(frozen=True, eq=False)
 class RowNoise:
-    """What equations scatter by, in stated standard uncertainties.
+    """The scatter of equations, in stated standard uncertainties.
 
     Attributes:
         scatter: Standard deviation of each equation ``(E,)``, larger where rows stand closer than usual.
@@ -80,7 +65,8 @@ class RowNoise:
         share: Share of the variance that neighbouring rows have in common.
         length: Distance of joints over which they have, rad or m.
         common: By how much rows that stand as usual tell less than independent ones would: a factor on variances.
-        shared: Rows whose equations share the error of one pose.
+        shared: Rows whose equations share the error of one pose: the equations' places among all, directions of that
+            error among them ``(m, 6)``, orthonormal, and how much of each is taken off in whitening ``(6,)``.
         pose_std: Size of that error per axis: position, m, and attitude, rad.
     """
 
@@ -89,7 +75,7 @@ class RowNoise:
     share: float = 0.0
     length: float = 0.0
     common: float = 1.0
-    shared: tuple[SharedPose, ...] = ()
+    shared: tuple[tuple[Rows, Array, Array], ...] = ()
     pose_std: tuple[float, float] = (0.0, 0.0)
 
     def whiten(self, rows: Array) -> Array:
@@ -141,7 +127,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
 
 
 def neighbours(joints: Array, length: float) -> Array:
-    """How many rows each row is like ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over all rows."""
+    """Number of rows that each row is like ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over all rows."""
     some = equally_spaced(len(joints), NEIGHBOUR_ROWS)
     like = np.empty(len(joints))
     for part in np.array_split(np.arange(len(joints)), max(1, len(joints) // 100)):  # as much as stays near
@@ -154,13 +140,13 @@ def neighbours(joints: Array, length: float) -> Array:
 
 
 def counted(joints: Array) -> Array:
-    """What each row counts ``(N,)``: 1, or less where more rows than usual stand near it, for these miss alike."""
+    """Weight of each row ``(N,)``: 1, or less where more rows than usual stand near it, for these miss alike."""
     like = neighbours(joints, ALIKE)
     return np.asarray(np.minimum(_usual(like, FREE) / like, 1.0))
 
 
 def _usual(like: Array, share: float) -> float:
-    """How many rows a row is like, at most, in this share of the facts; a cluster is one."""
+    """Number of rows that a row is like, at most, in this share of the facts; a cluster is one."""
     order = np.argsort(like)
     facts = np.cumsum(1.0 / like[order])
     return float(like[order][np.searchsorted(facts, share * facts[-1])])
@@ -202,7 +188,7 @@ def _of_pictures(
     scatter: Array,
     sizes: Array,
 ) -> RowNoise:
-    """Where rows have many equations: each channel's own scatter, and the pose's error that they share."""
+    """Noise of rows with many equations: each channel's own scatter, and the pose's error that they share."""
     tool = data.by_tool(model, unknowns)
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
     _, channels = data.equations()
@@ -230,6 +216,6 @@ def _of_pictures(
     for at, size in zip(places, sizes[channel], strict=True):
         scatter[at] = size
         basis, strength, _ = np.linalg.svd(tool[at] * np.sqrt(pose) / size, full_matrices=False)
-        shared.append(SharedPose(at, basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)))
+        shared.append((at, basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)))
     std = float(np.sqrt(pose[0])), float(np.sqrt(pose[3]))
     return RowNoise(scatter, sizes, shared=tuple(shared), pose_std=std)

@@ -1,4 +1,4 @@
-"""What a data set of any kind must answer; kinds beyond `Measurements` stand in `kinds` and `pixels` beside it.
+"""The questions to a data set of any kind; kinds beyond `Measurements` stand in `kinds` and `pixels` beside it.
 
 Each kind brings unknowns of its own (where the reflectors sit, the wire is anchored, the sockets are), which are
 identified together with the arm. Rows are whitened by their covariance, so any mix may be stacked. SI units.
@@ -64,7 +64,7 @@ def named(places: Sequence[tuple[str, int]]) -> str:
 
 
 MISS_UNITS = {"mm": 1e3, "deg": float(np.degrees(1.0))}
-"""What misses are shown in, and the factor from SI."""
+"""Units of misses on screens, and the factor from SI."""
 
 NONE_KNOWN = Conditions()
 """Neither payload nor temperature nor torques were recorded."""
@@ -74,7 +74,7 @@ Kind = TypeVar("Kind", bound="Observations")
 
 
 class Equations(Protocol):
-    """What the least squares asks of a data set of any kind, and of what is expected before measuring."""
+    """The questions of the least squares to a data set of any kind, and to the expectations before measuring."""
 
     @property
     def joints(self) -> Array:
@@ -82,7 +82,7 @@ class Equations(Protocol):
 
     @property
     def source(self) -> str:
-        """Where the data come from."""
+        """Origin of the data, for messages."""
 
     @property
     def kind(self) -> str:
@@ -149,14 +149,14 @@ class Observations(Equations, Protocol):
 
     @property
     def rounding(self) -> float:
-        """What a reading changes by when it is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px.
+        """Change of a reading that is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px.
 
         A third of what such instruments scatter by, so that a pose measured anew reads alike once in five times.
         """
 
     @property
     def miss_unit(self) -> str:
-        """What screens show `misses` in: "mm" of metres, "deg" of radians."""
+        """Unit of `misses` on screens: "mm" of metres, "deg" of radians."""
 
     def equations(self) -> tuple[Rows, Rows]:
         """Row and channel of each equation of `residual` ``(E,)``; the row is -1 where it belongs to none.
@@ -171,7 +171,7 @@ class Observations(Equations, Protocol):
         """Measured minus predicted positions ``(R, 3)``, or lengths ``(R, 1)``, m; of directions ``(R, k)``, rad."""
 
     def readings(self) -> Array:
-        """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
+        """The readings of each row ``(N, k)``, m: rows equal in them and in the joints repeat one another."""
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
         """`poses`, of several stations as the first one would have measured them; None of other kinds."""
@@ -213,12 +213,12 @@ class Stated:
 
     @property
     def free(self) -> Rows:
-        """Which numbers are fitted."""
+        """Indices of the numbers that are fitted."""
         return np.flatnonzero(self.std > 0.0)
 
     @property
     def _known(self) -> Rows:
-        """Which of the fitted ones something is known of."""
+        """Indices, among the fitted ones, of those of which something is known."""
         return np.flatnonzero(np.isfinite(self.std[self.free]))
 
     def unknowns(self) -> tuple[str, ...]:
@@ -295,11 +295,11 @@ class OneGroup:
         raise NotImplementedError
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """What else holds among the numbers: whitened residual ``(G,)`` and derivatives ``(G, K)``."""
+        """Further equations among the numbers: whitened residual ``(G,)`` and derivatives ``(G, K)``."""
         return np.zeros(0), np.zeros((0, len(numbers)))
 
     def readings(self) -> Array:
-        """What was read in each row ``(N, k)``."""
+        """The readings of each row ``(N, k)``."""
         raise NotImplementedError
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
@@ -382,7 +382,7 @@ class OneGroup:
         return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
 
     def imagined(self, joints: Array) -> Self:
-        """What such an instrument would be asked at other joints ``(M, n)``: its readings, over and over."""
+        """Such an instrument at other joints ``(M, n)``: its readings, over and over."""
         rows = np.resize(np.arange(len(self.joints)), len(joints))
         return replace(self, joints=joints, conditions=Conditions(), origins=None, **self._arrays(rows))  # type: ignore[type-var]
 
@@ -472,7 +472,7 @@ def same_poses(joints: Array) -> Rows:
 
 
 def pose_count(joints: Array) -> int:
-    """How many poses rows of these joints ``(N, n)`` are of, however often each was measured."""
+    """Number of poses that rows of these joints ``(N, n)`` are of, however often each was measured."""
     return len(np.unique(same_poses(joints)))
 
 

@@ -56,7 +56,7 @@ def projected(values: Array, points: Array) -> Array:
 
 
 def distorted(values: Array, ideal: Array) -> Array:
-    """Where the lens puts rays ``(..., 2)``, given by their slopes x / z and y / z."""
+    """Images by the lens of rays ``(..., 2)``, given by their slopes x / z and y / z."""
     k1, k2, p1, p2, k3 = values[4:]
     x, y = ideal[..., 0], ideal[..., 1]
     r2 = x * x + y * y
@@ -118,7 +118,7 @@ SLANT = 0.5
 """Cosine of the largest angle between a line of sight and a board's normal at which its corners are found: 60 deg."""
 
 Mount = Literal["hand", "world"]
-"""Where the camera is: on the arm's tool, or fixed in the world with the board on the tool."""
+"""Place of the camera: on the arm's tool, or fixed in the world with the board on the tool."""
 
 
 @register("observation", "pixels")
@@ -177,7 +177,7 @@ class PixelObservations(OneGroup):
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """What the camera would be asked at other joints ``(M, n)``, were every corner seen (see `visible`)."""
+        """The camera at other joints ``(M, n)``, were every corner seen (see `visible`)."""
         usual = np.full_like(self.std, np.median(self.std[self.seen]))
         full_views = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
         return OneGroup.imagined(full_views, joints)
@@ -191,7 +191,7 @@ class PixelObservations(OneGroup):
         return Measurements(self.joints, poses.position, poses.rotation, prismatic, source=self.source)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Which corners a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
+        """Corners that a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
         tool, points = model.pose(self.joints, self.conditions), self.in_camera(model)
         values = self.lens_values(unknowns)
         towards = tool.rotation[..., 2] if self.mount == "world" else tool.rotation[:, 2]  # into the board

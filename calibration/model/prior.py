@@ -1,4 +1,4 @@
-"""What is expected of an arm's parameters before anything was measured: mean, standard deviation, and where from.
+"""Expectations of an arm's parameters before anything was measured: mean, standard deviation, and source.
 
 Every parameter has a prior, and what is fitted is said by its width. Parts lie within what they are made to (a
 tolerance class), base and tool of an instrument that stood anywhere within metres, coefficients of terms within a few
@@ -32,7 +32,7 @@ from pickenv.calibration.model.arm_model import (
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
-"""What a fit may move: all parameters by their priors, the joints' zeros alone, or all parameters without priors."""
+"""Parameters that a fit may move: all by their priors, the joints' zeros alone, or all without priors."""
 
 TOLERANCE_CLASS = "cobot"
 """The tolerance class that parts are expected to be made to, where none is named."""
@@ -50,7 +50,7 @@ FRAMES, ZEROS, LENGTHS, ANGLES, TERMS = "frames", "zeros", "lengths", "angles", 
 """Groups of parameters: frames that stand anywhere, joints' zeros, lengths and angles of parts, coefficients."""
 
 MADE = (ZEROS, LENGTHS, ANGLES)
-"""What a tolerance class speaks of; the rows scale the widths of each."""
+"""Groups of which a tolerance class speaks; the rows scale the widths of each."""
 
 
 @dataclass(frozen=True, eq=False)

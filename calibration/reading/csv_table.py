@@ -64,7 +64,7 @@ def rotations(convention: str, values: Array) -> Array:
 
 
 def convention_table(geometry: Geometry, joints: Array, position: Array, values: Array, where: str) -> str:
-    """What each convention leaves after base and tool were fitted, best first, as lines of text.
+    """The errors that each convention leaves after base and tool were fitted, best first, as lines of text.
 
     Args:
         geometry: Nominal geometry.
@@ -90,7 +90,7 @@ def convention_table(geometry: Geometry, joints: Array, position: Array, values:
 
 
 SEPARATORS = {";": "';'", "\t": "a tab", "|": "'|'", ",": "','", " ": "a space"}
-"""What may stand between columns, and how it is called; in the order in which a file is asked for it."""
+"""Separators of columns, and their names; in the order in which a file is asked for them."""
 
 LONGEST_EXPRESSION = 1000
 """Characters; nobody writes a longer one, and a parser's depth ends."""
@@ -104,7 +104,7 @@ OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
-"""What expressions of columns may do."""
+"""Operators in expressions of columns."""
 
 
 class Table:
@@ -139,7 +139,7 @@ class Table:
         return self.cache[name]
 
     def index(self, name: str) -> int:
-        """Where a column stands."""
+        """Place of a column in the header."""
         if name not in self.header:
             raise InputError(f"{self.where}: column '{shortened(name)}' is missing; the file has {listed(self.header)}")
         if self.header.count(name) > 1:

@@ -116,7 +116,7 @@ class SocketsTable(ContactTable):
 
 @toml_table
 class ReadingTable(ContactTable):
-    """What [wire] and [dial] share: one column of readings."""
+    """One column of readings, as [wire] and [dial] have it."""
 
     position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
     position_unit: Annotated[str, one_of(LENGTHS), Key("unit")]
@@ -170,7 +170,7 @@ class TiltTable:
 
 
 def kinds() -> tuple[str, ...]:
-    """What can be measured, each a section of a description: what registered instruments read, and pictures."""
+    """Kinds of measurement, each a section of a description: those of registered instruments, and pictures."""
     return (*names("instrument"), "pixels")
 
 
@@ -188,7 +188,7 @@ COUNTS: dict[str, tuple[Callable[[int], bool], str]] = {
     "sockets": (lambda n: n <= 1, "the column that numbers the sockets"),
     "pixels": (lambda n: n in (0, 2), "two columns, across and down, where corners and not pictures are given"),
 }
-"""How many columns each kind of section needs; one that is not here has none."""
+"""Number of columns that each kind of section needs; one that is not here has none."""
 JOINT_UNIT = one_of(LENGTHS + ANGLES)
 
 
@@ -239,7 +239,7 @@ class PixelsTable:
 
 
 Section = LengthsTable | ContactTable | TiltTable | PixelsTable
-"""What was measured."""
+"""The section that says what was measured."""
 
 
 @toml_table
@@ -346,7 +346,7 @@ class ConditionsTable:
 
 @toml_table
 class DescriptionFile:
-    """What a column description holds: exactly one of the sections of `kinds`."""
+    """Content of a column description: exactly one of the sections of `kinds`."""
 
     joints: JointsTable | None = None
     description: str = ""
@@ -410,7 +410,7 @@ class DescriptionFile:
 
     @property
     def kind(self) -> str:
-        """What was measured, one of `kinds`."""
+        """Name of the section, one of `kinds`."""
         return next(kind for kind in kinds() if getattr(self, kind, None) is not None)
 
     @property
@@ -421,7 +421,7 @@ class DescriptionFile:
 
 
 def description_file() -> type[DescriptionFile]:
-    """What a column description holds, with the sections of other packages' instruments.
+    """The class of a column description's content, with the sections of other packages' instruments.
 
     A section's class is what the parameter ``section`` of its reader is annotated with.
     """
@@ -436,7 +436,7 @@ DESCRIPTIONS = Path(__file__).parent / "descriptions"
 
 
 MEASURED = ("position", "position_unit", "position_std", "position_std_columns")
-"""What a section says in words of its own for any kind."""
+"""Keys of a section that are its own words for any kind."""
 
 
 @dataclass(frozen=True)
@@ -450,7 +450,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class ColumnDescription:
-    """How a foreign file is laid out.
+    """Layout of a foreign file.
 
     Attributes:
         where: The description's own file, for messages.

@@ -71,7 +71,7 @@ class Files:
         return self.given[0]
 
     def values(self) -> Array:
-        """What was measured in all rows, as described under the kind ``(N, k)``, m."""
+        """The readings of all rows, as described under the kind ``(N, k)``, m."""
         return np.concatenate([t.values(d.position) * TO_SI[d.position_unit] for t, d in self.pairs()])
 
     def place(self, row: int) -> str:
@@ -87,7 +87,7 @@ class Files:
 
 
 QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
-"""What each recorded condition is, of `pickenv.base.limits`; a temperature is counted from its reference."""
+"""Quantity of each recorded condition, of `pickenv.base.limits`; a temperature is counted from its reference."""
 
 FARTHEST = 1e4
 """No instrument sees a tool from farther away than this, m."""

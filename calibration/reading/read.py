@@ -34,7 +34,7 @@ from pickenv.calibration.reading.kind_readers import Files, read_views
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """What a file itself says about its noise, as the RMS of a position error's norm, m; None where it says nothing.
+    """A file's own word on its noise, as the RMS of a position error's norm, m; None where it says nothing.
 
     Attributes:
         repeat: From columns of the repeat sigma.
@@ -127,7 +127,7 @@ def read_observations(
 
 
 def _frames(tables: list[Table]) -> Frames:
-    """What files of our own format say about base and tool in every row; where they say nothing, both are fitted."""
+    """The word of files of our own format on base and tool, in every row; where they say nothing, both are fitted."""
     places_of: dict[str, str] = {}
     for table in tables:
         if FRAMES_COLUMN not in table.header:
@@ -236,7 +236,7 @@ POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What the arm is asked to do.
+    """The poses that the arm is asked for.
 
     Attributes:
         joints: Nominal joint targets ``(N, n)``, rad or m; None if poses were given.

@@ -155,7 +155,7 @@ class Bpnn:
 
     @cached_property
     def _code(self) -> CompiledNetwork | None:
-        """What runs it as machine code, where that is wanted and can be."""
+        """Its machine code, where that is wanted and can be."""
         if not (self.fast and is_there("llvmlite")):
             return None
         return CompiledNetwork(self._scaled)

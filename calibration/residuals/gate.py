@@ -43,7 +43,7 @@ Refit = Callable[[Measurements], Geometry | ArmModel]
 
 @dataclass(frozen=True)
 class GateVerdict:
-    """How one residual model fares. All RMS are of the position error's norm, m, unless they say attitude (rad).
+    """The errors with one residual model. All RMS are of the position error's norm, m, unless they say attitude (rad).
 
     Attributes:
         model: Name of the residual model.
@@ -151,9 +151,8 @@ def gate_residuals(
         verdicts[name] = _verdict(replace(bare, model=name), learn, blocked, inner)
     if progress is not None:
         progress(len(models), len(models))
-    best = min(
-        (verdict for verdict in verdicts.values() if verdict.accepted), key=attrgetter("inner_rms"), default=None
-    )
+    accepted = [verdict for verdict in verdicts.values() if verdict.accepted]
+    best = min(accepted, key=attrgetter("inner_rms"), default=None)
     blocked_rms = bare.geometric_blocked_rms if best is None else best.blocked_rms
     assert blocked_rms is not None  # whatever was chosen was judged
     return GateReport(tuple(verdicts[name] for name in models), None if best is None else best.model, blocked_rms)
@@ -186,7 +185,7 @@ class _Trial:
 
 
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: _Trial) -> Array:
-    """What a model that learns from the trial's training rows leaves of its other rows."""
+    """Residual of the trial's other rows beyond a model that learns from its training rows."""
     train, test = trial.train, trial.test
     model = fit_residual(
         name,
@@ -208,7 +207,7 @@ def _wins_outside(verdict: GateVerdict) -> bool:
 def _verdict(
     verdict: GateVerdict, left_by: Callable[[_Trial], Array], blocked: _Trial, inner: Callable[[], Sequence[_Trial]]
 ) -> GateVerdict:
-    """How a model fares; the inner trials are made for those that win on the outer blocks."""
+    """Verdict on a model; the inner trials are made for those that win on the outer blocks."""
     untouched, counts = blocked.test_residual, blocked.counts
     try:
         residual = left_by(blocked)

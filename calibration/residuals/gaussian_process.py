@@ -29,7 +29,7 @@ CONSTANT = 1e-9
 
 
 class Regressor(Protocol):
-    """What a residual model is: fitted to numbers, it gives numbers, and all of it is kept in plain arrays.
+    """A residual model: fitted to numbers, it gives numbers, and all of it is kept in plain arrays.
 
     Two methods may be left out: ``faster()`` returns the model for control loops, and ``predict_std(inputs)`` the
     standard deviation of `predict`.
@@ -185,7 +185,7 @@ PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
 """Amplitude, every length scale and noise where half is noise and where almost nothing is; all inputs count alike."""
 
 DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
-"""Where amplitude, each length scale and noise of further starts are drawn, so that inputs count differently.
+"""Bounds of amplitude, each length scale and noise of further starts, so that inputs count differently.
 
 Shorter length scales end in noise alone, longer ones with inputs ignored."""
 
@@ -198,7 +198,7 @@ COARSE, FINE = 1e-5, 1e-7
 
 @dataclass(frozen=True)
 class GaussianProcessSettings:
-    """How the process is fitted.
+    """Settings of the fit.
 
     Attributes:
         rows: Training rows kept at most, drawn evenly; the cost grows with their cube.
@@ -299,12 +299,12 @@ class GaussianProcess(SavedArrays):
         return self._by_output(inputs, unknown) * self.output_std
 
     def targets(self, output: int) -> Array:
-        """What it was fitted to ``(M,)``, in units of the output's own deviation from its mean."""
+        """The targets of its fit ``(M,)``, in units of the output's own deviation from its mean."""
         smooth = self._kernel(output, self.rows) @ self.weights[output]
         return np.asarray(smooth + (self.noise[output] ** 2 + JITTER) * self.weights[output])
 
     def _by_output(self, inputs: ArrayLike, one: Callable[[int, Array], Array]) -> Array:
-        """What ``one`` says of each output ``(..., k)``, for so many inputs ``(..., F)`` at a time as caches hold."""
+        """Values by ``one`` of each output ``(..., k)``, for so many inputs ``(..., F)`` at a time as caches hold."""
         inputs = np.asarray(inputs, dtype=float)
         flat = inputs.reshape(-1, inputs.shape[-1])
         values = np.empty((len(flat), len(self.amplitude)))

@@ -33,7 +33,7 @@ PERIODIC_SPAN = 1.5 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class JointInputs:
-    """How joints and conditions become a regressor's inputs.
+    """The way from joints and conditions to a regressor's inputs.
 
     Attributes:
         periodic: For each joint, whether it enters by sine and cosine ``(n,)``.
@@ -139,7 +139,7 @@ class LearntResidual:
 TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType(
     {"gp": partial(GaussianProcess.fit, settings=GaussianProcessSettings(likelihood_rows=200, starts=4))}
 )
-"""How models are fitted that are only to be compared, on split after split: the process with a shorter search, a fifth
+"""Fitters of models that are only to be compared, on split after split: the process with a shorter search, a fifth
 of the time, and on measured arms within 6 % of the error."""
 
 
