@@ -76,7 +76,7 @@ class Linearised:
 
     def coefficients_of(self, term: int) -> Places:
         """Places of one term's coefficients."""
-        counts = [len(other_term.names(self.arm.geometry)) for other_term in self.arm.terms]
+        counts = [len(member.names(self.arm.geometry)) for member in self.arm.terms]
         first = len(self.fitted) + sum(counts[:term])
         return np.arange(first, first + counts[term])
 
@@ -305,8 +305,8 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
         paths.append(path)
     rms = np.sqrt(np.abs(squares))  # of nothing but rounding a sum may be negative
     count = int(np.flatnonzero(rms <= (1.0 + WITHIN) * rms.min())[0])
-    places_on_all = candidates[pursued(*equations.without(None), base, candidates, count)]
-    return [path[:count].ravel() for path in paths], places_on_all.ravel()
+    all_places = candidates[pursued(*equations.without(None), base, candidates, count)]
+    return [path[:count].ravel() for path in paths], all_places.ravel()
 
 
 def refined(

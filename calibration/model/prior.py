@@ -178,17 +178,17 @@ def prior_model(
         parameters = frames_model(geometry) if arm == CARRIER else geometric_model(geometry, known)
         std = np.full(len(parameters.names), np.inf)
         return PriorModel(parameters, start, std, _groups(parameters, geometry, known), "none: any value is as likely")
-    made_to = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)
+    expected = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)
     zeros = joint_zeros_model(geometry)
     parameters = complete_model(geometry)
     if fit == "offsets":
         parameters = zeros if known else frames_model(geometry).joined(zeros)
     group = _groups(parameters, geometry, known)
-    std = standard_deviations(made_to, geometry)[parameters.columns]
+    std = standard_deviations(expected, geometry)[parameters.columns]
     angle = geometry.parameter_is_angle[parameters.columns]
     std = np.where(group == FRAMES, np.where(angle, FRAME_STD[1], FRAME_STD[0]), std)
     scales = {} if scale is None else dict.fromkeys(MADE, scale)
-    return PriorModel(parameters, start, std, group, f"tolerance class {made_to.name}", scales)
+    return PriorModel(parameters, start, std, group, f"tolerance class {expected.name}", scales)
 
 
 def expected_sizes(model: ArmModel) -> Array:

@@ -526,7 +526,7 @@ def _found_in_table(
     """First row and corners of each view."""
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.position)
-    count, rows, seen_in = len(board.corners), [], []
+    count, rows, corners = len(board.corners), [], []
     for row in np.flatnonzero((numbers < 0) | (numbers >= count) | (numbers != np.rint(numbers)))[:1]:
         raise InputError(
             f"{table.where}: row {table.lines[row]}: corner {numbers[row]:g} is none of the board's {count} (from 0); "
@@ -537,8 +537,8 @@ def _found_in_table(
         if len(np.unique(numbers[mine])) < len(mine):
             raise InputError(f"{table.where}: view '{name}' has a corner twice; remove one")
         rows.append(int(mine[0]))
-        seen_in.append(corners_at(board, numbers[mine], places[mine], DEFAULT_STD, camera.size))
-    return rows, seen_in
+        corners.append(corners_at(board, numbers[mine], places[mine], DEFAULT_STD, camera.size))
+    return rows, corners
 
 
 def _lens(given: LensTable, home: Path) -> Lens:
