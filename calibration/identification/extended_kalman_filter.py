@@ -6,7 +6,6 @@ One pose at a time, online, or a whole data set in one pass. Covariances are upd
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -242,7 +241,6 @@ class Filtered:
         innovations: Measured minus predicted pose of each row before it was used ``(N, 6)`` or ``(N, 3)``, m and rad.
         nis: Normalised innovation squared of each ``(N,)``.
         rejected: Rows that the gate refused, counted from 0.
-        solve_seconds: Time of the pass.
     """
 
     state: FilterState
@@ -251,7 +249,6 @@ class Filtered:
     innovations: Array
     nis: Array
     rejected: tuple[int, ...]
-    solve_seconds: float
 
     @property
     def geometry(self) -> Geometry:
@@ -292,7 +289,6 @@ def filter_measurements(
     Raises:
         InputError: If there are too few poses for what is to be identified.
     """
-    begin = time.perf_counter()
     arm = ArmModel.of(start)
     rows, conditions = measurements.rows_per_pose, measurements.conditions
     state, base = _diffuse(model, arm, measurements.joints, rows, conditions, prior)
@@ -310,7 +306,6 @@ def filter_measurements(
         innovations=np.array([step.innovation for step in states[1:]]),
         nis=np.array([step.nis for step in states[1:]]),
         rejected=tuple(np.flatnonzero(np.diff([step.rejected for step in states])).tolist()),
-        solve_seconds=time.perf_counter() - begin,
     )
 
 

@@ -219,7 +219,7 @@ def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations
 def _wire(files: Files, section: WireTable) -> DistanceObservations:
     length = files.values()[:, 0]
     for row in np.flatnonzero(length <= 0.0)[:1]:
-        raise InputError(f"{files.place(int(row))}: a length of {_mm(length[row])} mm is not above zero; correct it")
+        raise InputError(f"{files.place(row)}: a length of {length[row] * 1e3:.6g} mm is not above zero; correct it")
     data = _distances(files, section, length, zero=section.zero, zero_std=section.zero_std, scale_std=section.scale_std)
     _refuse_other_unit(files, data)
     return data
@@ -229,8 +229,8 @@ def _dial(files: Files, section: DialTable) -> DistanceObservations:
     reading = files.values()[:, 0]
     for row in np.flatnonzero(np.isclose(reading, section.free, rtol=0.0, atol=1e-9))[:1]:
         raise InputError(
-            f"{files.place(int(row))}: the dial reads {_mm(reading[row])} mm, as one that touches nothing; remove the "
-            "row, or say in [dial] what it reads then (free_mm)"
+            f"{files.place(row)}: the dial reads {reading[row] * 1e3:.6g} mm, as one that touches nothing; remove "
+            "the row, or say in [dial] what it reads then (free_mm)"
         )
     return _distances(files, section, reading, surface="plane", scale_std=section.scale_std)
 
@@ -313,7 +313,7 @@ def _tilt(files: Files, section: TiltTable) -> TiltObservations:
         angles = values * TO_SI[section.position_unit]
         for row, column in np.argwhere(np.abs(angles) > np.pi / 2)[:1]:
             raise InputError(
-                f"{files.place(int(row))}: an inclination of {np.degrees(angles[row, column]):.4g} deg is beyond 90; "
+                f"{files.place(row)}: an inclination of {np.degrees(angles[row, column]):.4g} deg is beyond 90; "
                 "correct the row, or the unit of [tilt]"
             )
         values, std = np.sin(angles), std * np.maximum(np.cos(angles), UNIT_LENGTH)
@@ -321,15 +321,11 @@ def _tilt(files: Files, section: TiltTable) -> TiltObservations:
     wrong = size > 1.0 + UNIT_LENGTH if values.shape[1] < 3 else np.abs(size - 1.0) > UNIT_LENGTH
     for row in np.flatnonzero(wrong)[:1]:
         raise InputError(
-            f"{files.place(int(row))}: the components of down have length {size[row]:.4g}, not 1; divide them by "
+            f"{files.place(row)}: the components of down have length {size[row]:.4g}, not 1; divide them by "
             "gravity, or remove rows in which the arm still moved"
         )
     _refuse_one_pose(files, np.arange(len(files.joints)))
     return TiltObservations(files.joints, values, std, axes_std=section.axes_std, down_std=section.down_std)
-
-
-def _mm(value: float) -> str:
-    return f"{value * 1e3:.6g}"
 
 
 def _refuse_no_contact(files: Files, section: ContactTable) -> None:
