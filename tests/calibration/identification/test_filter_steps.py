@@ -1,6 +1,5 @@
 """Each step of the Kalman filter against its textbook formula, and what an hour of drift adds."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -187,7 +186,6 @@ def test_one_pass_is_row_after_row(qiao, positions):
     position[[9, 17]] += 0.2
     data = replace(data, position=position, position_std=2e-4, attitude_std=5e-4)
     data = data.positions_only() if positions else data
-    begin = time.perf_counter()
     found = filter_measurements(model, nominal, data, gate=0.99999)
     state = start_filter(model, nominal, data.joints, full_pose=not positions)
     nis = []
