@@ -4,6 +4,14 @@ from .assessment.metrics import (
     held_out_r2 as held_out_r2,
     paper_eta as paper_eta,
 )
+from .camera.boards import (
+    Board as Board,
+    board_picture as board_picture,
+    load_board as load_board,
+    read_lens as read_lens,
+    write_board as write_board,
+    write_lens as write_lens,
+)
 from .compensation.compensator import Compensator as Compensator
 from .delivery.export import Delivery as Delivery, Order as Order, export as export, write_onnx as write_onnx
 from .delivery.joint_offsets import (
@@ -12,6 +20,7 @@ from .delivery.joint_offsets import (
     read_ros2_offsets as read_ros2_offsets,
 )
 from .delivery.onto_files import write_arm_toml as write_arm_toml, write_arm_urdf as write_arm_urdf
+from .identification.diagnosis import checked_rows as checked_rows
 from .identification.extended_kalman_filter import (
     continue_filter as continue_filter,
     filter_measurements as filter_measurements,
@@ -25,9 +34,31 @@ from .identification.least_squares import (
     Identification as Identification,
     identifiability as identifiability,
     identify as identify,
+    identify_converged as identify_converged,
 )
 from .identification.robust import align as align
-from .model.arm_model import complete_model as complete_model, frames_model as frames_model, link_model as link_model
+from .identification.term_choice import (
+    harmonics_of as harmonics_of,
+    identify_terms as identify_terms,
+    plain_term as plain_term,
+)
+from .model.arm_model import (
+    ArmModel as ArmModel,
+    BendingTerm as BendingTerm,
+    ComplianceTerm as ComplianceTerm,
+    Conditions as Conditions,
+    ErrorModel as ErrorModel,
+    GravityTerm as GravityTerm,
+    LeadTerm as LeadTerm,
+    PeriodicTerm as PeriodicTerm,
+    ThermalTerm as ThermalTerm,
+    complete_model as complete_model,
+    frames_model as frames_model,
+    geometric_model as geometric_model,
+    link_model as link_model,
+    pose_carrier as pose_carrier,
+    with_terms as with_terms,
+)
 from .model.kinds import (
     DistanceObservations as DistanceObservations,
     ReflectorObservations as ReflectorObservations,
@@ -36,11 +67,21 @@ from .model.kinds import (
     tracker_covariance as tracker_covariance,
 )
 from .model.measurements import (
+    InstrumentStation as InstrumentStation,
     Measurements as Measurements,
+    Stacked as Stacked,
     random_joints as random_joints,
     simulated_tracker as simulated_tracker,
 )
-from .model.observations import Observations as Observations
+from .model.observations import (
+    Observations as Observations,
+    OneGroup as OneGroup,
+    blocked_split as blocked_split,
+    contiguous_folds as contiguous_folds,
+    same_poses as same_poses,
+)
+from .model.pixels import Lens as Lens, PixelObservations as PixelObservations, projected as projected
+from .model.prior import prior_model as prior_model
 from .pipeline.apply import apply_calibration as apply_calibration
 from .pipeline.calibration import Calibration as Calibration
 from .pipeline.fitting import Fit as Fit, fit as fit
@@ -51,8 +92,12 @@ from .pipeline.twin import twin as twin
 from .planning.plan import plan_poses as plan_poses
 from .reading.description import load_description as load_description
 from .reading.read import (
+    joints_of as joints_of,
     read_measurements as read_measurements,
     read_observations as read_observations,
     read_targets as read_targets,
 )
 from .residuals.bpnn import Bpnn as Bpnn, BpnnSettings as BpnnSettings, train_bpnn as train_bpnn
+from .residuals.gate import GateReport as GateReport, GateVerdict as GateVerdict, gate_residuals as gate_residuals
+from .residuals.gaussian_process import Fitter as Fitter
+from .residuals.residual_models import LearntResidual as LearntResidual, fit_residual as fit_residual

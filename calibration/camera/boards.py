@@ -6,14 +6,14 @@ upper left, in m, as OpenCV numbers them. Only what finds or draws markers needs
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
 from pickenv.base import (
@@ -21,11 +21,11 @@ from pickenv.base import (
     WHOLE,
     Check,
     InputError,
+    file_named,
     is_file,
     read_text,
     read_toml,
     require,
-    shortened,
     toml_table,
     write_text,
     write_whole,
@@ -39,7 +39,7 @@ LensFormat = Literal["ros", "opencv"]
 MATRIX = ("camera_matrix", "cameraMatrix", "K")
 DISTORTION = ("distortion_coefficients", "distCoeffs", "D")
 MODELS = ("plumb_bob", "opencv5")
-"""What ROS calls the distortion of `pickenv.calibration.model.pixels`."""
+"""Names of the distortion of `pickenv.calibration.model.pixels` in ROS."""
 COEFFICIENTS = 5
 
 
@@ -103,7 +103,7 @@ def write_lens(lens: Lens, path: str | Path, form: LensFormat = "ros") -> Path:
 
 
 def _content(text: str, path: Path) -> Any:
-    """What YAML holds that also knows OpenCV's matrices."""
+    """Content of a YAML text, OpenCV's matrices among it."""
     import yaml  # late: a camera file is read once
 
     class Loader(yaml.SafeLoader):
@@ -117,19 +117,19 @@ def _content(text: str, path: Path) -> Any:
         return yaml.load(text, Loader)
     except yaml.YAMLError as error:
         place = getattr(error, "problem_mark", None)
-        where = f", line {place.line + 1}" if place is not None else ""
-        raise InputError(f"{path}{where}: is not YAML; give a ROS camera_info or OpenCV YAML file") from error
+        line = f", line {place.line + 1}" if place is not None else ""
+        raise InputError(f"{path}{line}: is not YAML; give a ROS camera_info or OpenCV YAML file") from error
 
 
 def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array:
     """The numbers of a matrix under one of its names."""
-    given = next((found[name] for name in names if name in found), None)
-    values = given.get("data") if isinstance(given, dict) else given
+    entry = next((found[name] for name in names if name in found), None)
+    values = entry.get("data") if isinstance(entry, dict) else entry
     try:
         numbers = np.asarray(values, dtype=float).ravel()
     except (TypeError, ValueError):
         numbers = np.array([np.nan])
-    if given is None or not np.isfinite(numbers).all():
+    if entry is None or not np.isfinite(numbers).all():
         raise InputError(f"{path}: '{names[0]}' is missing or holds no numbers; give a ROS camera_info or OpenCV file")
     return numbers
 
@@ -161,8 +161,13 @@ SHIPPED = Path(__file__).parent / "shipped_boards"
 PIXELS_PER_SQUARE = 120
 """Of a board's picture; its page is drawn from it without smoothing, so that edges stay where they are."""
 
-_KIND = Check(lambda value: value in KINDS_OF_BOARD, f"one of {', '.join(KINDS_OF_BOARD)}")
-_DICTIONARY = Check(lambda value: value in DICTIONARIES, f"one of {', '.join(DICTIONARIES)}")
+
+def one_of(names: Iterable[str]) -> Check:
+    """A check that a value is among these."""
+    allowed = tuple(names)
+    return Check(allowed.__contains__, f"one of {', '.join(allowed)}")
+
+
 _COUNT = WHOLE.within(1, 100)
 
 
@@ -182,13 +187,13 @@ class Board:
     """
 
     _: KW_ONLY
-    kind: Annotated[str, _KIND]
+    kind: Annotated[str, one_of(KINDS_OF_BOARD)]
     columns: Annotated[int, _COUNT]
     rows: Annotated[int, _COUNT]
     square: Annotated[float, MM.positive]
     marker: Annotated[float, MM.positive] | None = None
     gap: Annotated[float, MM.positive] | None = None
-    dictionary: Annotated[str, _DICTIONARY] | None = None
+    dictionary: Annotated[str, one_of(DICTIONARIES)] | None = None
     legacy: bool = False
 
     def __post_init__(self) -> None:
@@ -208,7 +213,7 @@ class Board:
 
     @property
     def corners(self) -> Array:
-        """Where the corners are ``(K, 3)``, m: between squares, row by row; or four of each tag, clockwise."""
+        """Places of the corners ``(K, 3)``, m: between squares, row by row; or four of each tag, clockwise."""
         if self.kind != "apriltags":
             x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
             return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
@@ -221,7 +226,7 @@ class Board:
 
     @property
     def title(self) -> str:
-        """What it is, in words."""
+        """The board in words."""
         marker = f", markers {1e3 * self.marker:g} mm" if self.marker else ""
         gap = f", gaps {1e3 * self.gap:g} mm" if self.gap else ""
         names = f", {self.dictionary}" if self.dictionary else ""
@@ -240,13 +245,7 @@ def load_board(name: str | Path) -> Board:
     Raises:
         InputError: If it is unknown or malformed; the message names the file and key.
     """
-    path = Path(name)
-    if path.suffix != ".toml":
-        path = SHIPPED / f"{name}.toml"
-    if not is_file(path):
-        known = ", ".join(sorted(each.stem for each in SHIPPED.glob("*.toml")))
-        raise InputError(f"unknown board '{shortened(name)}'; give one of {known}, or a path (.toml)")
-    return read_toml(Board, path, section="board")
+    return read_toml(Board, file_named("board", name, SHIPPED), section="board")
 
 
 def opencv() -> Any:
@@ -271,9 +270,9 @@ def opencv_board(board: Board) -> Any:
     size = (board.columns, board.rows)
     if board.kind == "apriltags":
         return cv2.aruco.GridBoard(size, board.square, board.gap, markers)
-    made = cv2.aruco.CharucoBoard(size, board.square, board.marker, markers)
-    made.setLegacyPattern(board.legacy)
-    return made
+    charuco = cv2.aruco.CharucoBoard(size, board.square, board.marker, markers)
+    charuco.setLegacyPattern(board.legacy)
+    return charuco
 
 
 def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> Grey:
@@ -283,8 +282,8 @@ def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> G
     if board.kind == "chessboard":
         x, y = np.meshgrid(np.arange(width), np.arange(height))
         return np.where((x // pixels_per_square + y // pixels_per_square) % 2 == 0, 0, 255).astype(np.uint8)
-    drawn = opencv_board(board).generateImage((width, height), marginSize=0, borderBits=1)
-    return np.asarray(drawn, dtype=np.uint8)
+    picture = opencv_board(board).generateImage((width, height), marginSize=0, borderBits=1)
+    return np.asarray(picture, dtype=np.uint8)
 
 
 def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
@@ -373,21 +372,22 @@ def find_corners(board: Board, picture: Grey, where: str) -> FoundCorners:
     Raises:
         InputError: If no corner is found; the message says what was seen instead.
     """
-    count = len(board.corners)
     numbers, places = _found(board, picture)
     if not len(numbers):
         raise InputError(f"{where}: no corner of the board was found; {_reason(board, picture)}")
-    pixels, seen, std = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
-    pixels[numbers], seen[numbers] = places, True
-    std[numbers] = corner_std(picture, places, LEAST_STD[board.kind])
     height, width = picture.shape
-    return FoundCorners(pixels, seen, std, (width, height))
+    return corners_at(board, numbers, places, corner_std(picture, places, LEAST_STD[board.kind]), (width, height))
 
 
-def no_corners(board: Board, size: tuple[int, int], remark: str) -> FoundCorners:
-    """A picture of ``size`` (px) that shows no corner, and why."""
+def corners_at(
+    board: Board, numbers: ArrayLike, places: ArrayLike, std: ArrayLike, size: tuple[int, int], remark: str = ""
+) -> FoundCorners:
+    """Corners of these numbers ``(N,)`` at places ``(N, 2)``, px, in a picture that shows no other of the board's."""
     count = len(board.corners)
-    return FoundCorners(np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count), size, remark)
+    corners = FoundCorners(np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count), size, remark)
+    numbers = np.asarray(numbers, dtype=np.int64)
+    corners.pixels[numbers], corners.seen[numbers], corners.std[numbers] = places, True, std
+    return corners
 
 
 def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) -> Array:
@@ -398,12 +398,12 @@ def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) 
     grey = picture.astype(float)
     down, across = np.gradient(grey)
     noise = picture_noise(grey)
-    found = np.empty(len(corners))
+    stds = np.empty(len(corners))
     for i, (x, y) in enumerate(np.rint(corners).astype(int)):
         window = (slice(max(y - half, 0), y + half + 1), slice(max(x - half, 0), x + half + 1))
         g = np.stack([across[window].ravel(), down[window].ravel()])
-        found[i] = noise / np.sqrt(max(float(np.linalg.eigvalsh(g @ g.T)[0]), 1e-9))
-    return np.hypot(found, least)
+        stds[i] = noise / np.sqrt(max(float(np.linalg.eigvalsh(g @ g.T)[0]), 1e-9))
+    return np.hypot(stds, least)
 
 
 def picture_noise(grey: Array) -> float:
@@ -418,19 +418,19 @@ def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
     none = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     if board.kind == "chessboard":
         inner = (board.columns - 1, board.rows - 1)
-        found, places = cv2.findChessboardCornersSB(picture, inner, flags=cv2.CALIB_CB_ACCURACY)
-        return (np.arange(inner[0] * inner[1]), _upright(picture, places.reshape(-1, 2), inner)) if found else none
+        complete, places = cv2.findChessboardCornersSB(picture, inner, flags=cv2.CALIB_CB_ACCURACY)
+        return (np.arange(inner[0] * inner[1]), _upright(picture, places.reshape(-1, 2), inner)) if complete else none
     if board.kind == "charuco":
         places, numbers, _, _ = cv2.aruco.CharucoDetector(opencv_board(board)).detectBoard(picture)
         if numbers is None:
             return none
         return numbers.ravel().astype(np.int64), places.reshape(-1, 2).astype(float)
     corners, tags = _markers(board, picture)
-    known = [i for i, tag in enumerate(tags) if tag < board.columns * board.rows]
-    if not known:
+    of_board = [i for i, tag in enumerate(tags) if tag < board.columns * board.rows]
+    if not of_board:
         return none
-    numbers = np.concatenate([4 * tags[i] + np.arange(4) for i in known])
-    return numbers, np.concatenate([corners[i].reshape(-1, 2) for i in known]).astype(float)
+    numbers = np.concatenate([4 * tags[i] + np.arange(4) for i in of_board])
+    return numbers, np.concatenate([corners[i].reshape(-1, 2) for i in of_board]).astype(float)
 
 
 def _upright(picture: Grey, places: Array, inner: tuple[int, int]) -> Array:
@@ -457,7 +457,7 @@ def _markers(board: Board, picture: Grey) -> tuple[list[Any], list[int]]:
 
 
 def _reason(board: Board, picture: Grey) -> str:
-    """Why a picture may show no corner."""
+    """The likely reason why a picture shows no corner."""
     if len(_found(board, np.ascontiguousarray(picture[:, ::-1]))[0]):
         return "it is mirrored; give pictures as the camera makes them, not as a mirror shows them"
     if board.kind == "chessboard":
@@ -466,6 +466,6 @@ def _reason(board: Board, picture: Grey) -> str:
     if tags and len(tags) <= FEW_MARKERS and max(tags) < board.columns * board.rows // 2:
         return f"it shows {len(tags)} of its markers, too few to tell a corner; have more of the board in it"
     if tags:
-        shown = ", ".join(map(str, sorted(tags)[:5]))
-        return f"it shows markers of {board.dictionary} (numbers {shown}), but of another board; check [board]"
+        numbers = ", ".join(map(str, sorted(tags)[:5]))
+        return f"it shows markers of {board.dictionary} (numbers {numbers}), but of another board; check [board]"
     return f"it shows no marker of {board.dictionary}; check [board], light and focus"

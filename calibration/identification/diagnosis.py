@@ -1,4 +1,4 @@
-"""What is wrong with a data set as a whole: rows far off or trained on, units mixed within a column, another set-up.
+"""Faults of a data set as a whole: rows far off or trained on, units mixed within a column, another set-up.
 
 No single cell betrays these. A robust fit, always made, finds the poses that agree with each other; whatever the others
 have in common (one column that fits in another unit) is said. Held-out rows pass the same checks before they judge.
@@ -20,7 +20,7 @@ from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import Identification, unknowns_of
 from pickenv.calibration.identification.robust import OUTLIER_SIGMA, RobustIdentification, align, apart, robust_fit
 from pickenv.calibration.model.arm_model import frames_model
-from pickenv.calibration.model.measurements import Measurements, Stacked
+from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, SAME_POSE, Kind, Observations, Rows, named, origins_of
 from pickenv.calibration.model.pixels import PixelObservations
 
@@ -46,26 +46,26 @@ def refuse_trained(train: Observations, test: Observations) -> None:
     Raises:
         InputError: Names file and lines of these rows, and of the training rows that they are.
     """
-    there, here = [], []
-    for other in test.parts:
-        for known in train.parts:
-            rows, copied = _copies(known, other)
-            there += [origins_of(other).place(row) for row in rows.tolist()]
-            here += [origins_of(known).place(row) for row in copied.tolist()]
-    if there:
+    copies, originals = [], []
+    for test_part in test.parts:
+        for train_part in train.parts:
+            rows, copied = _copies(train_part, test_part)
+            copies += [origins_of(test_part).place(row) for row in rows.tolist()]
+            originals += [origins_of(train_part).place(row) for row in copied.tolist()]
+    if copies:
         raise InputError(
-            f"{named(there)} of the rows to judge by: trained on too ({named(here)}), with the same joints and, but "
-            "for rounding, the same reading; give rows that were measured by themselves"
+            f"{named(copies)} of the rows to judge by: trained on too ({named(originals)}), with the same joints and, "
+            "but for rounding, the same reading; give rows that were measured by themselves"
         )
 
 
 def said_of_repeats(train: Observations, test: Observations) -> Iterator[tuple[Literal["caution", "note"], str]]:
-    """What a verdict says where rows to judge by stand at poses that were trained on: a caution where most do."""
+    """A verdict's remark on rows to judge by at poses that were trained on: a caution where most are."""
     rows = len(test.joints)
     count = int(np.count_nonzero(_nearest(train.joints, test.joints, SAME_POSE) >= 0)) if rows else 0
     if count:
-        said = f"{count} of {rows} held-out rows are at poses that were trained on, and say nothing of others"
-        yield "caution" if 2 * count > rows else "note", said
+        sentence = f"{count} of {rows} held-out rows are at poses that were trained on, and say nothing of others"
+        yield "caution" if 2 * count > rows else "note", sentence
 
 
 def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
@@ -187,31 +187,28 @@ def checked_rows(
         InputError: If the held-out rows come from another set-up.
     """
     try:
-        found = robust_fit(arm, train, known)
+        fit = robust_fit(arm, train, known)
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
     sets = (train, test) if len(test.joints) else (train,)
-    scales = found.sizes.scales
-    if isinstance(train, Stacked) and isinstance(test, Stacked):  # of held-out rows some stations may have none
-        scales = scales[train.channels_of(test)]
-    sizes = [found.sizes_of(data, scales if data is test else None).sigma for data in sets]
+    scales = fit.sizes.scales[train.channels_of(test)]  # of held-out rows some stations may have none
+    sizes = [fit.sizes_of(data, scales if data is test else None).sigma for data in sets]
     far = [np.flatnonzero(~(size <= OUTLIER_SIGMA)) for size in sizes]
     if 2 * len(far[0]) >= len(train.joints):
         return train, test, ()
     if len(test.joints) >= FEW and 2 * len(far[1]) > len(test.joints):
-        raise InputError(_other_set_up(arm, found, train, test))
+        raise InputError(_other_set_up(arm, fit, train, test))
     if len(sets) > 1 and len(far[1]) == len(test.joints):
         far[1] = far[1][:0]  # not these rows are far off, but what so few told; and nothing else is there to judge by
     listed: list[LeftOut] = []
     for data, size, rows in zip(sets, sizes, far, strict=True):
-        listed += _far_rows(arm, found, data, size, rows, held_out=data is test, kept=not robust)
-    if isinstance(train, Stacked):
-        train = train.weighed(found.sizes.scales[train.first_channels()].tolist())
-        sets = (train, *sets[1:])
+        listed += _far_rows(arm, fit, data, size, rows, held_out=data is test, kept=not robust)
+    train = train.weighed(fit.sizes.scales)
+    sets = (train, *sets[1:])
     if robust:
         near = [np.setdiff1d(np.arange(len(data.joints)), rows) for data, rows in zip(sets, far, strict=True)]
-        left = [data.select(rows) for data, rows in zip(sets, near, strict=True)]
-        train, test = left[0], left[1] if len(sets) > 1 else test
+        remaining = [data.select(rows) for data, rows in zip(sets, near, strict=True)]
+        train, test = remaining[0], remaining[1] if len(sets) > 1 else test
     return train, test, tuple(sorted(listed, key=lambda item: -(item.sigma or 0.0)))
 
 
@@ -242,7 +239,7 @@ def _far_rows(
 
 
 def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal["caution", "note"], str]]:
-    """What a verdict says of rows far off: a caution where they are kept, many, or of one cause, else a note.
+    """A verdict's remark on rows far off: a caution where they are kept, many, or of one cause, else a note.
 
     Args:
         listed: The rows.
@@ -251,16 +248,16 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal
     far = [item for item in listed if item.sigma is not None]
     if not far:
         return
-    one, worst = len(far) == 1, max(far, key=lambda item: item.position or 0.0)
+    single, worst = len(far) == 1, max(far, key=lambda item: item.position or 0.0)
     many = len(far) > MANY_FAR * rows
     causes = dict.fromkeys(item.why for item in far if item.why is not None)
-    them = f"{len(far)} of {rows} rows {'is' if one else 'are'} far off, by up to {worst.miss}"
+    them = f"{len(far)} of {rows} rows {'is' if single else 'are'} far off, by up to {worst.miss}"
     if any(item.kept for item in far):
-        yield "caution", f"{them}, and {'was' if one else 'were'} kept all the same; leave --no-robust out"
+        yield "caution", f"{them}, and {'was' if single else 'were'} kept all the same; a robust fit leaves them out"
     elif causes:
         yield "caution", f"{them}, and left out: they fit only if {'; '.join(causes)}; write all rows in one unit"
     else:
-        yield "caution" if many else "note", f"{them}, and {'was' if one else 'were'} left out"
+        yield "caution" if many else "note", f"{them}, and {'was' if single else 'were'} left out"
 
 
 def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Iterator[tuple[Literal["caution"], str]]:
@@ -279,9 +276,9 @@ def said_of_stations(found: Identification, data: Observations) -> Iterator[tupl
     """A caution for each station that is missed by far more than the others, wherever its base and tool may be."""
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
-    left = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
+    sizes = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
     ends = np.cumsum([len(part.rows_of_misses) for part in data.parts])
-    usual = [float(np.median(misses)) for misses in np.split(left, ends[:-1])]
+    usual = [float(np.median(misses)) for misses in np.split(sizes, ends[:-1])]
     for number, part in enumerate(data.parts):
         others = float(np.median(usual[:number] + usual[number + 1 :])) if len(usual) > 1 else usual[number]
         if usual[number] > ANOTHER_ARM * others:
@@ -294,32 +291,32 @@ def said_of_stations(found: Identification, data: Observations) -> Iterator[tupl
 
 
 def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, test: Observations) -> str:
-    """Why most held-out rows miss: another unit, another place of base or tool, or something else."""
+    """The reason why most held-out rows miss: another unit, another place of base or tool, or something else."""
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
-    scale, shown = MISS_UNITS[test.miss_unit], test.miss_unit
-    away = f"{np.median(found.misses_of(test)) * scale:.3g} {shown}"
+    scale, unit_name = MISS_UNITS[test.miss_unit], test.miss_unit
+    away = f"{np.median(found.misses_of(test)) * scale:.3g} {unit_name}"
     if test.poses is not None:
         unit = mixed_unit(arm, found, test.poses, np.arange(len(test.joints)))
         if unit is not None:
             return f"{files}: the held-out rows fit the training rows only if {unit}; write both in one unit"
         geometry = found.geometry
         try:
-            moved = align(geometry, test.poses, frames_model(geometry)).geometry
+            realigned = align(geometry, test.poses, frames_model(geometry)).geometry
         except InputError:
-            moved = geometry
-        moved_fit = replace(found.identification, arm_model=replace(found.identification.arm_model, geometry=moved))
-        there = replace(found, identification=moved_fit).sizes_of(test)
-        if float(np.median(there.sigma)) <= OUTLIER_SIGMA / 2:
+            realigned = geometry
+        moved_fit = replace(found.identification, arm_model=replace(found.identification.arm_model, geometry=realigned))
+        sizes = replace(found, identification=moved_fit).sizes_of(test)
+        if float(np.median(sizes.sigma)) <= OUTLIER_SIGMA / 2:
             base, tool = (
                 f"{metres * 1e3:.3g} mm and {np.degrees(angle):.3g} deg"
-                for metres, angle in (apart(geometry.base, moved.base), apart(geometry.tool, moved.tool))
+                for metres, angle in (apart(geometry.base, realigned.base), apart(geometry.tool, realigned.tool))
             )
             return (
                 f"{files}: the held-out rows were measured in another set-up (they miss by {away}, median): with the "
                 f"base moved by {base} and the tool by {tool} they fit; hold out rows of the training rows' own "
                 "set-up, or calibrate this file by itself"
             )
-    usual = f"{np.median(found.misses_of(train)) * scale:.2g} {shown}"
+    usual = f"{np.median(found.misses_of(train)) * scale:.2g} {unit_name}"
     return (
         f"{files}: most held-out rows miss by {away} (median), where half of the training rows miss by less than "
         f"{usual}, and no other place of base or tool explains it; check that they are of this arm, with the same "
@@ -333,7 +330,7 @@ def mixed_unit(
     """The column and unit that explain most of the outliers, in words; None if none does."""
     outliers = measurements.select(rows)
     explained = {
-        words: float(np.mean(found.sizes_of(other).sigma < EXPLAINED)) for words, other in _readings(arm, outliers)
+        words: float(np.mean(found.sizes_of(reading).sigma < EXPLAINED)) for words, reading in _readings(arm, outliers)
     }
     best = max(explained, key=lambda words: explained[words])
     return best if explained[best] >= 0.8 else None
@@ -353,47 +350,44 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
         values["rotation"] = rotation_vector(data.rotation)
         columns.append(("the attitude", "rotation", [0, 1, 2], angle))
     for label, name, axes, (small, large, factor) in columns:
-        for here, elsewhere, scale in ((small, large, factor), (large, small, 1 / factor)):
+        for unit, elsewhere, scale in ((small, large, factor), (large, small, 1 / factor)):
             changed = values[name].copy()
             changed[:, axes] *= scale
             rows = replace(data, **{name: rotation_matrix(changed) if name == "rotation" else changed})  # type: ignore[arg-type]
-            yield f"{label} is read in {here} there and in {elsewhere} elsewhere", rows
+            yield f"{label} is read in {unit} there and in {elsewhere} elsewhere", rows
 
 
 def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
     """Rows of any kind; pictures, of one station or several, without the views that tell too little."""
-    if data.views is not None:
-        return telling_views(data.views)
-    if not data.stations:
+    first, left_out = 0, []
+    for part in data.parts:
+        reasons = {} if part.views is None else _blind_views(part.views)
+        left_out += [(first + row, why) for row, why in reasons.items()]
+        first += len(part.joints)
+    if not left_out:
         return data, ()
-    each = [without_blind_views(part) for part in data.parts]
-    stations = zip(data.stations, each, strict=True)
-    kept = Stacked(tuple(replace(station, data=part) for station, (part, _) in stations))
-    return kept, tuple(item for _, left in each for item in left)
+    origins, rows = origins_of(data), np.setdiff1d(np.arange(first), [row for row, _ in left_out])
+    return data.select(rows), tuple(LeftOut(*origins.place(row), held_out=False, why=why) for row, why in left_out)
 
 
-def telling_views(views: PixelObservations) -> tuple[PixelObservations, tuple[LeftOut, ...]]:
-    """The views that tell where their board is, and those left out: too few corners, or all near one line."""
-    left: list[LeftOut] = []
-    kept = []
-    for row, seen in enumerate(views.seen):
-        count, why = int(seen.sum()), None
+def _blind_views(views: PixelObservations) -> dict[int, str]:
+    """Views that do not tell where their board is, and why: too few corners, or all near one line."""
+    reasons = {}
+    for row, visible in enumerate(views.seen):
+        count = int(visible.sum())
         if count < LEAST_CORNERS:
-            why = f"{count} {'corner' if count == 1 else 'corners'} found; a view needs {LEAST_CORNERS}"
-            if views.remarks is not None and views.remarks[row]:
-                why = str(views.remarks[row])
-        elif _thinness(views.corners[row][seen]) < LEAST_SPREAD:
-            why = f"its {count} corners lie near one line, and do not tell how the board is turned"
-        if why is None:
-            kept.append(row)
-        else:
-            left.append(LeftOut(*origins_of(views).place(row), held_out=False, why=why))
-    if len(kept) < LEAST_VIEWS:
+            remark = "" if views.remarks is None else str(views.remarks[row])
+            few = f"{count} {'corner' if count == 1 else 'corners'} found; a view needs {LEAST_CORNERS}"
+            reasons[row] = remark or few
+        elif _thinness(views.corners[row][visible]) < LEAST_SPREAD:
+            reasons[row] = f"its {count} corners lie near one line, and do not tell how the board is turned"
+    clear = len(views.joints) - len(reasons)
+    if clear < LEAST_VIEWS:
         raise InputError(
-            f"{views.source}: {len(kept)} of {len(views.joints)} views show enough of the board, of which "
-            f"{LEAST_VIEWS} are needed; take more pictures, with the board larger in them"
+            f"{views.source}: {clear} of {len(views.joints)} views show enough of the board, of which {LEAST_VIEWS} "
+            "are needed; take more pictures, with the board larger in them"
         )
-    return views.select(np.array(kept)), tuple(left)
+    return reasons
 
 
 def _thinness(places: Array) -> float:

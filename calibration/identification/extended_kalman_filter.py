@@ -6,7 +6,6 @@ One pose at a time, online, or a whole data set in one pass. Covariances are upd
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,7 +28,7 @@ HOUR = 3600.0
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
-    """What the filter knows after the poses it has seen.
+    """The filter's knowledge after the poses it has seen.
 
     Attributes:
         arm_model: Current estimate: geometry and coefficients of terms.
@@ -100,14 +99,14 @@ def continue_filter(model: ErrorModel, identified: Identification, *, inflation:
     Raises:
         InputError: If the identification has no covariance, because it had no spare equations.
     """
-    own = len(identified.unknowns)
-    kept = identified.identifiability.kept
-    ours = kept >= own
+    count = len(identified.unknowns)
+    base = identified.identifiability.kept
+    ours = base >= count
     covariance = identified.covariance[np.ix_(ours, ours)] * inflation**2
     if not np.isfinite(covariance).all():
         raise InputError("the identification has no covariance to go on from; measure more poses than parameters need")
-    chosen = kept[ours] - own
-    return FilterState(identified.arm_model, model.columns[chosen], model.tolerance[chosen], covariance)
+    places = base[ours] - count
+    return FilterState(identified.arm_model, model.columns[places], model.tolerance[places], covariance)
 
 
 def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> FilterState:
@@ -242,7 +241,6 @@ class Filtered:
         innovations: Measured minus predicted pose of each row before it was used ``(N, 6)`` or ``(N, 3)``, m and rad.
         nis: Normalised innovation squared of each ``(N,)``.
         rejected: Rows that the gate refused, counted from 0.
-        solve_seconds: Time of the pass.
     """
 
     state: FilterState
@@ -251,7 +249,6 @@ class Filtered:
     innovations: Array
     nis: Array
     rejected: tuple[int, ...]
-    solve_seconds: float
 
     @property
     def geometry(self) -> Geometry:
@@ -268,16 +265,6 @@ class Filtered:
         """Mean normalised innovation squared per coordinate: 1 if the assumed noise explains the innovations."""
         used = np.setdiff1d(np.arange(len(self.nis)), self.rejected)
         return float(np.mean(self.nis[used]) / self.innovations.shape[1]) if len(used) else float("nan")
-
-    def report(self) -> str:
-        """A short report for people."""
-        found = self.identifiability
-        return (
-            f"one pass over {len(self.nis)} poses in {1e3 * self.solve_seconds:.0f} ms, "
-            f"{len(self.rejected)} refused\n"
-            f"identifiable: {found.rank} of {len(found.names)} parameters; innovations are "
-            f"{np.sqrt(self.consistency):.1f} times as large as the assumed noise explains"
-        )
 
 
 def filter_measurements(
@@ -302,10 +289,9 @@ def filter_measurements(
     Raises:
         InputError: If there are too few poses for what is to be identified.
     """
-    begin = time.perf_counter()
     arm = ArmModel.of(start)
     rows, conditions = measurements.rows_per_pose, measurements.conditions
-    state, found = _diffuse(model, arm, measurements.joints, rows, conditions, prior)
+    state, base = _diffuse(model, arm, measurements.joints, rows, conditions, prior)
     noise = noise or MeasurementNoise(measurements.position_std, measurements.attitude_std)
     states = [state]
     for i in range(len(measurements)):
@@ -315,12 +301,11 @@ def filter_measurements(
         states.append(state)
     return Filtered(
         state=state,
-        identifiability=found,
+        identifiability=base,
         delta=arm.difference(state.arm_model)[model.columns],
-        innovations=np.array([each.innovation for each in states[1:]]),
-        nis=np.array([each.nis for each in states[1:]]),
-        rejected=tuple(np.flatnonzero(np.diff([each.rejected for each in states])).tolist()),
-        solve_seconds=time.perf_counter() - begin,
+        innovations=np.array([step.innovation for step in states[1:]]),
+        nis=np.array([step.nis for step in states[1:]]),
+        rejected=tuple(np.flatnonzero(np.diff([step.rejected for step in states])).tolist()),
     )
 
 
@@ -334,6 +319,6 @@ def _diffuse(
             f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
         )
     jacobian = arm.jacobian(np.asarray(joints, dtype=float), conditions)[:, :rows, model.columns] * model.tolerance
-    found = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
-    tolerance = model.tolerance[found.kept]
-    return FilterState(arm, model.columns[found.kept], tolerance, np.diag((prior * tolerance) ** 2)), found
+    base = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
+    tolerance = model.tolerance[base.kept]
+    return FilterState(arm, model.columns[base.kept], tolerance, np.diag((prior * tolerance) ** 2)), base

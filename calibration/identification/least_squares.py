@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -19,10 +19,10 @@ from scipy.linalg import solve_triangular
 from pickenv.arm import Array, Geometry
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS
 from pickenv.base import InputError, single_threaded
-from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, ErrorModel
-from pickenv.calibration.model.measurements import Measurements, random_joints
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
+from pickenv.calibration.model.measurements import FRAME_TOLERANCES, Measurements, frame_columns, random_joints
 from pickenv.calibration.model.noise import RowNoise
-from pickenv.calibration.model.observations import Equations, Imaginable, Observations
+from pickenv.calibration.model.observations import Equations, Observations
 from pickenv.calibration.model.prior import PriorModel
 
 PROBES = 60
@@ -93,7 +93,7 @@ class Identification:
 
     @property
     def scatter(self) -> float:
-        """What remains, in claimed standard uncertainties."""
+        """Root mean square of the residual, in claimed standard uncertainties."""
         return float(np.sqrt(self.chi_square / max(self.degrees_of_freedom, 1)))
 
     @property
@@ -110,32 +110,15 @@ class Identification:
 
     @property
     def narrowed(self) -> Array:
-        """How much narrower every parameter is known than before measuring, 0 to 1; 0 for dropped ones."""
-        known = np.isfinite(self.standard_deviation)
-        std = np.where(known, self.standard_deviation, self.prior_std)
-        return np.where(known, np.clip(1.0 - std / np.where(known, self.prior_std, 1.0), 0.0, 1.0), 0.0)
+        """Share by which every parameter is known more narrowly than before measuring, 0 to 1; 0 for dropped ones."""
+        with np.errstate(invalid="ignore"):
+            return np.nan_to_num(np.clip(1.0 - self.standard_deviation / self.prior_std, 0.0, 1.0))
 
     @property
     def spent(self) -> float:
-        """How many parameters' worth of the rows the fit used up."""
+        """Number of parameters' worth of the rows that the fit used up."""
         width = self.prior_std[self.identifiability.kept]
         return float(np.sum(1.0 - np.clip(np.diag(self.covariance) / width**2, 0.0, 1.0)))
-
-    def report(self) -> str:
-        """A short report for people: rank, condition, what was dropped, and the parameters in mm and degrees."""
-        found = self.identifiability
-        state = "converged" if self.converged else "NOT CONVERGED"
-        lines = [
-            f"{state} after {len(self.residual_rms) - 1} iterations on {self.poses} poses ({self.kind})",
-            f"identifiable: {found.rank} of {len(found.names)} parameters, condition {found.condition:.1f}",
-        ]
-        lines += [f"  dropped {item.name}: {describe_absorption(item.absorbed_by)}" for item in found.dropped]
-        lines.append(f"{'parameter':>10}  {'change':>12}  {'± 1 sigma':>12}")
-        for k in found.kept:
-            scale, unit = (np.degrees(1.0), "deg") if is_angle(found.names[k]) else (1e3, "mm")
-            change, std = self.delta[k] * scale, self.standard_deviation[k] * scale
-            lines.append(f"{found.names[k]:>10}  {change:>12.5f}  {std:>12.5f} {unit}")
-        return "\n".join(lines)
 
 
 def unknowns_of(found: Identification, observations: Observations) -> Array:
@@ -144,27 +127,18 @@ def unknowns_of(found: Identification, observations: Observations) -> Array:
     Raises:
         InputError: If it has one that the rows fitted had not.
     """
-    new = [name for name in observations.unknowns() if name not in found.unknowns]
-    if new:
-        what = new[0].removesuffix("_x")
+    names = observations.unknowns()
+    for name in (name for name in names if name not in found.unknowns):
         raise InputError(
-            f"{observations.source}: {what} occurs in no row that was fitted; give rows of it to fit, or leave it out"
+            f"{observations.source}: {name.removesuffix('_x')} occurs in no row that was fitted; give rows of it to "
+            "fit, or leave it out"
         )
-    return np.array([found.unknowns[name] for name in observations.unknowns()])
+    return np.array([found.unknowns[name] for name in names])
 
 
 def is_angle(name: str) -> bool:
     """Whether a parameter's name is that of an angle."""
     return name.startswith(("alpha", "theta", "beta")) or name.partition("_")[2].startswith("r")
-
-
-def describe_absorption(absorbed_by: dict[str, float]) -> str:
-    """Say in words what absorbs a dropped parameter."""
-    if not absorbed_by:
-        return "has no effect on these measurements"
-    parts = sorted(absorbed_by.items(), key=lambda item: -abs(item[1]))
-    shown = " ".join(f"{value:+.4g} {name}" for name, value in parts[:4])
-    return f"absorbed by {shown}" + (f" and {len(parts) - 4} more" if len(parts) > 4 else "")
 
 
 @single_threaded()
@@ -198,101 +172,107 @@ def identify(
     Raises:
         InputError: If there are too few poses for the model's rank.
     """
-    started = time.perf_counter()
-    sets = observations_of(data)
+    begin = time.perf_counter()
+    sets = tuple(data) if isinstance(data, Sequence) else (data,)
     arm = ArmModel.of(start)
     unknowns = [part.start(arm) for part in sets]
-    begun = np.concatenate(unknowns)
-    own = tuple(name for part in sets for name in part.unknowns())
-    names = own + model.names
+    own_names = tuple(name for part in sets for name in part.unknowns())
+    names = own_names + model.names
     tolerance = np.concatenate([*(part.tolerances() for part in sets), model.tolerance])
     whiten = whiten or np.asarray
-    weighted = whiten(_stacked(sets, arm, unknowns))
-    columns = _system(model, sets, arm, unknowns, tolerance, whiten)
-    matrix, right = triangle(columns, weighted)
     poses = sum(len(part.joints) for part in sets)
+
+    def residual() -> Array:
+        return whiten(_residual(sets, arm, unknowns))
+
+    def linearised() -> tuple[Array, Array, Array]:
+        columns = whiten(_jacobian(model, sets, arm, unknowns, tolerance))
+        return columns, *triangle(columns, weighted)
+
+    def rank(arm: ArmModel, matrix: Array) -> Identifiability:
+        return identifiable_parameters(model, sets, arm, unknowns, matrix, names, tolerance, rank_tolerance)
+
+    weighted = residual()
+    columns, matrix, right = linearised()
     if every:
-        found = identifiability(matrix, names, tolerance, poses, NOTHING)
+        base = identifiability(matrix, names, tolerance, poses, NOTHING)
     else:
-        rows = matrix if any(part.framed for part in sets) else columns
-        found = identifiable_parameters(model, sets, arm, unknowns, rows, names, tolerance, rank_tolerance)
-        _enough_poses(model, arm, sets, unknowns, found.rank, len(weighted))
-    kept, scale = found.kept, tolerance[found.kept]
-    iterates, unknown_iterates = [arm], [begun]
-    history = [_rms(weighted)]
-    converged, near, damping, offset, judged = False, False, 0.0, np.inf, every or not own
-    for _ in range(max_iterations if judged else 2 * max_iterations):
-        whole = _solve(matrix[:, kept], right, 0.0)
-        step = _solve(matrix[:, kept], right, damping) if damping else whole
+        base = rank(arm, matrix if any(part.framed for part in sets) else columns)
+        _enough_poses(model, arm, sets, unknowns, base.rank, len(weighted))
+    iterates, unknown_iterates, history = [arm], [np.concatenate(unknowns)], [_rms(weighted)]
+    converged, near, damping, offset, rank_is_final = False, False, 0.0, np.inf, every or not own_names
+    for _ in range(max_iterations if rank_is_final else 2 * max_iterations):
+        full_step = _solve(matrix[:, base.kept], right, 0.0)
+        step = _solve(matrix[:, base.kept], right, damping) if damping else full_step
         change = np.zeros(len(names))
-        change[kept] = step * scale
-        moved, moved_unknowns = _moved(arm, unknowns, model, change)
-        moved_weighted = whiten(_stacked(sets, moved, moved_unknowns))
-        rms = _rms(moved_weighted)
+        change[base.kept] = step * tolerance[base.kept]
+        before = arm, unknowns, weighted
+        arm, unknowns = _displaced(arm, unknowns, model, change)
+        weighted = residual()
+        rms = _rms(weighted)
         # A shortened step proves nothing: what counts is what the whole one would still explain.
-        progress = judged_step(whole, matrix[:, kept] @ whole, weighted, history[-1], rms)
+        progress = judged_step(full_step, matrix[:, base.kept] @ full_step, before[2], history[-1], rms)
         if not progress.better:
+            arm, unknowns, weighted = before
             # Worse by rounding alone is the minimum. Terms move with the geometry, which the Jacobian leaves out, so
             # that near it even short steps may make it worse: then what is left counts.
             if progress.negligible or (damping and progress.offset < (30 * OFFSET) ** 2):
                 converged = True
                 break
             if near:  # the derivatives are those of an earlier step
-                near, columns = False, _system(model, sets, arm, unknowns, tolerance, whiten)
-                matrix, right = triangle(columns, weighted)
+                near, (columns, matrix, right) = False, linearised()
                 continue
             # Levenberg: a step that makes it worse is shortened until it helps.
             damping = max(damping * 10.0, 1e-3)
             if damping > 1e9:
                 break
             continue
-        arm, unknowns, weighted = moved, moved_unknowns, moved_weighted
         history.append(rms)
         iterates.append(arm)
         unknown_iterates.append(np.concatenate(unknowns))
         settled = progress.negligible or (damping == 0.0 and progress.finished)
-        if settled and judged:
+        if settled and rank_is_final:
             converged = True
             break
         near = every and damping == 0.0 and not settled and bool(progress.offset < min(NEAR**2, offset / 100.0))
         offset = progress.offset
         if near:
-            q, r = np.linalg.qr(matrix[:, kept])
-            right = q @ solve_triangular(r, (columns.T @ weighted)[kept], trans=1)
+            q, r = np.linalg.qr(matrix[:, base.kept])
+            right = q @ solve_triangular(r, (columns.T @ weighted)[base.kept], trans=1)
         else:
-            columns = _system(model, sets, arm, unknowns, tolerance, whiten)
-            matrix, right = triangle(columns, weighted)
+            columns, matrix, right = linearised()
         if settled:
             # Where a kind's unknowns start, a parameter may have no effect that has one where they end: a tip that
             # starts in the flange's middle hides how the flange turns. So the rank is judged once more with them, of
             # the arm as it started: axes that were parallel are told apart by their errors alone, which is too weak.
-            judged = True
-            seen = _system(model, sets, iterates[0], unknowns, tolerance, whiten)
-            there = identifiable_parameters(model, sets, iterates[0], unknowns, seen, names, tolerance, rank_tolerance)
-            if there.rank <= found.rank:
+            rank_is_final = True
+            larger = rank(iterates[0], whiten(_jacobian(model, sets, iterates[0], unknowns, tolerance)))
+            if larger.rank <= base.rank:
                 converged = True
                 break
-            found, kept, scale = there, there.kept, tolerance[there.kept]
+            base = larger
         damping = damping / 10.0 if damping > 1e-6 else 0.0
-    ended = np.concatenate(unknowns)
-    chi_square, freedom = float(weighted @ weighted), len(weighted) - found.rank
+    chi_square, freedom = float(weighted @ weighted), len(weighted) - base.rank
     if every:  # of the rows alone, as stated
         measured = [(part, values) for part, values in zip(sets, unknowns, strict=True) if len(part.joints)]
         stated = np.concatenate([part.residual(arm, values) for part, values in measured])
-        chi_square, freedom = float(stated @ stated), len(stated) - found.rank
+        chi_square, freedom = float(stated @ stated), len(stated) - base.rank
+    end = np.concatenate(unknowns)
     return Identification(
         arm_model=arm,
-        unknowns=dict(zip(own, ended.tolist(), strict=True)),
-        identifiability=found,
-        delta=np.concatenate([ended - begun, iterates[0].difference(arm)[model.columns]]),
-        covariance=_posterior(matrix[:, kept], scale) if every else _covariance(matrix, weighted, found, tolerance),
+        unknowns=dict(zip(own_names, end.tolist(), strict=True)),
+        identifiability=base,
+        delta=np.concatenate([end - unknown_iterates[0], iterates[0].difference(arm)[model.columns]]),
+        covariance=_posterior(matrix[:, base.kept], tolerance[base.kept])
+        if every
+        else _covariance(matrix, weighted, base, tolerance),
         chi_square=chi_square,
         degrees_of_freedom=freedom,
         converged=converged,
         residual_rms=tuple(history),
         iterates=tuple(iterates),
         unknown_iterates=tuple(unknown_iterates),
-        solve_seconds=time.perf_counter() - started,
+        solve_seconds=time.perf_counter() - begin,
         poses=poses,
         kind="+".join(dict.fromkeys(part.kind for part in sets if len(part.joints))),
     )
@@ -307,18 +287,18 @@ def identify_converged(
         InputError: As `identify`, or if it does not converge even so.
     """
     for factor in (1.0, 3.0, 10.0):
-        found = identify(model, start, data, max_iterations=60, rank_tolerance=factor * REDUNDANCY_TOLERANCE)
-        if found.converged:
-            return found
+        solution = identify(model, start, data, max_iterations=60, rank_tolerance=factor * REDUNDANCY_TOLERANCE)
+        if solution.converged:
+            return solution
+    first = data[0] if isinstance(data, Sequence) else data
     raise InputError(
-        f"{observations_of(data)[0].source}: the identification did not converge (residual "
-        f"{found.residual_rms[-1]:.3g} standard uncertainties); check units, joint signs and outliers, or measure more "
-        "varied poses"
+        f"{first.source}: the identification did not converge (residual {solution.residual_rms[-1]:.3g} standard "
+        "uncertainties); check units, joint signs and outliers, or measure more varied poses"
     )
 
 
 class Progress(NamedTuple):
-    """What a Gauss-Newton step achieved, of one arm or of many ``(...)``.
+    """The achievement of a Gauss-Newton step, of one arm or of many ``(...)``.
 
     Attributes:
         offset: Squared: what the whole step would still explain, per parameter and against the scatter (relative
@@ -351,42 +331,34 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
     return Progress(offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after <= 1e-7 * after))
 
 
-def observations_of(data: Measurements | Sequence[Equations]) -> tuple[Equations, ...]:
-    """Poses and positions in the role of observations; other kinds as they are."""
-    return tuple(data) if isinstance(data, Sequence) else (data,)
-
-
-def _stacked(sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
+def _residual(sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
     """Stated residuals of all data."""
     return np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
 
 
-def _system(
-    model: ErrorModel,
-    sets: Sequence[Equations],
-    arm: ArmModel,
-    unknowns: Sequence[Array],
-    tolerance: Array,
-    whiten: Callable[[Array], Array] = np.asarray,
+def _jacobian(
+    model: ErrorModel, sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array], tolerance: Array
 ) -> Array:
-    """Whitened, scaled Jacobian: unknowns first, then the model's columns."""
+    """Stated, scaled Jacobian: unknowns first, then the model's columns."""
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
-    whole = np.zeros((len(tolerance), sum(len(by_arm) for by_arm, _ in parts))).T
-    row, own, first = 0, 0, len(tolerance) - len(model.columns)
+    jacobian = np.zeros((len(tolerance), sum(len(by_arm) for by_arm, _ in parts))).T
+    row, column, first = 0, 0, len(tolerance) - len(model.columns)
     for by_arm, by_own in parts:
-        rows, places = slice(row, row + len(by_arm)), slice(own, own + by_own.shape[1])
-        whole[rows, places] = by_own * tolerance[places]
-        np.multiply(by_arm.T[model.columns], tolerance[first:, None], out=whole.T[first:, rows])
-        row, own = rows.stop, places.stop
-    return whiten(whole)
+        rows, places = slice(row, row + len(by_arm)), slice(column, column + by_own.shape[1])
+        jacobian[rows, places] = by_own * tolerance[places]
+        np.multiply(by_arm.T[model.columns], tolerance[first:, None], out=jacobian.T[first:, rows])
+        row, column = rows.stop, places.stop
+    return jacobian
 
 
-def _moved(arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array) -> tuple[ArmModel, list[Array]]:
+def _displaced(
+    arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array
+) -> tuple[ArmModel, list[Array]]:
     """The arm and the unknowns after ``change`` (unknowns first, then the model's parameters)."""
-    *own, ours = np.split(change, np.cumsum([len(values) for values in unknowns]))
+    *steps, ours = np.split(change, np.cumsum([len(values) for values in unknowns]))
     delta = np.zeros(len(arm.parameter_names))
     delta[model.columns] = ours
-    return arm.displaced(delta), [values + part for values, part in zip(unknowns, own, strict=True)]
+    return arm.displaced(delta), [values + step for values, step in zip(unknowns, steps, strict=True)]
 
 
 def _solve(matrix: Array, right: Array, damping: float) -> Array:
@@ -435,11 +407,12 @@ def _enough_poses(
     if rows >= 2 * parameters:
         return  # whatever the rank elsewhere, there are enough
     part, full = sets[0], rank
-    if len(sets) == 1 and isinstance(part, Imaginable):
-        probe = part.imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
+    imagined = getattr(part, "imagined", None)  # not every data set can be asked at other poses
+    if len(sets) == 1 and imagined is not None:
+        probe = imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
         links = model.some(model.columns < len(arm.geometry.parameter_names))
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
-        matrix, names = _system(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
+        matrix, names = _jacobian(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
         elsewhere = identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance)
         full = max(full, elsewhere.rank)
     if rows <= full or (part.kind in ("pose", "position") and rank < full and rows < 2 * full):
@@ -529,28 +502,28 @@ def identifiability(
     basis = np.zeros((len(r), 0))
     diagonal = np.zeros(len(names))
     for k in range(len(names)):
-        rest = r[:, k]
+        added = r[:, k]
         for _ in range(2):  # twice is enough for orthogonality to the last digit (Kahan, Parlett)
-            rest = rest - basis @ (basis.T @ rest)
-        diagonal[k] = np.linalg.norm(rest)
+            added = added - basis @ (basis.T @ added)
+        diagonal[k] = np.linalg.norm(added)
         if diagonal[k] > least:
-            basis = np.column_stack([basis, rest / diagonal[k]])
+            basis = np.column_stack([basis, added / diagonal[k]])
     adds = diagonal > least
-    kept = np.flatnonzero(adds)
-    triangle = basis.T @ r[:, kept]
+    base = np.flatnonzero(adds)
+    triangle = basis.T @ r[:, base]
     dropped = []
     for k in np.flatnonzero(~adds).tolist():
-        share = solve_triangular(triangle, basis.T @ r[:, k]) * tolerance[kept] / tolerance[k]
-        scaled = np.abs(share) * tolerance[k] / tolerance[kept]
-        absorbed = {names[j]: float(c) for j, c, s in zip(kept, share, scaled, strict=True) if s > 1e-3}
+        share = solve_triangular(triangle, basis.T @ r[:, k]) * tolerance[base] / tolerance[k]
+        scaled = np.abs(share) * tolerance[k] / tolerance[base]
+        absorbed = {names[j]: float(c) for j, c, s in zip(base, share, scaled, strict=True) if s > 1e-3}
         dropped.append(Dropped(names[k], absorbed))
     return Identifiability(
         names=names,
-        kept=kept,
+        kept=base,
         dropped=tuple(dropped),
         r_diagonal=diagonal,
         phi=diagonal / diagonal.mean(),
-        singular_values=np.linalg.svd(r[:, kept], compute_uv=False) / np.sqrt(poses),
+        singular_values=np.linalg.svd(r[:, base], compute_uv=False) / np.sqrt(poses),
     )
 
 
@@ -559,9 +532,6 @@ def identifiability(
 # the start, and nothing at all at the minimum. What the base could do as well (alpha0, a0, theta1, d1) is held with
 # it. Where no length is known either (one point touched, a plane), an arm that shrinks to nothing explains all: hold
 # its longest link, and so its size.
-
-
-BASE = tuple(f"base_{name}" for name in FRAME_PARAMETERS)
 
 
 def identifiable_parameters(
@@ -586,32 +556,31 @@ def identifiable_parameters(
         tolerance: Their scale, m or rad.
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.
     """
-    poses, own, geometry = sum(len(part.joints) for part in sets), len(names) - len(model.names), arm.geometry
-    held: dict[str, Dropped] = {}
+    poses, geometry = sum(len(part.joints) for part in sets), arm.geometry
+    fixed: dict[str, Dropped] = {}
     if not any(part.framed for part in sets):
         by_arm = np.concatenate([part.jacobian(arm, values)[0] for part, values in zip(sets, unknowns, strict=True)])
-        base = 5 * geometry.links + np.arange(6)
-        scale = np.where(geometry.parameter_is_angle[base], ANGLE_TOLERANCE, LENGTH_TOLERANCE)
-        others = [k for k, name in enumerate(model.names) if name not in BASE]
-        columns = np.concatenate([by_arm[:, base] * scale, matrix[:, own:][:, others]], axis=1)
-        scales, chain_names = np.r_[scale, model.tolerance[others]], (*BASE, *(model.names[k] for k in others))
-        chain = identifiability(columns, chain_names, scales, poses, rank_tolerance)
-        held = {item.name: item for item in chain.dropped} | {name: Dropped(name, {}) for name in BASE}
-    free = np.where([name in held for name in names], 0.0, matrix)
+        base = [f"base_{name}" for name in FRAME_PARAMETERS]
+        further = np.array([name not in base for name in model.names])
+        others, by_model = model.some(further), matrix[:, len(names) - len(model.names) :]
+        columns = np.hstack([by_arm[:, frame_columns(geometry, "base")] * FRAME_TOLERANCES, by_model[:, further]])
+        scales = np.r_[FRAME_TOLERANCES, others.tolerance]
+        chain = identifiability(columns, (*base, *others.names), scales, poses, rank_tolerance)
+        fixed = {item.name: item for item in chain.dropped} | {name: Dropped(name, {}) for name in base}
+    free = np.where([name in fixed for name in names], 0.0, matrix)
     result = identifiability(free, names, tolerance, poses, rank_tolerance)
     if not any(part.sized for part in sets):
-        size = _held_size(geometry, result)
+        size = _longest_link(geometry, result)
         free = np.where([name in size for name in names], 0.0, free)
-        result, held = identifiability(free, names, tolerance, poses, rank_tolerance), held | size
-    return replace(result, dropped=tuple(held.get(item.name, item) for item in result.dropped))
+        result, fixed = identifiability(free, names, tolerance, poses, rank_tolerance), fixed | size
+    return replace(result, dropped=tuple(fixed.get(item.name, item) for item in result.dropped))
 
 
-def _held_size(geometry: Geometry, visible: Identifiability) -> dict[str, Dropped]:
+def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, Dropped]:
     """The longest link that can be seen, and how the other lengths would grow with it."""
-    lengths = {f"a{i}": value for i, value in enumerate(geometry.a)} | {
-        f"d{i + 1}": value for i, value in enumerate(geometry.d)
-    }
-    lengths = {name: float(lengths[name]) for name in visible.kept_names if lengths.get(name, 0.0) != 0.0}
+    names = [f"a{i}" for i in range(geometry.links)] + [f"d{i + 1}" for i in range(geometry.links)]
+    values = dict(zip(names, [*geometry.a, *geometry.d], strict=True))
+    lengths = {name: float(values[name]) for name in visible.kept_names if values.get(name, 0.0) != 0.0}
     if not lengths:
         return {}
     longest = max(lengths, key=lambda name: abs(lengths[name]))
@@ -648,7 +617,7 @@ class Observability:
 
     def as_dict(self) -> dict[str, float]:
         """For JSON."""
-        return asdict(self)
+        return dict(vars(self))
 
 
 def observability(singular_values: Array, poses: int) -> Observability:

@@ -1,15 +1,14 @@
 """Identification from anywhere, which outliers cannot pull: alignment, re-weighted least squares, files of one set-up.
 
-Each row of a data set of any kind gets one weight from a Huber or Cauchy loss of its size in robust standard deviations
+Each row of a data set of any kind gets one weight from a Cauchy loss of its size in robust standard deviations
 (median based, so that nearly half of the rows may be wrong; Holland and Welsch 1977). What one instrument reads in one
 unit is a channel, and channels are scaled apart: metres and radians, a wire and a tracker. SI units.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -21,7 +20,7 @@ from pickenv.calibration.model.arm_model import CARRIER, ArmModel, ErrorModel, f
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise import counted
-from pickenv.calibration.model.observations import Observations, Rows, equally_spaced, nearest_rotation, origins_of
+from pickenv.calibration.model.observations import Observations, equally_spaced, nearest_rotation, origins_of
 
 # Base and tool pose from anywhere: closed-form starts, then least squares, and the refusal of what is no such arm.
 # Positions p = t + R (o + Q u), with the chain's own o and Q, are linear in R^T, R^T t and the tool offset u once
@@ -57,9 +56,9 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *,
     """
     best: Identification | None = None
     for start in _starts(geometry, measurements):
-        found = identify(frames, start, measurements, max_iterations=100)
-        if best is None or found.chi_square < best.chi_square:
-            best = found
+        solution = identify(frames, start, measurements, max_iterations=100)
+        if best is None or solution.chi_square < best.chi_square:
+            best = solution
         if max(misfit(best.geometry, measurements)) < GOOD:
             break
     assert best is not None
@@ -70,30 +69,26 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *,
 
 def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float]:
     """RMS position error as a share of the measured positions' spread, and RMS attitude error in rad (0 without)."""
-    left = measurements.difference(geometry)
     spread = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-12)
-    turn = np.sqrt(np.mean(np.sum(left[:, 3:] ** 2, axis=1)))
-    return float(np.sqrt(np.mean(np.sum(left[:, :3] ** 2, axis=1)))) / spread, float(turn)
+    squares = measurements.difference(geometry) ** 2
+    position, attitude = (float(np.sqrt(np.mean(np.sum(part, axis=1)))) for part in (squares[:, :3], squares[:, 3:]))
+    return position / spread, attitude
 
 
 def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry]:
     """Starting geometries, the best first: closed form and nominal tool, then other tools (the same every time)."""
     chain = forward(replace(geometry, base=identity_pose(), tool=identity_pose()), measurements.joints)
-    tools = [geometry.tool, _closed_form_tool(chain, measurements, geometry.tool)]
-    first = [registered(geometry, tool, chain, measurements) for tool in tools]
-    yield from sorted(first, key=lambda start: _cost(start, measurements))
+
+    def ranked(tools: Iterable[Pose]) -> list[Geometry]:
+        starts = [registered(geometry, tool, chain, measurements) for tool in tools]
+        return sorted(starts, key=lambda start: sum(misfit(start, measurements)))
+
+    yield from ranked([geometry.tool, _closed_form_tool(chain, measurements, geometry.tool)])
     rng = np.random.default_rng(0)
     reach = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-3)
-    others = []
-    for _ in range(STARTS * 8):
-        tool = Pose(rng.normal(size=3) * reach, rotation_matrix(rng.normal(size=3) * 2.0))
-        others.append(registered(geometry, tool, chain, measurements))
-    yield from sorted(others, key=lambda start: _cost(start, measurements))[: STARTS // 4]
-
-
-def _cost(geometry: Geometry, measurements: Measurements) -> float:
-    position, turn = misfit(geometry, measurements)
-    return position + turn
+    draws = (rng.normal(size=(2, 3)) for _ in range(STARTS * 8))
+    tools = (Pose(place * reach, rotation_matrix(turn * 2.0)) for place, turn in draws)
+    yield from ranked(tools)[: STARTS // 4]
 
 
 def laid_onto(points: Array, targets: Array) -> tuple[Array, Array]:
@@ -146,16 +141,14 @@ def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
     # Row-major vec: vec(A X) = (A kron 1) vec X, vec(Y B) = (1 kron B^T) vec Y. Of rotations the normal equations are
     # [[N, -S], [-S^T, N]] with the sum S of A^T kron B^T, so that the null vector is S's first pair of singular ones.
     across = np.einsum("nji,nlk->ikjl", measured, chain)
-    left, _, right = np.linalg.svd(across.reshape(9, 9))
-    first, second = left[:, 0].reshape(3, 3), right[0].reshape(3, 3)
+    u, _, vt = np.linalg.svd(across.reshape(9, 9))
+    first, second = u[:, 0].reshape(3, 3), vt[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(second)) or 1.0
-    turn = nearest_rotation(second * sign)
-    tool = nearest_rotation(first * sign).T
-    return turn, tool
+    return nearest_rotation(second * sign), nearest_rotation(first * sign).T
 
 
 def apart(one: Pose, other: Pose) -> tuple[float, float]:
-    """How far two poses lie apart, m, and the angle between them, rad."""
+    """Distance of two poses, m, and the angle between them, rad."""
     turn = rotation_vector(one.rotation.T @ other.rotation)
     return float(np.linalg.norm(one.position - other.position)), float(np.linalg.norm(turn))
 
@@ -180,8 +173,8 @@ def refuse_another_arm(
     position, turn = misfit(geometry, measurements)
     spread = float(np.linalg.norm(measurements.position.std(axis=0)))
     if position * spread > MISFIT * max(spread, SPAN):
-        own = float(np.linalg.norm(forward(nominal or geometry, measurements.joints).position.std(axis=0)))
-        ratio = spread / max(own, 1e-12)
+        reach = float(np.linalg.norm(forward(nominal or geometry, measurements.joints).position.std(axis=0)))
+        ratio = spread / max(reach, 1e-12)
         if not 0.05 < ratio < 20:
             raise InputError(
                 f"{measurements.source}: positions spread {ratio:.3g} times as far as the "
@@ -204,13 +197,8 @@ OUTLIER_SIGMA = 10.0
 WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
 """Least squares at most, alignments at most, and fours of poses that are tried."""
 
-LOSSES: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
-    {
-        "huber": lambda size: np.minimum(1.0, 1.345 / np.maximum(size, 1e-12)),
-        "cauchy": lambda size: 1.0 / (1.0 + (size / 2.385) ** 2),
-    }
-)
-"""Weight of a row by its size in standard deviations per coordinate; constants for 95 % efficiency on normal noise."""
+CAUCHY = 2.385
+"""Size, in standard deviations per coordinate, at which a row weighs a half: 95 % efficiency on normal noise."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,13 +209,11 @@ class RobustIdentification:
         identification: The last weighted least squares.
         weights: Weight of each row ``(N,)`` in it, 0 to 1.
         sizes: Sizes of the errors that it leaves.
-        settled: Whether the weights stopped changing.
     """
 
     identification: Identification
     weights: Array
     sizes: Sizes
-    settled: bool
 
     @property
     def geometry(self) -> Geometry:
@@ -241,40 +227,34 @@ class RobustIdentification:
 
     def misses_of(self, data: Observations) -> Array:
         """The largest miss of each row ``(N,)``, m."""
-        left = data.misses(self.identification.arm_model, unknowns_of(self.identification, data))
+        misses = data.misses(self.identification.arm_model, unknowns_of(self.identification, data))
         largest = np.zeros(len(data.joints))
-        np.maximum.at(largest, data.rows_of_misses, np.linalg.norm(left, axis=1))
+        np.maximum.at(largest, data.rows_of_misses, np.linalg.norm(misses, axis=1))
         return largest
 
 
-def robust_identify(
-    model: ErrorModel, start: Geometry | ArmModel, data: Observations, *, loss: str = "cauchy"
-) -> RobustIdentification:
+def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observations) -> RobustIdentification:
     """Identify with iteratively re-weighted least squares; the first weights come from the starting geometry.
 
     Args:
         model: The parameters.
         start: Geometry, or geometry with terms; near the data (see `robust_align`).
         data: Rows of any kind.
-        loss: "huber" (an outlier keeps a bounded pull) or "cauchy" (a gross one loses all of it).
 
     Raises:
-        InputError: If the loss is unknown, or as `identify`.
+        InputError: As `identify`.
     """
-    if loss not in LOSSES:
-        raise InputError(f"unknown loss '{loss}'; give one of {', '.join(LOSSES)}")
     arm, apart = ArmModel.of(start), counted(data.joints)
-    weights = sizes_of(arm, data.start(arm), data, apart=apart).weights(loss)
+    weights = sizes_of(arm, data.start(arm), data, apart=apart).weights
     rows, _ = data.equations()
     for _ in range(WEIGHTINGS):
         factors = np.where(rows >= 0, np.sqrt(weights * apart)[rows], 1.0)
-        found = identify(model, start, [data], whiten=lambda stated, by=factors: (stated.T * by).T)  # type: ignore[misc]
-        sizes = sizes_of(found.arm_model, unknowns_of(found, data), data, apart=apart)
-        used, weights = weights, sizes.weights(loss)
-        settled = bool(np.max(np.abs(weights - used)) < 1e-3)
-        if settled:
+        solution = identify(model, start, [data], whiten=lambda stated, by=factors: (stated.T * by).T)  # type: ignore[misc]
+        sizes = sizes_of(solution.arm_model, unknowns_of(solution, data), data, apart=apart)
+        before, weights = weights, sizes.weights
+        if np.max(np.abs(weights - before)) < 1e-3:
             break
-    return RobustIdentification(found, used, sizes, settled)
+    return RobustIdentification(solution, before, sizes)
 
 
 def robust_align(
@@ -299,17 +279,17 @@ def robust_align(
         raise InputError(f"{measurements.source}: {count} poses are too few to tell outliers; measure at least 8")
     nominal, measured = forward(geometry, measurements.joints).position, measurements.position
     rows = np.argsort(rng.random((FOURS, count)), axis=1)[:, :4]
-    missed = _registered_misses(nominal, measured, rows)
+    turn, shift = laid_onto(nominal[rows], measured[rows])
+    missed = np.linalg.norm(nominal @ np.swapaxes(turn, 1, 2) + shift[:, None] - measured, axis=2)
     best = missed[np.argmin(np.median(missed, axis=1))]
-    kept = best <= 5.0 * np.median(best)
+    near = best <= 5.0 * np.median(best)
     for _ in range(SELECTIONS):
-        found = align(geometry, measurements.select(kept), frames)
-        sizes = sizes_of(found.arm_model, np.zeros(0), measurements)
-        used, kept = kept, sizes.sigma <= OUTLIER_SIGMA
-        settled = bool(np.array_equal(used, kept))
-        if settled:
+        solution = align(geometry, measurements.select(near), frames)
+        sizes = sizes_of(solution.arm_model, np.zeros(0), measurements)
+        before, near = near, sizes.sigma <= OUTLIER_SIGMA
+        if np.array_equal(before, near):
             break
-    return RobustIdentification(found, used.astype(float), sizes, settled)
+    return RobustIdentification(solution, before.astype(float), sizes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,15 +313,11 @@ class Sizes:
         return np.asarray(np.fmax.reduce(self.errors / self.scales[:, None], axis=0, initial=0.0))
 
     @property
-    def outliers(self) -> Rows:
-        """Rows beyond `OUTLIER_SIGMA`, the largest first."""
-        order = np.argsort(-self.sigma, kind="stable")
-        return order[self.sigma[order] > OUTLIER_SIGMA]
-
-    def weights(self, loss: str) -> Array:
-        """Weights ``(N,)`` by the size per coordinate."""
+    def weights(self) -> Array:
+        """Cauchy's weights ``(N,)`` by the size per coordinate."""
         squares = np.nansum((self.errors / self.scales[:, None]) ** 2, axis=0)
-        return LOSSES[loss](np.sqrt(squares / np.maximum(self.coordinates.sum(axis=0), 1)))
+        size = np.sqrt(squares / np.maximum(self.coordinates.sum(axis=0), 1))
+        return np.asarray(1.0 / (1.0 + (size / CAUCHY) ** 2))
 
 
 def sizes_of(
@@ -359,17 +335,17 @@ def sizes_of(
     """
     rows, channels = data.equations()
     squares, count = np.zeros((2, int(channels.max()) + 1, len(data.joints)))
-    own = rows >= 0
-    np.add.at(squares, (channels[own], rows[own]), data.residual(arm, unknowns)[own] ** 2)
-    np.add.at(count, (channels[own], rows[own]), 1.0)
-    shown = np.minimum(count, 3.0)
-    errors = np.sqrt(np.where(count > 0, squares * shown / np.maximum(count, 1.0), np.nan))
-    if scales is not None:
-        return Sizes(errors, shown, scales)
-    usual = np.sqrt(2.0 * gammaincinv(np.maximum(count, 1.0) / 2.0, 0.5) * shown / np.maximum(count, 1.0))
-    apart = np.ones(len(data.joints)) if apart is None else apart
-    found = [_median(size / median, apart) for size, median in zip(errors, usual, strict=True)]
-    return Sizes(errors, shown, np.maximum(found, 1.0))
+    read = rows >= 0
+    np.add.at(squares, (channels[read], rows[read]), data.residual(arm, unknowns)[read] ** 2)
+    np.add.at(count, (channels[read], rows[read]), 1.0)
+    coordinates = np.minimum(count, 3.0)
+    errors = np.sqrt(np.where(count > 0, squares * coordinates / np.maximum(count, 1.0), np.nan))
+    if scales is None:
+        usual = np.sqrt(2.0 * gammaincinv(np.maximum(count, 1.0) / 2.0, 0.5) * coordinates / np.maximum(count, 1.0))
+        apart = np.ones(len(data.joints)) if apart is None else apart
+        medians = [_median(size / median, apart) for size, median in zip(errors, usual, strict=True)]
+        scales = np.maximum(medians, 1.0)
+    return Sizes(errors, coordinates, scales)
 
 
 def _median(values: Array, counts: Array) -> float:
@@ -378,12 +354,6 @@ def _median(values: Array, counts: Array) -> float:
     below = np.cumsum(counts[order])
     first, last = np.searchsorted(below, below[-1] * np.array([0.5 - 1e-12, 0.5 + 1e-12]))
     return float(values[order[[first, min(last, len(order) - 1)]]].mean())
-
-
-def _registered_misses(nominal: Array, measured: Array, rows: Rows) -> Array:
-    """Distances ``(T, N)`` of measured points from nominal ones after T rigid registrations of few rows."""
-    turn, shift = laid_onto(nominal[rows], measured[rows])
-    return np.asarray(np.linalg.norm(nominal @ np.swapaxes(turn, 1, 2) + shift[:, None] - measured, axis=2))
 
 
 # Where the identification starts, and which files are of one set-up.
@@ -408,7 +378,7 @@ SPARE = 3
 
 
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
-    """What of an arm is identified: all of it, base and tool among it unless known; of finished poses these alone."""
+    """Parameters of an arm to identify: all, base and tool among them unless known; of finished poses these alone."""
     return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, known_frames)
 
 
@@ -505,62 +475,62 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
         InputError: If the rows of a set-up do not fit the arm.
     """
     groups = set_ups(arm, parts)
-    whole = [rows_together([parts[i] for i in group.parts]) for group in groups]
-    return whole[0] if len(whole) == 1 else _stations(arm, whole, [group.own for group in groups[1:]])
+    rows = [rows_together([parts[i] for i in group.parts]) for group in groups]
+    return rows[0] if len(rows) == 1 else _stations(arm, rows, [group.own for group in groups[1:]])
 
 
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
-    """Which data sets share base and tool, as the rows tell: file by file, what leaves least at least frames (BIC).
+    """Data sets that share base and tool, as the rows tell: file by file, those that leave least at least frames (BIC).
 
     Rows of one file are alike, so that only `COUNTED_ROWS` of each count: frames of its own must take away a good part
     of what remains, not only surely some of it. Files that do not tell are taken as of the first set-up.
     """
     near = {i: rows for i, part in enumerate(parts) if (rows := _near_rows(arm, part)) is not None}
     first, *others = near or [0]
-    known: tuple[SetUp, ...] = (SetUp((first,)),)
+    groups: tuple[SetUp, ...] = (SetUp((first,)),)
     for i in others:
-        tried = [each for each in _with_file(known, parts, i) if _plausible(near, each, i)]
-        known = min(tried, key=lambda each: _criterion(arm, near, each))
+        candidates = [candidate for candidate in _with_file(groups, parts, i) if _plausible(near, candidate, i)]
+        groups = min(candidates, key=lambda candidate: _criterion(arm, near, candidate))
     for i in set(range(len(parts))) - {first, *others}:
-        known = next(_with_file(known, parts, i))
-    return tuple(replace(each, parts=tuple(sorted(each.parts))) for each in known)
+        groups = next(_with_file(groups, parts, i))
+    return tuple(replace(group, parts=tuple(sorted(group.parts))) for group in groups)
 
 
 def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | None:
     """Some rows that agree with each other, and the arm where they see it; None where they are too few, or fit none."""
     part = part.select(equally_spaced(len(part), FILE_ROWS))
+    if len(part) < LEAST_ROWS:
+        return None
     try:
-        aligned = robust_frames(arm, part) if len(part) >= LEAST_ROWS else None
+        aligned = robust_frames(arm, part)
     except InputError:
-        aligned = None
-    if aligned is None:
         return None
     return part.select(sizes_of(ArmModel.of(aligned), np.zeros(0), part).sigma <= OUTLIER_SIGMA), aligned
 
 
-def _with_file(known: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) -> Iterator[tuple[SetUp, ...]]:
+def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) -> Iterator[tuple[SetUp, ...]]:
     """The set-ups with one more file: as one of theirs, or as another."""
-    for number, each in enumerate(known):
-        if parts[each.parts[0]].joinable(parts[i]):
-            joined = replace(each, parts=(*each.parts, i))
-            yield (*known[:number], joined, *known[number + 1 :])
+    for number, group in enumerate(groups):
+        if parts[group.parts[0]].joinable(parts[i]):
+            joined = replace(group, parts=(*group.parts, i))
+            yield (*groups[:number], joined, *groups[number + 1 :])
         elif number == 0:
-            yield (*known, SetUp((i,)))
-    for own in (("base",), ("tool",), OWN):
-        yield (*known, SetUp((i,), own))
+            yield (*groups, SetUp((i,)))
+    for frames in (("base",), ("tool",), OWN):
+        yield (*groups, SetUp((i,), frames))
 
 
-def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], tried: Sequence[SetUp], i: int) -> bool:
+def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp], i: int) -> bool:
     """Whether a file and the set-up that it joins see each other's rows about as their own, with the nominal arm.
 
     Either way is enough: a file may tell little of its own frames.
     """
-    others = [each.parts[0] for each in tried if i in each.parts and each.parts[0] != i]
-    for j in others:
-        ratio = [_missed(near[k][0], near[m][1]) / _missed(*near[k]) for k, m in ((i, j), (j, i))]
-        if min(ratio) > PLAUSIBLE:
-            return False
-    return True
+
+    def ratio(rows: int, arm: int) -> float:
+        return _missed(near[rows][0], near[arm][1]) / _missed(*near[rows])
+
+    firsts = [group.parts[0] for group in groups if i in group.parts and group.parts[0] != i]
+    return all(min(ratio(i, first), ratio(first, i)) <= PLAUSIBLE for first in firsts)
 
 
 def _missed(rows: Measurements, by: Geometry) -> float:
@@ -568,34 +538,34 @@ def _missed(rows: Measurements, by: Geometry) -> float:
     return 1e-6 + float(np.median(np.linalg.norm(rows.difference(by)[:, :3], axis=1)))
 
 
-def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], tried: Sequence[SetUp]) -> float:
+def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp]) -> float:
     """Schwarz's criterion of an arm and these set-ups; each file has a scatter of its own."""
-    whole, stations = [], []
-    for number, each in enumerate(tried, start=1):
-        rows = rows_together([near[i][0] for i in each.parts])
-        whole.append(rows.select(equally_spaced(len(rows), SET_UP_ROWS)))
-        start = near[each.parts[0]][1]
-        frames = {name: getattr(start, name) for name in each.own}
-        stations.append(InstrumentStation(whole[-1], number, **frames))
+    sets, stations = [], []
+    for number, group in enumerate(groups, start=1):
+        rows = rows_together([near[i][0] for i in group.parts])
+        sets.append(rows.select(equally_spaced(len(rows), SET_UP_ROWS)))
+        start = near[group.parts[0]][1]
+        frames = {name: getattr(start, name) for name in group.own}
+        stations.append(InstrumentStation(sets[-1], number, **frames))
     data = Stacked(tuple(stations))
-    equations = sum(len(part) * part.rows_per_pose for part in whole)
+    equations = sum(len(rows) * rows.rows_per_pose for rows in sets)
     model = fitted_model(arm.name, arm.nominal, False)
     if equations < SPARE * (len(model.names) + len(data.unknowns())):
         model = frames_model(arm.nominal)
     try:
-        fit = identify(model, ArmModel.of(near[tried[0].parts[0]][1]), [data], max_iterations=TRIES)
+        fit = identify(model, ArmModel.of(near[groups[0].parts[0]][1]), [data], max_iterations=TRIES)
     except InputError:
         return np.inf
-    owners = np.concatenate([origins_of(part).file + 1000 * k for k, part in enumerate(whole)])
+    owners = np.concatenate([origins_of(rows).file + 1000 * k for k, rows in enumerate(sets)])
     squares = data.residual(fit.arm_model, unknowns_of(fit, data)) ** 2
+    files = owners[data.equations()[0]]
     total, spare = 0.0, equations / max(fit.degrees_of_freedom, 1)
     counted = 0
     for owner in np.unique(owners):
-        here = owners == owner
-        count = 3 * min(int(here.sum()), COUNTED_ROWS)
-        total += count * float(np.log(np.mean(squares[here[data.equations()[0]]]) * spare))
+        count = 3 * min(int(np.count_nonzero(owners == owner)), COUNTED_ROWS)
+        total += count * float(np.log(np.mean(squares[files == owner]) * spare))
         counted += count
-    return total + float(np.log(counted)) * 6 * sum(len(each.own) for each in tried)
+    return total + float(np.log(counted)) * 6 * sum(len(group.own) for group in groups)
 
 
 def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacked:
@@ -606,19 +576,19 @@ def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacke
         stations: Rows that tell the stations' frames.
         parts: The other files' rows.
     """
-    known = [
-        replace(each, data=each.data.select(equally_spaced(len(each.data.joints), FILE_ROWS)))
-        for each in stations.stations
+    references = [
+        replace(station, data=station.data.select(equally_spaced(len(station.data.joints), FILE_ROWS)))
+        for station in stations.stations
     ]
-    data = Stacked(tuple(known))
+    data = Stacked(tuple(references))
     model = fitted_model(arm.name, arm.nominal, False)
-    fit = identify(model, ArmModel.of(robust_frames(arm, known[0].data)), [data], max_iterations=60)
+    fit = identify(model, ArmModel.of(robust_frames(arm, references[0].data)), [data], max_iterations=60)
     seats: dict[int, list[Measurements]] = {}
     for part in parts:
         missed = []
-        for each in known:
-            own = Stacked((replace(each, data=part),))
-            left = own.misses(fit.arm_model, unknowns_of(fit, own))
-            missed.append(float(np.median(np.linalg.norm(left, axis=1))))
+        for station in references:
+            rows = Stacked((replace(station, data=part),))
+            misses = rows.misses(fit.arm_model, unknowns_of(fit, rows))
+            missed.append(float(np.median(np.linalg.norm(misses, axis=1))))
         seats.setdefault(int(np.argmin(missed)), []).append(part)
-    return Stacked(tuple(replace(known[i], data=rows_together(seats[i])) for i in sorted(seats)))
+    return Stacked(tuple(replace(references[i], data=rows_together(seats[i])) for i in sorted(seats)))

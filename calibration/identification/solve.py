@@ -10,14 +10,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from pickenv.arm import Array
 from pickenv.base import single_threaded
-from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged, triangle
+from pickenv.calibration.identification.least_squares import (
+    Identification,
+    identify,
+    identify_converged,
+    triangle,
+    unknowns_of,
+)
 from pickenv.calibration.model.noise import RowNoise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
@@ -89,39 +94,26 @@ def solve(
         solution = replace(solution, prior=weighed, noise=weights)
         solution = replace(solution, degrees_of_freedom=len(weights.scatter) - round(solution.spent))
         start, before = solution.arm_model, (weights, scales)
-        unknowns = np.array([solution.unknowns[name] for name in data.unknowns()])
-        by_arm, by_own = data.jacobian(solution.arm_model, unknowns)
+        unknowns = unknowns_of(solution, data)
+        by_arm, by_own = data.jacobian(start, unknowns)
         stated = np.hstack([by_own, by_arm[:, model.parameters.columns]])
         if noise is None:
             leverage = np.full(len(stated), solution.spent / len(stated))
             if len(data.joints) <= MANY:
                 leverage = leverages(weights.whiten(stated) * np.r_[np.full(len(unknowns), UNKNOWN_STD), weighed.width])
-            weights = noise_of(data, solution.arm_model, unknowns, leverage)
-        residual = weights.whiten(data.residual(solution.arm_model, unknowns))
-        average = averaged_over_scales(weighed, solution, weights.whiten(stated), residual, weights.common, free)
-        scales = {**scales, **average.scales}
+            weights = noise_of(data, start, unknowns, leverage)
+        residual = weights.whiten(data.residual(start, unknowns))
+        columns = weights.whiten(stated)
+        averaged, means = averaged_over_scales(weighed, solution, columns, residual, weights.common, free)
+        scales = {**scales, **means}
         if _settled(before, (weights, scales)):
             break
-    return _with_average(solution, average)
-
-
-class Average(NamedTuple):
-    """A posterior averaged over the scales of the priors.
-
-    Attributes:
-        scales: Geometric mean of the scales by group.
-        change: How far the parameters' mean lies from the solution, their own unknowns first ``(own + P,)``.
-        covariance: Of the kept parameters, own unknowns first ``(K, K)``.
-    """
-
-    scales: dict[str, float]
-    change: Array
-    covariance: Array
+    return averaged
 
 
 def averaged_over_scales(
     model: PriorModel, solution: Identification, columns: Array, residual: Array, common: float, free: list[str]
-) -> Average:
+) -> tuple[Identification, dict[str, float]]:
     """The posterior of the linearised model, averaged over the scales that rows and their expectation near 1 allow.
 
     Scales taken as certain would promise too much: few rows hardly tell how well an arm was made.
@@ -134,15 +126,19 @@ def averaged_over_scales(
         common: By how much rows tell less than independent ones would: a factor on variances
             (`pickenv.calibration.model.noise.RowNoise.common`).
         free: Groups whose scales are averaged over.
+
+    Returns:
+        The solution moved to the mean of that posterior, with its covariance, and the geometric mean of the scales by
+        group.
     """
-    count, kept = columns.shape[1] - len(model.std), solution.identifiability.kept
-    known = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
-    width = np.r_[np.full(count, UNKNOWN_STD), model.std * known][kept]
-    group = np.r_[np.full(count, ""), model.group][kept]
-    moved = np.zeros(columns.shape[1])
-    moved[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
+    count, base = columns.shape[1] - len(model.std), solution.identifiability.kept
+    scale = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
+    width = np.r_[np.full(count, UNKNOWN_STD), model.std * scale][base]
+    group = np.r_[np.full(count, ""), model.group][base]
+    offset = np.zeros(columns.shape[1])
+    offset[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
     upper, right = triangle(columns, residual)
-    upper, right = upper[:, kept] * width, right + upper @ moved
+    upper, right = upper[:, base] * width, right + upper @ offset
     gram, right = upper.T @ upper, upper.T @ right
     member = np.array([group == name for name in free]).reshape(len(free), len(group))
     mean, std = np.zeros(len(free)), np.full(len(free), np.log(SPREAD))
@@ -169,31 +165,23 @@ def averaged_over_scales(
     centre = weight @ means
     covariance = np.einsum("n,ni,nij,nj->ij", weight, factor, spread, factor)
     covariance += np.einsum("n,ni,nj->ij", weight, means - centre, means - centre)
-    change = -moved
-    change[kept] += centre * width
-    scales = dict(zip(free, np.exp(mean).tolist(), strict=True))
-    return Average(scales, change, np.asarray(covariance * np.outer(width, width)))
-
-
-def _with_average(solution: Identification, average: Average) -> Identification:
-    """The solution moved to the mean of the averaged posterior."""
-    names = list(solution.unknowns)
-    own, ours = np.split(average.change, [len(names)])
-    assert solution.prior is not None
+    change = -offset
+    change[base] += centre * width
     delta = np.zeros(len(solution.arm_model.parameter_names))
-    delta[solution.prior.parameters.columns] = ours
-    unknowns = dict(zip(names, (np.array([*solution.unknowns.values()]) + own).tolist(), strict=True))
-    return replace(
+    delta[model.parameters.columns] = change[count:]
+    unknowns = np.array([*solution.unknowns.values()]) + change[:count]
+    averaged = replace(
         solution,
         arm_model=solution.arm_model.displaced(delta),
-        unknowns=unknowns,
-        delta=solution.delta + average.change,
-        covariance=average.covariance,
+        unknowns=dict(zip(solution.unknowns, unknowns.tolist(), strict=True)),
+        delta=solution.delta + change,
+        covariance=np.asarray(covariance * np.outer(width, width)),
     )
+    return averaged, dict(zip(free, np.exp(mean).tolist(), strict=True))
 
 
 def leverages(columns: Array) -> Array:
-    """How much of each row a fit uses up, where every parameter is a standard normal number beforehand ``(E,)``."""
+    """Share of each row that a fit uses up ``(E,)``, where every parameter is a standard normal number beforehand."""
     lower = np.linalg.cholesky(np.eye(columns.shape[1]) + columns.T @ columns)
     return np.asarray(np.sum(solve_triangular(lower, columns.T, lower=True) ** 2, axis=0))
 

@@ -1,4 +1,4 @@
-"""Which parametric terms an arm needs: chosen within the training rows, on contiguous blocks held out of each fit.
+"""The parametric terms that an arm needs: chosen within the training rows, on contiguous blocks held out of each fit.
 
 Weight (joints that yield under the arm's own mass) and the drives' harmonics need no data sheet, so they can be tried
 on any arm, and compliance wherever torques were measured; they extrapolate where a learnt residual only interpolates.
@@ -61,12 +61,12 @@ class Linearised:
         scale = np.r_[np.ones(len(fitted)), arm.term_tolerances]
         of_fitted = (bare.scatter / bare.prior_std[bare.identifiability.kept]) ** 2
         ridge = np.r_[of_fitted, (bare.scatter / expected_sizes(arm)) ** 2]
-        moved = np.zeros(len(fitted))
+        offset = np.zeros(len(fitted))
         if bare.prior is not None:
             change = dict(zip(bare.geometry.parameter_names, bare.prior.start.difference(bare.arm_model), strict=True))
-            moved = np.array([change.get(name, 0.0) for name in fitted])
+            offset = np.array([change.get(name, 0.0) for name in fitted])
         return Linearised(
-            arm, bare.unknowns, names, scale, ridge, np.r_[-of_fitted * moved, np.zeros(len(scale) - len(moved))]
+            arm, bare.unknowns, names, scale, ridge, np.r_[-of_fitted * offset, np.zeros(len(scale) - len(offset))]
         )
 
     @property
@@ -76,26 +76,23 @@ class Linearised:
 
     def coefficients_of(self, term: int) -> Places:
         """Places of one term's coefficients."""
-        counts = [len(each.names(self.arm.geometry)) for each in self.arm.terms]
+        counts = [len(member.names(self.arm.geometry)) for member in self.arm.terms]
         first = len(self.fitted) + sum(counts[:term])
         return np.arange(first, first + counts[term])
 
     def equations(self, data: Observations) -> tuple[Array, Array]:
         """Whitened columns ``(R, P)`` and what the geometry leaves ``(R,)``."""
-        own = data.unknowns()
-        values = np.array([self.unknowns[name] for name in own])
+        unknowns = data.unknowns()
+        values = np.array([self.unknowns[name] for name in unknowns])
         by_arm, by_unknown = data.jacobian(self.arm, values)
-        columns = np.zeros((len(by_arm), len(self.names)))
         first, count = len(self.fitted), len(self.arm.geometry.parameter_names)
-        place = {name: i for i, name in enumerate(self.names[:first])}
-        for names, part in ((own, by_unknown), (self.arm.geometry.parameter_names, by_arm)):
-            here = [i for i, name in enumerate(names) if name in place]
-            columns[:, [place[names[i]] for i in here]] = part[:, here]
-        columns[:, first:] = by_arm[:, count:]
-        return columns * self.scale, data.residual(self.arm, values)
+        place = {name: i for i, name in enumerate(unknowns + self.arm.geometry.parameter_names)}
+        places = [place[name] for name in self.names[:first]]
+        columns = np.hstack([np.hstack([by_unknown, by_arm])[:, places], by_arm[:, count:]])
+        return np.ascontiguousarray(columns) * self.scale, data.residual(self.arm, values)
 
     def misses(self, data: Observations, solution: Array) -> Array:
-        """What remains of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
+        """Misses of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
         change = defaultdict(float, zip(self.names, solution * self.scale, strict=True))
         terms = tuple(term for i, term in enumerate(self.arm.terms) if solution[self.coefficients_of(i)].any())
         arm = ArmModel.of(self.arm.geometry, terms)
@@ -129,8 +126,8 @@ class BlockEquations:
             model,
             tuple(blocks),
             np.stack([columns.T @ columns for columns, _ in parts]),
-            np.stack([left @ columns for columns, left in parts]),
-            np.array([left @ left for _, left in parts]),
+            np.stack([residual @ columns for columns, residual in parts]),
+            np.array([residual @ residual for _, residual in parts]),
         )
 
     def without(self, block: int | None) -> tuple[Array, Array]:
@@ -142,17 +139,17 @@ class BlockEquations:
 
     def left(self, block: int, solution: Array) -> float:
         """Sum of squares that a solution leaves of one block."""
-        drawn = self.matrix[block] @ solution - 2.0 * self.right[block]
-        return float(self.square[block] + solution @ drawn)
+        slope = self.matrix[block] @ solution - 2.0 * self.right[block]
+        return float(self.square[block] + solution @ slope)
 
 
 def solved(matrix: Array, right: Array, places: Places) -> Array:
     """Solution ``(P,)`` of normal equations with the parameters at ``places`` alone; the others stay zero."""
     scale = np.sqrt(np.diag(matrix)[places])
     small = matrix[np.ix_(places, places)] / np.outer(scale, scale) + 1e-12 * np.eye(len(places))
-    found = np.zeros(len(right))
-    found[places] = np.linalg.solve(small, right[places] / scale) / scale
-    return found
+    solution = np.zeros(len(right))
+    solution[places] = np.linalg.solve(small, right[places] / scale) / scale
+    return solution
 
 
 # Periodic errors of the drives: which orders the joints have, how many of them are real, and how well each is known.
@@ -202,8 +199,8 @@ class FoundHarmonic:
 
 def harmonics_of(found: Identification) -> tuple[FoundHarmonic, ...]:
     """The identified harmonics, the largest first."""
-    model, kept = found.arm_model, found.identifiability.kept_names
-    place = {name: i for i, name in enumerate(kept)}
+    model, names_fitted = found.arm_model, found.identifiability.kept_names
+    place = {name: i for i, name in enumerate(names_fitted)}
     names = model.parameter_names[len(model.geometry.parameter_names) :]
     value = dict(zip(names, model.coefficients, strict=True))
     harmonics = []
@@ -216,9 +213,9 @@ def harmonics_of(found: Identification) -> tuple[FoundHarmonic, ...]:
             pair = parts[2 * i : 2 * i + 2]
             wave = np.array([value[name] for name in pair])
             amplitude = float(np.hypot(*wave))
-            known = [k for k, name in enumerate(pair) if name in place]
-            rows = [place[pair[k]] for k in known]
-            slope = wave[known] / max(amplitude, 1e-300)
+            fitted = [k for k, name in enumerate(pair) if name in place]
+            rows = [place[pair[k]] for k in fitted]
+            slope = wave[fitted] / max(amplitude, 1e-300)
             variance = float(slope @ found.covariance[np.ix_(rows, rows)] @ slope)
             harmonics.append(FoundHarmonic(joint, order, std, amplitude, float(np.sqrt(variance))))
     return tuple(sorted(harmonics, key=lambda item: -item.amplitude))
@@ -259,28 +256,28 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
     scale = np.sqrt(np.diag(matrix)[base])
     lower = np.linalg.cholesky(matrix[np.ix_(base, base)] / np.outer(scale, scale) + 1e-12 * np.eye(len(base)))
     done = np.linalg.solve(lower, matrix[np.ix_(base, pairs)] / scale[:, None])
-    left = right[pairs] - done.T @ np.linalg.solve(lower, right[base] / scale)
+    residual = right[pairs] - done.T @ np.linalg.solve(lower, right[base] / scale)
     sines, cosines = slice(0, None, 2), slice(1, None, 2)
     diagonal = np.diag(matrix)[pairs] - (done**2).sum(axis=0)
     across = matrix[pairs[sines], pairs[cosines]] - (done[:, sines] * done[:, cosines]).sum(axis=0)
-    chosen: list[int] = []
+    numbers: list[int] = []
     free = np.full(len(candidates), True)
     for _ in range(most):
-        a, c, u, v = diagonal[sines], diagonal[cosines], left[sines], left[cosines]
+        a, c, u, v = diagonal[sines], diagonal[cosines], residual[sines], residual[cosines]
         determinant = np.where(free, np.maximum(a * c - across**2, 1e-9 * a * c), np.inf)
         explained = np.where(free, (c * u * u - 2.0 * across * u * v + a * v * v) / determinant, -np.inf)
         best = int(np.argmax(explained))
-        chosen.append(best)
+        numbers.append(best)
         free[best] = False
         two = [2 * best, 2 * best + 1]
         rows = matrix[np.ix_(pairs[two], pairs)] - done[:, two].T @ done
         corner = np.linalg.cholesky(rows[:, two])
-        new, explains = np.linalg.solve(corner, rows), np.linalg.solve(corner, left[two])
-        left = left - new.T @ explains
+        new, explains = np.linalg.solve(corner, rows), np.linalg.solve(corner, residual[two])
+        residual = residual - new.T @ explains
         diagonal = diagonal - (new**2).sum(axis=0)
         across = across - new[0, sines] * new[0, cosines] - new[1, sines] * new[1, cosines]
         done = np.vstack([done, new])
-    return chosen
+    return numbers
 
 
 def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -> tuple[list[Places], Places]:
@@ -308,8 +305,8 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
         paths.append(path)
     rms = np.sqrt(np.abs(squares))  # of nothing but rounding a sum may be negative
     count = int(np.flatnonzero(rms <= (1.0 + WITHIN) * rms.min())[0])
-    whole = candidates[pursued(*equations.without(None), base, candidates, count)]
-    return [path[:count].ravel() for path in paths], whole.ravel()
+    all_places = candidates[pursued(*equations.without(None), base, candidates, count)]
+    return [path[:count].ravel() for path in paths], all_places.ravel()
 
 
 def refined(
@@ -328,26 +325,25 @@ def refined(
     for _ in range(ROUNDS):
         wave = PeriodicTerm(wave.joints, tuple(orders.tolist()))
         linear = Linearised.of(bare, (*others, wave))
-        columns, left, matrix, right = _with_priors(linear, observations)
-        solution = solved(matrix, right, np.arange(len(right)))
+        solution = _solution_with_priors(linear, observations)[-1]
         sines, cosines = (solution * linear.scale)[linear.coefficients_of(len(others))].reshape(-1, 2).T.tolist()
         linear = Linearised.of(bare, (*others, wave, OrderTerm(wave, tuple(sines), tuple(cosines))))
-        columns, left, matrix, right = _with_priors(linear, observations)
-        solution = solved(matrix, right, np.arange(len(right)))
+        columns, residual, matrix, solution = _solution_with_priors(linear, observations)
         places = linear.coefficients_of(len(others) + 1)
         orders = np.clip(orders + (solution * linear.scale)[places], grid - 0.48 * FINE, grid + 0.48 * FINE)
-        remains = left - columns @ solution
-        spare = max(len(left) - len(matrix), 1)
+        remains = residual - columns @ solution
+        spare = max(len(residual) - len(matrix), 1)
         scale = np.sqrt(np.diag(matrix))
         inverse = np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale)
         std = (np.sqrt(np.diag(inverse) * (remains @ remains) / spare) * linear.scale)[places]
     return PeriodicTerm(wave.joints, tuple(orders.tolist()), tuple(std.tolist()))
 
 
-def _with_priors(linear: Linearised, observations: Observations) -> tuple[Array, Array, Array, Array]:
-    """Equations of all rows, columns and what is left, and their normal equations with priors."""
-    columns, left = linear.equations(observations)
-    return columns, left, columns.T @ columns + np.diag(linear.ridge), left @ columns + linear.pull
+def _solution_with_priors(linear: Linearised, observations: Observations) -> tuple[Array, Array, Array, Array]:
+    """Columns of all rows, what is left of them, their normal equations with priors, and the solution."""
+    columns, residual = linear.equations(observations)
+    matrix = columns.T @ columns + np.diag(linear.ridge)
+    return columns, residual, matrix, solved(matrix, residual @ columns + linear.pull, np.arange(len(matrix)))
 
 
 MARGIN = 0.03
@@ -366,7 +362,7 @@ NAMES = ("compliance", "gravity", "periodic", "thermal")
 
 @dataclass(frozen=True)
 class TermChoice:
-    """What was tried and chosen.
+    """The choice, and the candidates that were tried.
 
     Attributes:
         chosen: Names of the terms, some of `NAMES` joined by "+", or "none".
@@ -407,7 +403,7 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
         observations: Training rows.
     """
     trial = _Trial.of(arm, bare, observations)
-    chosen: tuple[str, ...] = ()
+    taken: tuple[str, ...] = ()
     scores = {"none": trial.score(())}
 
     def wins(wider: tuple[str, ...], than: tuple[str, ...]) -> bool:
@@ -419,13 +415,13 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
     temperature = observations.conditions.temperature
     warm = temperature is not None and float(np.ptp(temperature)) > WARM
     for name in trial.names:
-        if (name != "thermal" or warm) and wins((*chosen, name), chosen):
-            chosen = (*chosen, name)
-    if set(chosen) >= {"gravity", "periodic"}:
-        lighter = tuple(name for name in chosen if name != "gravity")
-        if not wins(chosen, lighter):
-            chosen = lighter
-    return TermChoice(_joined(chosen), scores, trial.terms(chosen))
+        if (name != "thermal" or warm) and wins((*taken, name), taken):
+            taken = (*taken, name)
+    if set(taken) >= {"gravity", "periodic"}:
+        lighter = tuple(name for name in taken if name != "gravity")
+        if not wins(taken, lighter):
+            taken = lighter
+    return TermChoice(_joined(taken), scores, trial.terms(taken))
 
 
 def terms_of(names: str, arm: Arm, bare: Identification, observations: Observations) -> tuple[Term, ...]:
@@ -440,18 +436,18 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
     Raises:
         InputError: If a name is unknown.
     """
-    wanted = [name for name in names.split("+") if name != "none"]
-    for name in wanted:
+    requested = [name for name in names.split("+") if name != "none"]
+    for name in requested:
         if name not in NAMES:
             raise InputError(f"unknown terms '{name}'; give auto, none, or some of {', '.join(NAMES)} joined by +")
         if name == "compliance" and observations.conditions.torque is None:
             raise InputError(
                 f"{observations.source}: compliance needs the joints' measured torques; name their columns in "
-                "[conditions.torques], or give --terms gravity"
+                "[conditions.torques], or give `terms='gravity'`"
             )
-    if "periodic" not in wanted:
-        return tuple(plain_term(name, arm, observations) for name in wanted)
-    return _Trial.of(arm, bare, observations, tuple(wanted)).terms(tuple(wanted))
+    if "periodic" not in requested:
+        return tuple(plain_term(name, arm, observations) for name in requested)
+    return _Trial.of(arm, bare, observations, tuple(requested)).terms(tuple(requested))
 
 
 def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
@@ -498,10 +494,10 @@ class _Trial:
             missing = {"compliance": data.conditions.torque is None, "thermal": data.conditions.temperature is None}
             names = tuple(name for name in NAMES if not missing.get(name))
         model = Linearised.of(bare, tuple(plain_term(name, arm, data) for name in names))
-        folds = [held for _, held in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
+        folds = [fold for _, fold in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
         every = counted(data.joints)
-        counts = tuple(every[held] for held in folds)
-        equations = BlockEquations.of(model, [data.select(held) for held in folds])
+        counts = tuple(every[fold] for fold in folds)
+        equations = BlockEquations.of(model, [data.select(fold) for fold in folds])
         return _Trial(bare, data, names, equations, counts)
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
@@ -514,8 +510,8 @@ class _Trial:
         if names not in self.harmonics:
             every = model.coefficients_of(self.names.index("periodic")).reshape(-1, 2)
             self.harmonics[names] = chosen_orders(self.equations, base, every)
-        paths, whole = self.harmonics[names]
-        return [np.r_[base, path] for path in paths], np.r_[base, whole]
+        paths, on_all = self.harmonics[names]
+        return [np.r_[base, path] for path in paths], np.r_[base, on_all]
 
     def score(self, names: tuple[str, ...]) -> float:
         """RMS that they leave on blocks, each judged by a fit to the others, m."""
@@ -530,11 +526,11 @@ class _Trial:
     def terms(self, names: tuple[str, ...]) -> tuple[Term, ...]:
         """The terms of these names, with the orders of the harmonics refined."""
         every = self.equations.model.arm.terms
-        found = {name: every[self.names.index(name)] for name in names}
+        terms = {name: every[self.names.index(name)] for name in names}
         if "periodic" in names:
-            wave = found.pop("periodic")
+            wave = terms.pop("periodic")
             assert isinstance(wave, PeriodicTerm)
-            others, first = tuple(found.values()), self.equations.model.coefficients_of(self.names.index("periodic"))[0]
+            others, first = tuple(terms.values()), self.equations.model.coefficients_of(self.names.index("periodic"))[0]
             wave = wave.some((np.setdiff1d(self.places(names)[1], np.arange(first))[::2] - first) // 2)
             if wave.orders:
                 near = nearby(wave)
@@ -542,11 +538,11 @@ class _Trial:
                 fine = BlockEquations.of(model, self.equations.blocks)
                 places = model.coefficients_of(len(others))
                 base = np.arange(places[0])
-                _, whole = chosen_orders(fine, base, places.reshape(-1, 2))
-                wave = near.some(np.sort(whole[::2] - places[0]) // 2)
+                _, fine_places = chosen_orders(fine, base, places.reshape(-1, 2))
+                wave = near.some(np.sort(fine_places[::2] - places[0]) // 2)
                 if wave.orders:
-                    found["periodic"] = refined(wave, others, self.bare, self.data)
-        return tuple(found[name] for name in names if name in found)
+                    terms["periodic"] = refined(wave, others, self.bare, self.data)
+        return tuple(terms[name] for name in names if name in terms)
 
 
 def _joined(names: tuple[str, ...]) -> str:

@@ -1,1 +1,1 @@
-"""What is measured and what is fitted: measurements, the arm's error model, and what data tell of its parameters."""
+"""Measurements of every kind, the arm's error model, and the parameters that data tell of."""

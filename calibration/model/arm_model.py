@@ -1,4 +1,4 @@
-"""What is identified: a geometry, and parametric terms for what geometry cannot say (compliance, bending, lead, heat).
+"""The model that is identified: a geometry, and parametric terms beyond it (compliance, bending, lead, heat).
 
 The pose is F(q) displaced by the sum of coefficient times column: the terms are small (millimetres), so first order is
 exact to micrometres, and every parameter, geometric or not, is one column of one Jacobian. SI units.
@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import (
     Arm,
     Array,
-    Frame,
     Geometry,
     Pose,
     displace_pose,
@@ -33,7 +32,7 @@ from pickenv.base import InputError
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """What else was known of each pose; None where it was not recorded.
+    """Further conditions of each pose; None where they were not recorded.
 
     Attributes:
         payload: Mass held at the tool ``(N,)``, kg.
@@ -90,11 +89,11 @@ class JointTerm(Term, Protocol):
         return np.asarray(np.moveaxis(by_joint[:, list(which)] * steps.T, -1, 0))
 
     def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
-        """What all coefficients together move each joint by, times the joint Jacobian."""
+        """The joint Jacobian times the motion of each joint by all coefficients together."""
         which, steps = self.steps(geometry, joints, conditions)
-        moved = (coefficients * (np.arange(geometry.joints)[:, None] == list(which))) @ steps.T
+        displacements = (coefficients * (np.arange(geometry.joints)[:, None] == list(which))) @ steps.T
         by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
-        return np.asarray(np.einsum("ijn,jn->ni", by_joint, moved))
+        return np.asarray(np.einsum("ijn,jn->ni", by_joint, displacements))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,15 +133,15 @@ class ArmModel:
         return pose if not self.terms else displace_pose(pose, self.displacement(joints, conditions))
 
     def displacement(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """What the terms add to the pose ``(..., 6)``, m and rad."""
+        """Displacement of the pose by the terms ``(..., 6)``, m and rad."""
         joints = np.asarray(joints, dtype=float)
         flat, first = joints.reshape(-1, joints.shape[-1]), 0
-        moved = np.zeros((len(flat), 6))
+        total = np.zeros((len(flat), 6))
         for term in self.terms:
             last = first + len(term.names(self.geometry))
-            moved += term.displacement(self.geometry, flat, conditions or Conditions(), self.coefficients[first:last])
+            total += term.displacement(self.geometry, flat, conditions or Conditions(), self.coefficients[first:last])
             first = last
-        return np.reshape(moved, (*joints.shape[:-1], 6))
+        return np.reshape(total, (*joints.shape[:-1], 6))
 
     def jacobian(self, joints: Array, conditions: Conditions | None = None) -> Array:
         """Derivative of the pose by every parameter ``(N, 6, 5n + 12 + k)``."""
@@ -163,8 +162,8 @@ class ArmModel:
         """
         joints = np.asarray(joints, dtype=float)
         jacobian = self.jacobian(joints.reshape(-1, joints.shape[-1]), conditions)[..., np.asarray(columns)]
-        found = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
-        return np.asarray(found.reshape(*joints.shape[:-1], 6, 6))
+        covariances = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
+        return np.asarray(covariances.reshape(*joints.shape[:-1], 6, 6))
 
     def displaced(self, delta: Array) -> ArmModel:
         """This model with ``delta`` ``(5n + 12 + k,)`` added to its parameters."""
@@ -233,9 +232,9 @@ class ComplianceTerm(JointTerm):
             raise InputError("joint compliance needs measured torques or link masses; give a torque column or a load")
         payload = self.load.payload if conditions.payload is None else conditions.payload
         chain = chain_of(geometry)
-        found = frames(np, chain, split_joints(geometry.joints, joints))
+        link_frames = frames(np, chain, split_joints(geometry.joints, joints))
         load = Load(self.load.mass, self.load.centre, payload)
-        torque = _repeated(gravity_torques(chain, found, load), len(joints)).T
+        torque = _repeated(gravity_torques(chain, link_frames, load), len(joints)).T
         return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
 
 
@@ -266,9 +265,9 @@ class BendingTerm(Term):
         if geometry.coupling is not None:
             raise InputError("the bending of a boom needs an arm whose joints move one link each; leave the term out")
         chain = chain_of(geometry)
-        found = frames(np, chain, split_joints(geometry.joints, joints))
-        boom, tool = _placed(found[self.joint + 1], len(joints)), forward(geometry, joints).position
-        z, tip = boom[:, 2], boom[:, 3]
+        link_frames = frames(np, chain, split_joints(geometry.joints, joints))
+        boom = _repeated(link_frames[self.joint + 1], len(joints)).T.reshape(len(joints), 4, 3)  # axes and origin
+        z, tip, tool = boom[:, 2], boom[:, 3], forward(geometry, joints).position
         across = z * z[:, 2:] - np.array([0.0, 0.0, 1.0])
         turn = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], -1)
         length = (joints[:, self.joint] + self.length)[:, None]
@@ -337,7 +336,7 @@ class PeriodicTerm(JointTerm):
 
 @dataclass(frozen=True)
 class OrderTerm(JointTerm):
-    """How the tool moves as a harmonic's order does: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
+    """Motion of the tool by a harmonic's order: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
 
     wave: PeriodicTerm
     sines: tuple[float, ...]
@@ -377,12 +376,12 @@ class ThermalTerm(Term):
             raise InputError("thermal expansion needs temperatures; give a temperature column")
         n = geometry.links
         jacobian = parameter_jacobian(geometry, joints)
-        moved = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), 1)
+        travel = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), 1)
         lengths = np.concatenate(
-            [np.broadcast_to(geometry.a, moved.shape), geometry.d + moved * np.array(geometry.slides)], 1
+            [np.broadcast_to(geometry.a, travel.shape), geometry.d + travel * np.array(geometry.slides)], 1
         )
-        chosen = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
-        return np.asarray(np.einsum("nip,np->ni", chosen, lengths * conditions.temperature[:, None])[..., None])
+        by_length = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
+        return np.asarray(np.einsum("nip,np->ni", by_length, lengths * conditions.temperature[:, None])[..., None])
 
 
 @dataclass(frozen=True)
@@ -405,17 +404,17 @@ class GravityTerm(JointTerm):
 
     def moments(self, geometry: Geometry) -> list[tuple[int, int, str]]:
         """(joint, link, moment) of each coefficient; "m" mass at the link's origin, "p" payload at the tool."""
-        found = []
+        moments = []
         for i in self.joints:
-            moved = [link for link, _ in geometry.links_of(i)]
-            if all(geometry.slides[link] for link in moved):
-                found += [(i, link, "m") for link in moved]
+            driven = [link for link, _ in geometry.links_of(i)]
+            if all(geometry.slides[link] for link in driven):
+                moments += [(i, link, "m") for link in driven]
             else:
-                links = range(moved[0], geometry.links)
-                found += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (moved[0], "m")]
+                links = range(driven[0], geometry.links)
+                moments += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (driven[0], "m")]
             if self.payload:
-                found.append((i, geometry.links, "p"))
-        return found
+                moments.append((i, geometry.links, "p"))
+        return moments
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """Joint, link and moment: gravity2_3x."""
@@ -438,11 +437,11 @@ class GravityTerm(JointTerm):
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = chain_of(geometry)
-        found = frames(np, chain, split_joints(geometry.joints, joints))
+        links = frames(np, chain, split_joints(geometry.joints, joints))
         # Axes and origin ``(4, 3, N)`` of each link, and of the tool: of what is carried. About an axis z a lever's
         # weight turns by z . (lever x up) = lever . (up x z).
         placed = [
-            _repeated(frame, len(joints)).reshape(4, 3, -1) for frame in (*found[1:], attach(found[-1], chain.tool))
+            _repeated(frame, len(joints)).reshape(4, 3, -1) for frame in (*links[1:], attach(links[-1], chain.tool))
         ]
         up = geometry.base.rotation @ np.array(self.up)
         about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
@@ -473,11 +472,6 @@ class GravityTerm(JointTerm):
         return ComplianceTerm(self.joints, None, self, tuple(moments.tolist()))
 
 
-def _placed(frame: Frame, count: int) -> Array:
-    """Axes and origin of a frame ``(count, 4, 3)``, one row each, where it may have plain numbers for all poses."""
-    return _repeated(frame, count).T.reshape(count, 4, 3)
-
-
 def _repeated(parts: Sequence[Scalar], count: int) -> Array:
     """Components ``(k, count)``, plain numbers once for each pose."""
     return np.stack([np.broadcast_to(part, count) for part in parts])
@@ -500,7 +494,7 @@ def kind_of_term(term: Term) -> str:
 
 
 def specification(term: Any) -> dict[str, Any]:
-    """What `term_from` needs to make a term again (JSON)."""
+    """A term as `term_from` makes it again (JSON)."""
     return {"kind": kind_of_term(term), **asdict(term)}
 
 
@@ -508,10 +502,9 @@ def term_from(content: Mapping[str, Any]) -> Term:
     """Make a term again from its `specification`, as a calibration file holds it."""
     numbers = _tuples(content)
     kind = KINDS[numbers.pop("kind")]
-    if numbers.get("load"):
-        numbers["load"] = Load(**numbers["load"])
-    if numbers.get("weight"):
-        numbers["weight"] = GravityTerm(**numbers["weight"])
+    for name, part in (("load", Load), ("weight", GravityTerm)):
+        if numbers.get(name):
+            numbers[name] = part(**numbers[name])
     term: Term = kind(**numbers)
     return term
 
@@ -580,7 +573,7 @@ def complete_model(geometry: Geometry) -> ErrorModel:
 
 
 def geometric_model(geometry: Geometry, known_frames: bool) -> ErrorModel:
-    """What is identified: the links alone where base and tool are known, else base and tool with them."""
+    """Parameters to identify: the links alone where base and tool are known, else base and tool with them."""
     return link_model(geometry) if known_frames else complete_model(geometry)
 
 
@@ -660,8 +653,8 @@ def pose_carrier() -> Arm:
 def joints_of_finished_poses(poses: Pose) -> Array:
     """The joints ``(N, 6)`` that hold poses ``(N,)``."""
     geometry = pose_carrier().nominal
-    rest = forward(geometry, np.zeros(6))
+    zero = forward(geometry, np.zeros(6))
     along = np.stack([forward(geometry, row).position for row in np.eye(6)[:3]], axis=1)
     slides = np.linalg.solve(along, poses.position.T).T
-    angles = Rotation.from_matrix(rest.rotation.T @ poses.rotation).as_euler("ZYZ")
+    angles = Rotation.from_matrix(zero.rotation.T @ poses.rotation).as_euler("ZYZ")
     return np.concatenate([slides, angles * (1.0, -1.0, 1.0)], axis=1)

@@ -7,10 +7,9 @@ three numbers, of which only the direction counts; one equation more keeps their
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple, Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +33,7 @@ ORIGIN: Tip = (0.0, 0.0, 0.0)
 
 
 def tool_points(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> Array:
-    """Where a point ``(3,)`` of the tool's frame is at joints ``(N, n)``: ``(N, 3)``, m."""
+    """World positions ``(N, 3)``, m, of a point ``(3,)`` of the tool's frame at joints ``(N, n)``."""
     pose = model.pose(joints, conditions)
     return np.asarray(pose.position + pose.rotation @ tip)
 
@@ -54,39 +53,6 @@ FAR = 5.0
 """Rows farther off than so many medians do not say how points lie."""
 
 
-class Gap(NamedTuple):
-    """Distances of N points from a surface, m, with their derivatives.
-
-    Attributes:
-        size: ``(N,)``.
-        by_point: ``(N, 3)``.
-        by_values: By the surface's own numbers ``(N, K)``.
-    """
-
-    size: Array
-    by_point: Array
-    by_values: Array
-
-
-class Surface(NamedTuple):
-    """One kind of surface with K numbers of its own.
-
-    Attributes:
-        names: Of the numbers.
-        tolerances: Scale of each one's deviation ``(K,)``, m or rad.
-        gap: Distances of points ``(N, 3)`` from the surface with these numbers.
-        start: The numbers and the zero of the readings, from points ``(N, 3)``, readings ``(N,)``, a zero and whether
-            it is unknown.
-        gauge: Equations that hold what the distances leave open: residual ``(G,)`` and derivatives ``(G, K)``.
-    """
-
-    names: tuple[str, ...]
-    tolerances: Array
-    gap: Callable[[Array, Array], Gap]
-    start: Callable[[Array, Array, float, bool], tuple[Array, float]]
-    gauge: Callable[[Array], tuple[Array, Array]]
-
-
 def direction(vector: Array) -> tuple[Array, Array]:
     """A vector ``(3,)`` at length one, and its derivative ``(3, 3)`` by the vector."""
     size = float(np.linalg.norm(vector))
@@ -95,42 +61,19 @@ def direction(vector: Array) -> tuple[Array, Array]:
 
 
 def unit_length(vector: Array) -> tuple[Array, Array]:
-    """How much too short a vector ``(3,)`` is, to first order ``(1,)``, and the derivative ``(1, 3)`` of its length."""
+    """A vector's shortness of length one, to first order ``(1,)``, and the derivative ``(1, 3)`` of its length."""
     return np.array([(1.0 - vector @ vector) / 2.0]), vector[None]
 
 
 def steady_solution(matrix: Array, right: Array) -> Array:
     """The solution of least absolute errors, which a few gross rows hardly pull, by re-weighted least squares."""
     weights: Array = np.ones(len(right))
-    found: Array = np.zeros(matrix.shape[1])
+    solution: Array = np.zeros(matrix.shape[1])
     for _ in range(STEPS):
-        found = np.asarray(np.linalg.lstsq(matrix * weights[:, None], right * weights, rcond=None)[0], dtype=float)
-        left = np.abs(right - matrix @ found)
-        weights = 1.0 / np.sqrt(np.maximum(left, 0.1 * float(np.median(left)) + 1e-12))
-    return found
-
-
-def _from_point(values: Array, points: Array) -> Gap:
-    away = points - values
-    size = np.linalg.norm(away, axis=1)
-    along = away / np.maximum(size, 1e-12)[:, None]
-    return Gap(size, along, -along)
-
-
-def _from_line(values: Array, points: Array) -> Gap:
-    ahead, by_vector = direction(values[3:])
-    away = points - values[:3]
-    far = away @ ahead
-    across = away - far[:, None] * ahead
-    size = np.linalg.norm(across, axis=1)
-    out = across / np.maximum(size, 1e-12)[:, None]
-    return Gap(size, out, np.concatenate([-out, -far[:, None] * (out @ by_vector)], axis=1))
-
-
-def _from_plane(values: Array, points: Array) -> Gap:
-    normal, by_vector = direction(values[:3])
-    by_point = np.broadcast_to(normal, points.shape)
-    return Gap(points @ normal - values[3], by_point, np.column_stack([points @ by_vector, -np.ones(len(points))]))
+        solution = np.asarray(np.linalg.lstsq(matrix * weights[:, None], right * weights, rcond=None)[0], dtype=float)
+        errors = np.abs(right - matrix @ solution)
+        weights = 1.0 / np.sqrt(np.maximum(errors, 0.1 * float(np.median(errors)) + 1e-12))
+    return solution
 
 
 def _centre(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
@@ -142,87 +85,122 @@ def _centre(points: Array, readings: Array, zero: float, unknown: bool) -> tuple
     p, length = points - middle, readings - begin
     varied = unknown and float(np.ptp(readings)) > 0.0
     columns = [2.0 * p, np.ones((len(p), 1)), *([-2.0 * length[:, None]] if varied else [])]
-    found = steady_solution(np.hstack(columns), np.sum(p**2, axis=1) - length**2)
-    at, rest = found[: p.shape[1]], float(found[p.shape[1]])
+    solution = steady_solution(np.hstack(columns), np.sum(p**2, axis=1) - length**2)
+    at, constant = solution[: p.shape[1]], float(solution[p.shape[1]])
     if varied:
-        begin += float(found[-1])
+        begin += float(solution[-1])
     elif unknown:
-        begin -= float(np.sqrt(max(rest + float(at @ at), 0.0)))
+        begin -= float(np.sqrt(max(constant + float(at @ at), 0.0)))
     return middle + at, begin
 
 
 def _principal_axes(points: Array, count: int) -> tuple[Array, NDArray[np.bool_]]:
     """Axes of points ``(N, 3)``, those of most spread first ``(3, 3)``, and which lie near the first ``count``."""
-    kept = np.ones(len(points), dtype=bool)
+    near = np.ones(len(points), dtype=bool)
     axes = np.eye(3)
     for _ in range(STEPS):
-        middle = points[kept].mean(axis=0)
-        axes = np.linalg.svd(points[kept] - middle)[2]
+        middle = points[near].mean(axis=0)
+        axes = np.linalg.svd(points[near] - middle)[2]
         off = np.linalg.norm((points - middle) @ axes[count:].T, axis=1)
-        used, kept = kept, off <= FAR * max(float(np.median(off)), 1e-9)
-        if kept.sum() < 4 or np.array_equal(used, kept):
+        before, near = near, off <= FAR * max(float(np.median(off)), 1e-9)
+        if near.sum() < 4 or np.array_equal(before, near):
             break
-    return axes, kept
+    return axes, near
 
 
-def _line_start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-    """The longest axis of the points, and across it the centre of a circle."""
-    axes, near = _principal_axes(points, 1)
-    across, found = _centre(points[near] @ axes[1:].T, readings[near], zero, unknown)
-    return np.concatenate([across @ axes[1:], axes[0]]), found
+class _Point:
+    """A point, by its coordinates.
+
+    As every surface it has names of its K numbers and the scales of their deviations ``(K,)``, m or rad. ``gap`` gives
+    the distances ``(N,)`` of points ``(N, 3)``, m, with their derivatives by point ``(N, 3)`` and numbers ``(N, K)``;
+    ``start`` the numbers and the zero of the readings, from points, readings ``(N,)``, a zero and whether it is
+    unknown; ``gauge`` the equations that hold what distances leave open, residual ``(G,)`` and derivatives ``(G, K)``.
+    """
+
+    names: tuple[str, ...] = ("anchor_x", "anchor_y", "anchor_z")
+    tolerances: Array = np.full(3, LENGTH_TOLERANCE)
+
+    @staticmethod
+    def gap(values: Array, points: Array) -> tuple[Array, Array, Array]:
+        away = points - values
+        size = np.linalg.norm(away, axis=1)
+        along = away / np.maximum(size, 1e-12)[:, None]
+        return size, along, -along
+
+    @staticmethod
+    def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
+        return _centre(points, readings, zero, unknown)
+
+    @staticmethod
+    def gauge(values: Array) -> tuple[Array, Array]:
+        return np.zeros(0), np.zeros((0, len(values)))
 
 
-def _plane_start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-    """The shortest axis of the points, or the direction along which the readings grow, whichever explains more."""
-    shortest = _principal_axes(points, 2)[0][2]
-    matrix = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])
-    slope = steady_solution(matrix, readings)[:3]
-    candidates = [shortest, *([slope / np.linalg.norm(slope)] if np.linalg.norm(slope) > 1e-9 else [])]
+class _Line(_Point):
+    """A line, by the point on it that is nearest to the origin, and a direction of length one."""
 
-    def left(normal: Array) -> float:
-        offsets = points @ normal - readings
-        return float(np.median(np.abs(offsets - np.median(offsets))))
+    names = ("edge_x", "edge_y", "edge_z", "along_x", "along_y", "along_z")
+    tolerances = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
 
-    normal = min(candidates, key=left)
-    return np.append(normal, np.median(points @ normal - readings)), zero
+    @staticmethod
+    def gap(values: Array, points: Array) -> tuple[Array, Array, Array]:
+        ahead, by_vector = direction(values[3:])
+        away = points - values[:3]
+        far = away @ ahead
+        across = away - far[:, None] * ahead
+        size = np.linalg.norm(across, axis=1)
+        out = across / np.maximum(size, 1e-12)[:, None]
+        return size, out, np.concatenate([-out, -far[:, None] * (out @ by_vector)], axis=1)
+
+    @staticmethod
+    def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
+        """The longest axis of the points, and across it the centre of a circle."""
+        axes, near = _principal_axes(points, 1)
+        across, begin = _centre(points[near] @ axes[1:].T, readings[near], zero, unknown)
+        return np.concatenate([across @ axes[1:], axes[0]]), begin
+
+    @staticmethod
+    def gauge(values: Array) -> tuple[Array, Array]:
+        at, ahead = values[:3], values[3:]
+        short, by_vector = unit_length(ahead)
+        rows = np.vstack([np.concatenate([np.zeros(3), by_vector[0]]), np.concatenate([ahead, at])])
+        return np.append(short, -(at @ ahead)), rows
 
 
-def _no_gauge(values: Array) -> tuple[Array, Array]:
-    return np.zeros(0), np.zeros((0, len(values)))
+class _Plane(_Point):
+    """A plane, by a normal of length one and its distance from the origin."""
+
+    names = ("normal_x", "normal_y", "normal_z", "plane_offset")
+    tolerances = np.array([ANGLE_TOLERANCE] * 3 + [LENGTH_TOLERANCE])
+
+    @staticmethod
+    def gap(values: Array, points: Array) -> tuple[Array, Array, Array]:
+        normal, by_vector = direction(values[:3])
+        by_point = np.broadcast_to(normal, points.shape)
+        return points @ normal - values[3], by_point, np.column_stack([points @ by_vector, -np.ones(len(points))])
+
+    @staticmethod
+    def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
+        """The shortest axis of the points, or the direction along which the readings grow, whichever explains more."""
+        shortest = _principal_axes(points, 2)[0][2]
+        matrix = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])
+        slope = steady_solution(matrix, readings)[:3]
+        candidates = [shortest, *([slope / np.linalg.norm(slope)] if np.linalg.norm(slope) > 1e-9 else [])]
+
+        def spread(normal: Array) -> float:
+            offsets = points @ normal - readings
+            return float(np.median(np.abs(offsets - np.median(offsets))))
+
+        normal = min(candidates, key=spread)
+        return np.append(normal, np.median(points @ normal - readings)), zero
+
+    @staticmethod
+    def gauge(values: Array) -> tuple[Array, Array]:
+        short, by_vector = unit_length(values[:3])
+        return short, np.append(by_vector, [[0.0]], axis=1)
 
 
-def _line_gauge(values: Array) -> tuple[Array, Array]:
-    """The direction has length one, and the point on the line is the one nearest to the origin."""
-    at, ahead = values[:3], values[3:]
-    short, by_vector = unit_length(ahead)
-    rows = np.vstack([np.concatenate([np.zeros(3), by_vector[0]]), np.concatenate([ahead, at])])
-    return np.append(short, -(at @ ahead)), rows
-
-
-def _plane_gauge(values: Array) -> tuple[Array, Array]:
-    short, by_vector = unit_length(values[:3])
-    return short, np.append(by_vector, [[0.0]], axis=1)
-
-
-SURFACES: dict[str, Surface] = {
-    "point": Surface(
-        ("anchor_x", "anchor_y", "anchor_z"), np.full(3, LENGTH_TOLERANCE), _from_point, _centre, _no_gauge
-    ),
-    "line": Surface(
-        ("edge_x", "edge_y", "edge_z", "along_x", "along_y", "along_z"),
-        np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3),
-        _from_line,
-        _line_start,
-        _line_gauge,
-    ),
-    "plane": Surface(
-        ("normal_x", "normal_y", "normal_z", "plane_offset"),
-        np.array([ANGLE_TOLERANCE] * 3 + [LENGTH_TOLERANCE]),
-        _from_plane,
-        _plane_start,
-        _plane_gauge,
-    ),
-}
+SURFACES: dict[SurfaceName, type[_Point]] = {"point": _Point, "line": _Line, "plane": _Plane}
 """The surfaces by name."""
 
 
@@ -279,7 +257,7 @@ class SocketObservations(OneGroup):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Where the sockets are, and the tool point."""
+        """Places of the sockets, and the tool point."""
         count = 3 * len(self._names)
         return Stated(
             (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *TIP),
@@ -306,24 +284,24 @@ class SocketObservations(OneGroup):
         """The median of the ball's positions in each socket, which a few gross rows hardly move."""
         ball = tool_points(model, self.joints, self.conditions, np.array(self.tip))
         rests = [ball[self.socket == i] for i in range(len(self._names))]
-        sockets = [np.median(rest if len(rest) else ball, axis=0) for rest in rests]
+        sockets = [np.median(points if len(points) else ball, axis=0) for points in rests]
         return np.concatenate([*sockets, self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
         """Of ball minus socket."""
         by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, numbers[-3:])
-        chosen = np.eye(len(self._names))[self.socket]
-        rest = -np.einsum("ns,ij->nisj", chosen, np.eye(3)).reshape(*by_tip.shape[:2], -1)
-        return by_model / self.std, np.concatenate([rest, by_tip], axis=-1) / self.std
+        places = np.eye(len(self._names))[self.socket]
+        by_socket = -np.einsum("ns,ij->nisj", places, np.eye(3)).reshape(*by_tip.shape[:2], -1)
+        return by_model / self.std, np.concatenate([by_socket, by_tip], axis=-1) / self.std
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
         """The spacings that are known."""
-        (one, other), sockets = self.pairs.T, numbers[:-3].reshape(-1, 3)
-        difference = sockets[one] - sockets[other]
+        (first, second), sockets = self.pairs.T, numbers[:-3].reshape(-1, 3)
+        difference = sockets[first] - sockets[second]
         apart = np.linalg.norm(difference, axis=1)
         along = difference / apart[:, None] / self.spacing_std
         places = np.eye(len(sockets))
-        by_sockets = np.einsum("ms,mj->msj", places[one] - places[other], along).reshape(-1, sockets.size)
+        by_sockets = np.einsum("ms,mj->msj", places[first] - places[second], along).reshape(-1, sockets.size)
         return (self.spacing - apart) / self.spacing_std, np.pad(by_sockets, ((0, 0), (0, 3)))
 
 
@@ -386,21 +364,21 @@ class DistanceObservations(OneGroup):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Where the point, line or plane is, and the instrument's own: zero, scale and tool point."""
-        place, zero_std = SURFACES[self.surface], 0.0 if self.surface == "plane" else self.zero_std
+        """Place of the point, line or plane, and the instrument's own: zero, scale and tool point."""
+        surface, zero_std = SURFACES[self.surface], 0.0 if self.surface == "plane" else self.zero_std
         return Stated(
-            (*place.names, "zero", "scale", *TIP),
-            np.array([*np.ones(len(place.names)), self.zero, 0.0, *self.tip]),
-            np.array([*[np.inf] * len(place.names), zero_std, self.scale_std, *[self.tip_std] * 3]),
-            np.array([*place.tolerances, LENGTH_TOLERANCE, SCALE_TOLERANCE, *[LENGTH_TOLERANCE] * 3]),
+            (*surface.names, "zero", "scale", *TIP),
+            np.array([*np.ones(len(surface.names)), self.zero, 0.0, *self.tip]),
+            np.array([*[np.inf] * len(surface.names), zero_std, self.scale_std, *[self.tip_std] * 3]),
+            np.array([*surface.tolerances, LENGTH_TOLERANCE, SCALE_TOLERANCE, *[LENGTH_TOLERANCE] * 3]),
         )
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
         """Measured minus predicted readings."""
         *values, zero, scale = numbers[:-3]
         points = tool_points(model, self.joints, self.conditions, numbers[-3:])
-        gap = SURFACES[self.surface].gap(np.array(values), points)
-        return np.asarray(self.length - (1.0 + scale) * gap.size - zero)[:, None]
+        distance = SURFACES[self.surface].gap(np.array(values), points)[0]
+        return np.asarray(self.length - (1.0 + scale) * distance - zero)[:, None]
 
     def readings(self) -> Array:
         """The lengths."""
@@ -409,20 +387,21 @@ class DistanceObservations(OneGroup):
     def start(self, model: ArmModel) -> Array:
         """Trilateration or a plane through the tool's points, as the model has them."""
         points = tool_points(model, self.joints, self.conditions, np.array(self.tip))
-        start = SURFACES[self.surface].start(points, self.length, self.zero, bool(np.isinf(self.zero_std)))
-        return np.concatenate([start[0], [start[1], 0.0], self.tip])[self.numbers.free]
+        place, zero = SURFACES[self.surface].start(points, self.length, self.zero, bool(np.isinf(self.zero_std)))
+        return np.concatenate([place, [zero, 0.0], self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
         """The pose Jacobian along the distance."""
         values, scale, tip = numbers[:-5], numbers[-4], numbers[-3:]
-        gap = SURFACES[self.surface].gap(values, tool_points(model, self.joints, self.conditions, tip))
+        points = tool_points(model, self.joints, self.conditions, tip)
+        distance, by_point, by_place = SURFACES[self.surface].gap(values, points)
         by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, tip)
-        along = gap.by_point * (1.0 + scale) / self.std
-        by_own = np.column_stack([gap.by_values * (1.0 + scale), np.ones(len(gap.size)), gap.size]) / self.std
+        along = by_point * (1.0 + scale) / self.std
+        by_own = np.column_stack([by_place * (1.0 + scale), np.ones(len(distance)), distance]) / self.std
         return np.einsum("ni,nip->np", along, by_model), np.hstack([by_own, np.einsum("ni,nij->nj", along, by_tip)])
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """What the surface's numbers leave open, as strong as all readings together: neither drowns the other."""
+        """The gauge of the surface's numbers, as strong as all readings together: neither drowns the other."""
         std = self.std / float(np.sqrt(max(len(self.joints), 1)))
         residual, by_values = SURFACES[self.surface].gauge(numbers[:-5])
         return residual / std, np.pad(by_values, ((0, 0), (0, 5))) / std
@@ -473,7 +452,7 @@ class ReflectorObservations(OneGroup):
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """What it would be asked at other joints ``(M, n)``, were every reflector seen."""
+        """The same at other joints ``(M, n)``, were every reflector seen."""
         return OneGroup.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
 
     def readings(self) -> Array:
@@ -482,7 +461,7 @@ class ReflectorObservations(OneGroup):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Where the reflectors sit, as far as it is known."""
+        """Places of the reflectors, as far as they are known."""
         count = 3 * self.points.shape[1]
         names = tuple(f"reflector{i + 1}_{axis}" for i in range(self.points.shape[1]) for axis in "xyz")
         values = np.zeros(count) if self.places is None else self.places.ravel()
@@ -510,10 +489,6 @@ class ReflectorObservations(OneGroup):
         weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
         return np.asarray(np.sum(np.where(self.seen[..., None], local, 0.0) * weight, axis=0))
 
-    def predict(self, model: ArmModel, unknowns: Array) -> Array:
-        """Predicted points ``(N, k, 3)``, m."""
-        return self._points(model, self.numbers.whole(unknowns))
-
     def _points(self, model: ArmModel, numbers: Array) -> Array:
         tool = model.pose(self.joints, self.conditions)
         return np.asarray(tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3)))
@@ -540,12 +515,8 @@ class ReflectorObservations(OneGroup):
         return by_arm, by_place
 
     def _whitening(self) -> Array:
-        return np.broadcast_to(whitening_of(self.covariance), (*self.points.shape, 3))
-
-
-def whitening_of(covariance: Array) -> Array:
-    """W with W C W^T = 1 for covariances C ``(..., 3, 3)``: inverse of the Cholesky factor."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+        """W with W C W^T = 1 for covariances C: inverse of the Cholesky factor."""
+        return np.broadcast_to(np.linalg.inv(np.linalg.cholesky(self.covariance)), (*self.points.shape, 3))
 
 
 def tracker_covariance(
@@ -647,9 +618,9 @@ class TiltObservations(OneGroup):
         if self.axes_std and self.down_std:
             flat = rotation.reshape(-1, 9)
             products = [steady_solution(flat, reading).reshape(3, 3) for reading in self.components.T]
-            left, _, right = np.linalg.svd(np.hstack(products))
-            sign = 1.0 if left[2, 0] < 0.0 else -1.0  # the other answer hangs the arm from the ceiling
-            down, axes = sign * left[:, 0], sign * right[0].reshape(count, 3)
+            u, _, vt = np.linalg.svd(np.hstack(products))
+            sign = 1.0 if u[2, 0] < 0.0 else -1.0  # the other answer hangs the arm from the ceiling
+            down, axes = sign * u[:, 0], sign * vt[0].reshape(count, 3)
         elif self.down_std:
             matrix = np.concatenate([rotation @ axis for axis in axes])
             down = steady_solution(matrix, self.components.T.ravel())

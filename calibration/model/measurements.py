@@ -7,7 +7,7 @@ vector rx_deg, ry_deg, rz_deg. Foreign files are read through a column descripti
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -90,7 +90,7 @@ class Measurements(OneGroup):
 
     @property
     def kind(self) -> str:
-        """What was measured: "pose" or "position"."""
+        """Name of the kind: "pose" or "position"."""
         return "position" if self.rotation is None else "pose"
 
     @property
@@ -143,8 +143,7 @@ class Measurements(OneGroup):
     def joinable(self, other: Measurements) -> bool:
         """Whether two data sets can be one: poses or positions alike, of about the same uncertainty."""
         stds, others = (self.position_std, self.attitude_std), (other.position_std, other.attitude_std)
-        alike = (self.kind, self.frames) == (other.kind, other.frames)
-        return alike and np.allclose(others, stds, ALIKE, 0.0)
+        return (self.kind, self.frames) == (other.kind, other.frames) and np.allclose(others, stds, ALIKE, 0.0)
 
     def positions_only(self) -> Measurements:
         """The same data set without attitudes."""
@@ -156,10 +155,8 @@ class Measurements(OneGroup):
 
     def table(self) -> tuple[list[str], Array]:
         """Column names with units, and the values in those units, one row per pose."""
-        names = joint_columns(self.prismatic)
-        scale = np.where(self.prismatic, 1e3, np.degrees(1.0))
-        columns = [self.joints * scale, self.position * 1e3]
-        names += ["x_mm", "y_mm", "z_mm"]
+        names = [*joint_columns(self.prismatic), "x_mm", "y_mm", "z_mm"]
+        columns = [self.joints * _units(self.prismatic), self.position * 1e3]
         if self.rotation is not None:
             names += ["rx_deg", "ry_deg", "rz_deg"]
             columns.append(np.degrees(rotation_vector(self.rotation)))
@@ -173,13 +170,18 @@ class Measurements(OneGroup):
         names, values = self.table()
         if self.frames == "fitted":
             return write_table(path, names, values)
-        known = np.full((len(self), 1), self.frames, dtype=object)
-        return write_table(path, [*names, FRAMES_COLUMN], np.concatenate([values.astype(object), known], axis=1))
+        frames = np.full((len(self), 1), self.frames, dtype=object)
+        return write_table(path, [*names, FRAMES_COLUMN], np.concatenate([values.astype(object), frames], axis=1))
 
 
 def joint_columns(prismatic: Sequence[bool]) -> list[str]:
     """Names of the joint columns of our own CSV format."""
     return [f"q{i + 1}_{'mm' if slides else 'deg'}" for i, slides in enumerate(prismatic)]
+
+
+def _units(prismatic: Sequence[bool]) -> Array:
+    """These columns' units per rad and m."""
+    return np.where(prismatic, 1e3, np.degrees(1.0))
 
 
 def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.object_]) -> Path:
@@ -196,7 +198,7 @@ def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.o
 
 def write_joints(path: str | Path, joints: Array, prismatic: tuple[bool, ...]) -> Path:
     """Write joints ``(N, n)`` as our own CSV columns (q1_deg, q2_mm, …)."""
-    return write_table(path, joint_columns(prismatic), joints * np.where(prismatic, 1e3, np.degrees(1.0)))
+    return write_table(path, joint_columns(prismatic), joints * _units(prismatic))
 
 
 def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:
@@ -207,7 +209,7 @@ def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> A
 def simulated_tracker(
     plant: Plant, joints: ArrayLike, rng: np.random.Generator, instrument: Instrument | str = TRACKER
 ) -> Measurements:
-    """What an instrument, registered to base and tool, sees of the arm that visits ``joints`` one after another.
+    """Readings by an instrument, registered to base and tool, of the arm that visits ``joints`` one after another.
 
     One call is one campaign: the machine is switched on, warms up, drives from pose to pose and waits before each
     reading; the target is mounted once. "ideal" waits for ever at each pose.
@@ -227,12 +229,12 @@ def simulated_tracker(
     if not np.isfinite(joints).all():
         row = int(np.argmin(np.isfinite(joints).all(axis=1)))
         raise InputError(f"the joints of pose {row} are {joints[row].tolist()}; give finite ones, rad or m")
-    chosen = instrument if isinstance(instrument, Instrument) else load_instrument(instrument)
-    return tracked(plant, chosen, joints, normal_draws(plant, len(joints), rng))
+    instrument = instrument if isinstance(instrument, Instrument) else load_instrument(instrument)
+    return tracked(plant, instrument, joints, normal_draws(plant, len(joints), rng))
 
 
 def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDraws) -> Measurements:
-    """What an instrument sees of the arm that visits ``joints`` ``(N, n)``, with these draws."""
+    """Readings by an instrument of the arm that visits ``joints`` ``(N, n)``, with these draws."""
     pose, noise = measured_poses(plant, joints, instrument, draws), instrument.noise_on(plant)
     std = attitude_std = 0.0
     if noise is not None:
@@ -259,6 +261,9 @@ def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDr
 
 OWN = ("base", "tool")
 """Frames that a station can have of its own."""
+
+FRAME_TOLERANCES = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
+"""Scales of a frame's deviations, m and rad."""
 
 ALIKE = 0.1
 """Data sets are of one instrument where their uncertainties differ by no more than this share."""
@@ -292,18 +297,17 @@ class InstrumentStation:
 
     @property
     def suffix(self) -> str:
-        """What the names of its unknowns end with."""
+        """Ending of the names of its unknowns."""
         return "" if self.number == 1 else f"_{self.number}"
 
     def unknowns(self) -> tuple[str, ...]:
         """The data's own, then those of the frames: base2_x."""
-        own = tuple(f"{name}{self.suffix}" for name in self.data.unknowns())
-        return own + tuple(f"{frame}{self.number}_{name}" for frame in self.frames for name in FRAME_PARAMETERS)
+        names = tuple(f"{name}{self.suffix}" for name in self.data.unknowns())
+        return names + tuple(f"{frame}{self.number}_{name}" for frame in self.frames for name in FRAME_PARAMETERS)
 
     def tolerances(self) -> Array:
         """Of a frame's deviation, as of the arm's own base and tool."""
-        frame = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
-        return np.concatenate([self.data.tolerances(), np.tile(frame, len(self.frames))])
+        return np.concatenate([self.data.tolerances(), np.tile(FRAME_TOLERANCES, len(self.frames))])
 
     def start(self, model: ArmModel) -> Array:
         """The data's own start, and no deviation of the frames."""
@@ -312,10 +316,10 @@ class InstrumentStation:
 
     def seen(self, model: ArmModel, unknowns: Array) -> tuple[ArmModel, Array]:
         """The arm as this station sees it, and the data's own unknowns."""
-        own, deviations = np.split(unknowns, [len(unknowns) - 6 * len(self.frames)])
+        values, deviations = np.split(unknowns, [len(unknowns) - 6 * len(self.frames)])
         steps = zip(self.frames.items(), deviations.reshape(-1, 6), strict=True)
-        moved: dict[str, Any] = {name: move_pose(pose, step) for (name, pose), step in steps}
-        return replace(model, geometry=replace(model.geometry, **moved)) if moved else model, own
+        frames: dict[str, Any] = {name: move_pose(pose, step) for (name, pose), step in steps}
+        return replace(model, geometry=replace(model.geometry, **frames)) if frames else model, values
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Of the data, seen from here."""
@@ -389,7 +393,7 @@ class Stacked:
 
     @property
     def conditions(self) -> Conditions:
-        """What every station recorded."""
+        """Conditions that every station recorded."""
         parts = [vars(part.conditions) for part in self.parts]
         common = [name for name in parts[0] if all(part[name] is not None for part in parts)]
         return Conditions(**{name: np.concatenate([part[name] for part in parts]) for name in common})
@@ -397,12 +401,12 @@ class Stacked:
     @property
     def origins(self) -> Origins:
         """File and line of every row."""
-        each = [origins_of(part) for part in self.parts]
-        first = np.cumsum([0] + [len(origins.files) for origins in each[:-1]])
+        parts = [origins_of(part) for part in self.parts]
+        starts = _starts([len(origins.files) for origins in parts])
         return Origins(
-            tuple(file for origins in each for file in origins.files),
-            np.concatenate([origins.file + start for origins, start in zip(each, first, strict=True)]),
-            np.concatenate([origins.line for origins in each]),
+            tuple(file for origins in parts for file in origins.files),
+            np.concatenate([origins.file + start for origins, start in zip(parts, starts, strict=True)]),
+            np.concatenate([origins.line for origins in parts]),
         )
 
     @property
@@ -418,9 +422,9 @@ class Stacked:
 
     def equations(self) -> tuple[Rows, Rows]:
         """Rows and channels; each station has channels of its own."""
-        each = [part.equations() for part in self.parts]
-        rows = [np.where(own >= 0, own + first, -1) for (own, _), first in zip(each, self._first_rows(), strict=True)]
-        return np.concatenate(rows), _numbered([channels for _, channels in each])
+        parts = [part.equations() for part in self.parts]
+        rows = [np.where(row >= 0, row + first, -1) for (row, _), first in zip(parts, self._first_rows(), strict=True)]
+        return np.concatenate(rows), _numbered([channels for _, channels in parts])
 
     def unknowns(self) -> tuple[str, ...]:
         """Of all stations."""
@@ -436,28 +440,26 @@ class Stacked:
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Of all stations."""
-        return np.concatenate([station.residual(model, own) for station, own in self._with(unknowns)])
+        return np.concatenate([station.residual(model, values) for station, values in self._with(unknowns)])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Of all stations."""
-        each = [station.jacobian(model, own) for station, own in self._with(unknowns)]
-        return np.concatenate([by_arm for by_arm, _ in each]), block_diag(*(by_own for _, by_own in each))
+        parts = [station.jacobian(model, values) for station, values in self._with(unknowns)]
+        return np.concatenate([by_arm for by_arm, _ in parts]), block_diag(*(by_own for _, by_own in parts))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Of all stations ``(R, 3)``, m; what has fewer components is filled up with zeros."""
-        each = [station.misses(model, own) for station, own in self._with(unknowns)]
-        return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in each])
+        parts = [station.misses(model, values) for station, values in self._with(unknowns)]
+        return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in parts])
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
         """Of the first one, whose frames are the arm's."""
         return self.parts[0].rough_poses(prismatic)
 
-    def seen_by_station(
-        self, model: ArmModel, unknowns: Array
-    ) -> Iterator[tuple[Observations, ArmModel, Array, float]]:
-        """Each station's data, the arm as it sees it, the data's own unknowns, and what its uncertainties count."""
-        for station, values in self._with(unknowns):
-            yield station.data, *station.seen(model, values), station.scale
+    def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
+        """Of all stations, each by its own tool."""
+        stations = self._with(unknowns)
+        return np.concatenate([part.data.by_tool(*part.seen(model, values)) / part.scale for part, values in stations])
 
     def readings(self) -> Array:
         """Of all stations, each in columns of its own."""
@@ -469,18 +471,18 @@ class Stacked:
 
     def select(self, rows: ArrayLike) -> Self:
         """The stations that hold only the given rows; those without any are left out."""
-        places = np.repeat(np.arange(len(self.stations)), [len(part.joints) for part in self.parts])
-        numbers = np.arange(len(places))[np.asarray(rows)]
-        owners = places[numbers]
-        some = [i for i in range(len(self.stations)) if (owners == i).any()] or [0]
-        first, parts = self._first_rows(), self.stations
-        kept = tuple(replace(parts[i], data=parts[i].data.select(numbers[owners == i] - first[i])) for i in some)
-        return replace(self, stations=kept)
+        first, parts = self._first_rows(), self.parts
+        owner = np.repeat(np.arange(len(parts)), [len(part.joints) for part in parts])
+        numbers = np.arange(len(owner))[np.asarray(rows)]
+        used = np.unique(owner[numbers]).tolist() or [0]
+        data = {i: parts[i].select(numbers[owner[numbers] == i] - first[i]) for i in used}
+        return replace(self, stations=tuple(replace(self.stations[i], data=data[i]) for i in used))
 
-    def weighed(self, scales: Sequence[float]) -> Self:
+    def weighed(self, scales: Array) -> Self:
         """The stations weighed by their scatter, relative to the first one's."""
-        stations = zip(self.stations, scales, strict=True)
-        return replace(self, stations=tuple(replace(each, scale=each.scale * s / scales[0]) for each, s in stations))
+        factors = scales[self._first_channels()].tolist()
+        stations = zip(self.stations, factors, strict=True)
+        return replace(self, stations=tuple(replace(s, scale=s.scale * f / factors[0]) for s, f in stations))
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Measurements | None:
         """Poses or positions of all stations as the first one would have measured them; None of other kinds.
@@ -499,31 +501,27 @@ class Stacked:
         rows = rows_together([part if wide else part.positions_only() for part in parts])
         base, tool, expected = model.geometry.base, model.geometry.tool, model.pose(rows.joints, rows.conditions)
         errors, levers = [], []
-        for (station, own), part in zip(self._with(unknowns), parts, strict=True):
-            there, _ = station.seen(model, own)
-            missed = part.difference(there)[:, : rows.rows_per_pose].reshape(len(part), -1, 3)
-            errors.append(missed @ (base.rotation @ there.geometry.base.rotation.T).T)
-            levers.append(np.tile(tool.position - there.geometry.tool.position, (len(part), 1)))
-        missed, flange = np.concatenate(errors), expected.rotation @ tool.rotation.T
-        position, rotation = expected.position + missed[:, 0], None
+        for (station, values), part in zip(self._with(unknowns), parts, strict=True):
+            arm, _ = station.seen(model, values)
+            error = part.difference(arm)[:, : rows.rows_per_pose].reshape(len(part), -1, 3)
+            errors.append(error @ (base.rotation @ arm.geometry.base.rotation.T).T)
+            levers.append(np.tile(tool.position - arm.geometry.tool.position, (len(part), 1)))
+        error, flange = np.concatenate(errors), expected.rotation @ tool.rotation.T
+        position, rotation = expected.position + error[:, 0], None
         if wide:
             lever = (flange @ np.concatenate(levers)[..., None])[..., 0]
-            position = position + np.cross(missed[:, 1], lever)
-            rotation = rotation_matrix(missed[:, 1]) @ expected.rotation
+            position = position + np.cross(error[:, 1], lever)
+            rotation = rotation_matrix(error[:, 1]) @ expected.rotation
         return replace(rows, position=position, rotation=rotation)
 
-    def first_channels(self) -> list[int]:
-        """The first channel of every station."""
-        return _starts([len(channels) for channels in self._channels()])
-
-    def channels_of(self, other: Stacked) -> Rows:
+    def channels_of(self, other: Observations) -> Rows:
         """The channels of this data set that those of another are, some of whose stations may be missing."""
-        starts = zip(self.stations, self.first_channels(), self._channels(), strict=True)
-        own = {station.number: channels + first for station, first, channels in starts}
-        return np.concatenate([own[station.number] for station in other.stations])
+        starts = zip(self.stations, self._first_channels(), strict=True)
+        channels = {station.number: station.data.channels_of(station.data) + first for station, first in starts}
+        return np.concatenate([channels[station.number] for station in other.stations])
 
-    def _channels(self) -> list[Rows]:
-        return [np.arange(int(part.equations()[1].max(initial=-1)) + 1) for part in self.parts]
+    def _first_channels(self) -> list[int]:
+        return _starts([len(part.channels_of(part)) for part in self.parts])
 
     def _first_rows(self) -> list[int]:
         return _starts([len(part.joints) for part in self.parts])
@@ -539,12 +537,12 @@ def rows_together(parts: Sequence[Measurements]) -> Measurements:
     if len(parts) == 1:
         return first
     rows = Stacked(tuple(InstrumentStation(part) for part in parts))
-    turned = [part.rotation for part in parts if part.rotation is not None]
+    rotations = [part.rotation for part in parts if part.rotation is not None]
     return replace(
         first,
         joints=rows.joints,
         position=np.concatenate([part.position for part in parts]),
-        rotation=np.concatenate(turned) if turned else None,
+        rotation=np.concatenate(rotations) if rotations else None,
         source=rows.source,
         conditions=rows.conditions,
         origins=rows.origins,

@@ -1,4 +1,4 @@
-"""What rows scatter by about a model, found from the rows themselves: variance components, and what neighbours share.
+"""The scatter of rows about a model, found from the rows themselves: variance components, and a share of neighbours.
 
 Each channel of an instrument has a scatter of its own, whatever is stated of it. What a model cannot say is alike at
 neighbouring joints. Its length and share maximise the marginal likelihood of a Gaussian process on what remains
@@ -11,7 +11,6 @@ is found by expectation maximisation (Laird and Ware 1982). SI units.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,6 @@ from scipy.spatial.distance import cdist
 
 from pickenv.arm import Array
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.measurements import Stacked, frame_columns
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
 
 POSE = 6
@@ -57,23 +55,9 @@ ROUNDS = 40
 """Rounds of expectation maximisation."""
 
 
-class SharedPose(NamedTuple):
-    """What equations of one row share.
-
-    Attributes:
-        equations: Their places among all.
-        basis: Directions of the pose's error among them ``(m, 6)``, orthonormal.
-        shrink: How much of each is taken off in whitening ``(6,)``.
-    """
-
-    equations: Rows
-    basis: Array
-    shrink: Array
-
-
 @dataclass(frozen=True, eq=False)
 class RowNoise:
-    """What equations scatter by, in stated standard uncertainties.
+    """The scatter of equations, in stated standard uncertainties.
 
     Attributes:
         scatter: Standard deviation of each equation ``(E,)``, larger where rows stand closer than usual.
@@ -81,7 +65,8 @@ class RowNoise:
         share: Share of the variance that neighbouring rows have in common.
         length: Distance of joints over which they have, rad or m.
         common: By how much rows that stand as usual tell less than independent ones would: a factor on variances.
-        shared: Rows whose equations share the error of one pose.
+        shared: Rows whose equations share the error of one pose: the equations' places among all, directions of that
+            error among them ``(m, 6)``, orthonormal, and how much of each is taken off in whitening ``(6,)``.
         pose_std: Size of that error per axis: position, m, and attitude, rad.
     """
 
@@ -90,7 +75,7 @@ class RowNoise:
     share: float = 0.0
     length: float = 0.0
     common: float = 1.0
-    shared: tuple[SharedPose, ...] = ()
+    shared: tuple[tuple[Rows, Array, Array], ...] = ()
     pose_std: tuple[float, float] = (0.0, 0.0)
 
     def whiten(self, rows: Array) -> Array:
@@ -120,15 +105,15 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
     """
     residual = data.residual(model, unknowns)
     rows, channels = data.equations()
-    own = rows >= 0
-    many = own & (np.bincount(rows[own], minlength=len(data.joints))[rows] > POSE)
+    read = rows >= 0
+    many = read & (np.bincount(rows[read], minlength=len(data.joints))[rows] > POSE)
     sizes = np.ones(int(channels.max(initial=0)) + 1)
     spare = np.clip(1.0 - leverage, LEAST_SPARE, 1.0)
     for channel in range(len(sizes)):
-        here = own & (channels == channel)
-        if here.any():
-            sizes[channel] = np.sqrt((STATED + np.sum(residual[here] ** 2)) / (STATED + np.sum(spare[here])))
-    scatter = np.where(own, sizes[channels], 1.0)
+        member = read & (channels == channel)
+        if member.any():
+            sizes[channel] = np.sqrt((STATED + np.sum(residual[member] ** 2)) / (STATED + np.sum(spare[member])))
+    scatter = np.where(read, sizes[channels], 1.0)
     if many.any():
         return _of_pictures(data, model, unknowns, residual, rows, many, leverage, scatter, sizes)
     share, length = _alike(data.joints, residual / scatter, rows)
@@ -138,11 +123,11 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
     usual = _usual(like, USUAL)
     common = 1.0 - share + share * usual
     closer = np.maximum((1.0 - share + share * like) / common, 1.0)
-    return RowNoise(np.where(own, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
+    return RowNoise(np.where(read, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
 
 
 def neighbours(joints: Array, length: float) -> Array:
-    """How many rows each row is like ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over all rows."""
+    """Number of rows that each row is like ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over all rows."""
     some = equally_spaced(len(joints), NEIGHBOUR_ROWS)
     like = np.empty(len(joints))
     for part in np.array_split(np.arange(len(joints)), max(1, len(joints) // 100)):  # as much as stays near
@@ -155,13 +140,13 @@ def neighbours(joints: Array, length: float) -> Array:
 
 
 def counted(joints: Array) -> Array:
-    """What each row counts ``(N,)``: 1, or less where more rows than usual stand near it, for these miss alike."""
+    """Weight of each row ``(N,)``: 1, or less where more rows than usual stand near it, for these miss alike."""
     like = neighbours(joints, ALIKE)
     return np.asarray(np.minimum(_usual(like, FREE) / like, 1.0))
 
 
 def _usual(like: Array, share: float) -> float:
-    """How many rows a row is like, at most, in this share of the facts; a cluster is one."""
+    """Number of rows that a row is like, at most, in this share of the facts; a cluster is one."""
     order = np.argsort(like)
     facts = np.cumsum(1.0 / like[order])
     return float(like[order][np.searchsorted(facts, share * facts[-1])])
@@ -203,8 +188,8 @@ def _of_pictures(
     scatter: Array,
     sizes: Array,
 ) -> RowNoise:
-    """Where rows have many equations: each channel's own scatter, and the pose's error that they share."""
-    tool = tool_columns(data, model, unknowns)
+    """Noise of rows with many equations: each channel's own scatter, and the pose's error that they share."""
+    tool = data.by_tool(model, unknowns)
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
     _, channels = data.equations()
     channel = np.array([channels[at[0]] for at in places])
@@ -213,10 +198,9 @@ def _of_pictures(
     square = np.array([residual[at] @ residual[at] for at in places])
     count = np.array([len(at) for at in places], dtype=float)
     spare = max(1.0 - leverage[many].sum() / (POSE * len(places)), LEAST_SPARE)
-    white = np.array([sizes[each] for each in channel]) ** 2
+    white = sizes[channel] ** 2
     bound = np.sqrt(np.trace(gram, axis1=1, axis2=2).mean() / POSE)
-    pose = np.repeat([1.0, 1.0], 3) / max(bound, 1e-300)
-    pose = pose**2
+    pose = (np.ones(POSE) / max(bound, 1e-300)) ** 2
     for _ in range(ROUNDS):
         covariance = np.linalg.inv(gram / white[:, None, None] + np.diag(1.0 / pose))
         mean = (covariance @ (right / white[:, None])[..., None])[..., 0]
@@ -224,22 +208,14 @@ def _of_pictures(
         sums = np.diagonal(second, axis1=1, axis2=2).mean(axis=0) / spare
         pose = np.repeat([sums[:3].mean(), sums[3:].mean()], 3)
         remains = square - 2.0 * np.sum(mean * right, axis=1) + np.einsum("nij,nji->n", gram, second)
-        for each in np.unique(channel):
-            here = channel == each
-            sizes[each] = np.sqrt((STATED + remains[here].sum()) / (STATED + count[here].sum()))
+        for k in np.unique(channel):
+            views = channel == k
+            sizes[k] = np.sqrt((STATED + remains[views].sum()) / (STATED + count[views].sum()))
         white = sizes[channel] ** 2
     shared = []
-    for at, each in zip(places, channel, strict=True):
-        scatter[at] = sizes[each]
-        basis, strength, _ = np.linalg.svd(tool[at] * np.sqrt(pose) / sizes[each], full_matrices=False)
-        shared.append(SharedPose(at, basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)))
+    for at, size in zip(places, sizes[channel], strict=True):
+        scatter[at] = size
+        basis, strength, _ = np.linalg.svd(tool[at] * np.sqrt(pose) / size, full_matrices=False)
+        shared.append((at, basis, 1.0 - 1.0 / np.sqrt(1.0 + strength**2)))
     std = float(np.sqrt(pose[0])), float(np.sqrt(pose[3]))
     return RowNoise(scatter, sizes, shared=tuple(shared), pose_std=std)
-
-
-def tool_columns(data: Observations, model: ArmModel, unknowns: Array) -> Array:
-    """Derivatives of the stated equations by the tool's pose, in its own axes ``(E, 6)``."""
-    whole = [(data, model, unknowns, 1.0)]
-    parts = data.seen_by_station(model, unknowns) if isinstance(data, Stacked) else whole
-    place = frame_columns(model.geometry, "tool")
-    return np.concatenate([part.jacobian(seen, own)[0][:, place] / scale for part, seen, own, scale in parts])

@@ -1,4 +1,4 @@
-"""What a data set of any kind must answer; kinds beyond `Measurements` stand in `kinds` and `pixels` beside it.
+"""The questions to a data set of any kind; kinds beyond `Measurements` stand in `kinds` and `pixels` beside it.
 
 Each kind brings unknowns of its own (where the reflectors sit, the wire is anchored, the sockets are), which are
 identified together with the arm. Rows are whitened by their covariance, so any mix may be stacked. SI units.
@@ -10,7 +10,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,14 +57,14 @@ def named(places: Sequence[tuple[str, int]]) -> str:
     """Files and lines as a message names them."""
     texts = []
     for file in dict.fromkeys(file for file, _ in places):
-        lines = [str(line) for line in sorted(line for other, line in places if other == file)]
-        shown = ", ".join(lines[:NAMED]) + (f" and {len(lines) - NAMED} more" if len(lines) > NAMED else "")
-        texts.append(f"{file}: {'row' if len(lines) == 1 else 'rows'} {shown}")
+        lines = [str(line) for line in sorted(line for name, line in places if name == file)]
+        numbers = ", ".join(lines[:NAMED]) + (f" and {len(lines) - NAMED} more" if len(lines) > NAMED else "")
+        texts.append(f"{file}: {'row' if len(lines) == 1 else 'rows'} {numbers}")
     return "; ".join(texts)
 
 
 MISS_UNITS = {"mm": 1e3, "deg": float(np.degrees(1.0))}
-"""What misses are shown in, and the factor from SI."""
+"""Units of misses on screens, and the factor from SI."""
 
 NONE_KNOWN = Conditions()
 """Neither payload nor temperature nor torques were recorded."""
@@ -74,7 +74,7 @@ Kind = TypeVar("Kind", bound="Observations")
 
 
 class Equations(Protocol):
-    """What the least squares asks of a data set of any kind, and of what is expected before measuring."""
+    """The questions of the least squares to a data set of any kind, and to the expectations before measuring."""
 
     @property
     def joints(self) -> Array:
@@ -82,7 +82,7 @@ class Equations(Protocol):
 
     @property
     def source(self) -> str:
-        """Where the data come from."""
+        """Origin of the data, for messages."""
 
     @property
     def kind(self) -> str:
@@ -110,14 +110,6 @@ class Equations(Protocol):
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Whitened derivatives by the model ``(rows, 5n + 12 + k)`` and by the unknowns ``(rows, own)``."""
-
-
-@runtime_checkable
-class Imaginable(Equations, Protocol):
-    """Equations that can be asked at other poses before anything is measured there."""
-
-    def imagined(self, joints: Array) -> Equations:
-        """What such an instrument would be asked at other joints ``(M, n)``; only kind and uncertainties are real."""
 
 
 class Observations(Equations, Protocol):
@@ -157,14 +149,14 @@ class Observations(Equations, Protocol):
 
     @property
     def rounding(self) -> float:
-        """What a reading changes by when it is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px.
+        """Change of a reading that is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px.
 
         A third of what such instruments scatter by, so that a pose measured anew reads alike once in five times.
         """
 
     @property
     def miss_unit(self) -> str:
-        """What screens show `misses` in: "mm" of metres, "deg" of radians."""
+        """Unit of `misses` on screens: "mm" of metres, "deg" of radians."""
 
     def equations(self) -> tuple[Rows, Rows]:
         """Row and channel of each equation of `residual` ``(E,)``; the row is -1 where it belongs to none.
@@ -179,7 +171,7 @@ class Observations(Equations, Protocol):
         """Measured minus predicted positions ``(R, 3)``, or lengths ``(R, 1)``, m; of directions ``(R, k)``, rad."""
 
     def readings(self) -> Array:
-        """What was read in each row ``(N, k)``, m: rows equal in it and in the joints repeat one another."""
+        """The readings of each row ``(N, k)``, m: rows equal in them and in the joints repeat one another."""
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
         """`poses`, of several stations as the first one would have measured them; None of other kinds."""
@@ -189,6 +181,15 @@ class Observations(Equations, Protocol):
 
     def fingerprint(self) -> str:
         """Hash of the numbers, which a calibration records."""
+
+    def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
+        """Derivatives of the equations by the tool's pose, in its own axes ``(E, 6)``."""
+
+    def channels_of(self, other: Observations) -> Rows:
+        """The channels of these rows that those of other rows of the same instruments are."""
+
+    def weighed(self, scales: Array) -> Self:
+        """The rows of several stations weighed by their scatter, given by channel ``(C,)``; one station as it is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,12 +213,12 @@ class Stated:
 
     @property
     def free(self) -> Rows:
-        """Which numbers are fitted."""
+        """Indices of the numbers that are fitted."""
         return np.flatnonzero(self.std > 0.0)
 
     @property
     def _known(self) -> Rows:
-        """Which of the fitted ones something is known of."""
+        """Indices, among the fitted ones, of those of which something is known."""
         return np.flatnonzero(np.isfinite(self.std[self.free]))
 
     def unknowns(self) -> tuple[str, ...]:
@@ -294,11 +295,11 @@ class OneGroup:
         raise NotImplementedError
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """What else holds among the numbers: whitened residual ``(G,)`` and derivatives ``(G, K)``."""
+        """Further equations among the numbers: whitened residual ``(G,)`` and derivatives ``(G, K)``."""
         return np.zeros(0), np.zeros((0, len(numbers)))
 
     def readings(self) -> Array:
-        """What was read in each row ``(N, k)``."""
+        """The readings of each row ``(N, k)``."""
         raise NotImplementedError
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
@@ -312,6 +313,18 @@ class OneGroup:
     def fingerprint(self) -> str:
         """Of joints and readings."""
         return hash_of(self.joints, self.readings())
+
+    def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
+        """The tool's columns of the Jacobian."""
+        return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
+
+    def channels_of(self, other: Observations) -> Rows:
+        """All of them."""
+        return np.arange(int(self.equations()[1].max(initial=-1)) + 1)
+
+    def weighed(self, scales: Array) -> Self:
+        """Themselves."""
+        return self
 
     def unknowns(self) -> tuple[str, ...]:
         """The numbers that are not known exactly."""
@@ -348,8 +361,8 @@ class OneGroup:
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Misses in standard uncertainties, what is known of the numbers, likewise, and what else holds."""
         numbers = self.numbers.whole(unknowns)
-        known = self.numbers.residual(unknowns)
-        return np.concatenate([self.whitened(model, numbers).ravel(), known, self.bonds(numbers)[0]])
+        statements = self.numbers.residual(unknowns)
+        return np.concatenate([self.whitened(model, numbers).ravel(), statements, self.bonds(numbers)[0]])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Of the same, by the model and by the unknowns."""
@@ -369,7 +382,7 @@ class OneGroup:
         return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
 
     def imagined(self, joints: Array) -> Self:
-        """What such an instrument would be asked at other joints ``(M, n)``: its readings, over and over."""
+        """Such an instrument at other joints ``(M, n)``: its readings, over and over."""
         rows = np.resize(np.arange(len(self.joints)), len(joints))
         return replace(self, joints=joints, conditions=Conditions(), origins=None, **self._arrays(rows))  # type: ignore[type-var]
 
@@ -381,8 +394,8 @@ class OneGroup:
 
 def hash_of(*parts: Array) -> str:
     """Hash of numbers to 1e-9 m and rad; a trip through a CSV file keeps it."""
-    whole = [np.rint(part * 1e9).astype(np.int64) for part in parts]
-    return hashlib.sha256(b"".join(part.tobytes() for part in whole)).hexdigest()[:16]
+    integers = [np.rint(part * 1e9).astype(np.int64) for part in parts]
+    return hashlib.sha256(b"".join(part.tobytes() for part in integers)).hexdigest()[:16]
 
 
 def origins_of(data: Observations) -> Origins:
@@ -445,9 +458,9 @@ def same_poses(joints: Array) -> Rows:
     low, high = np.full(cells.shape, np.inf), np.full(cells.shape, -np.inf)
     np.minimum.at(low, cell, joints)
     np.maximum.at(high, cell, joints)
-    one, other = KDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray").T
-    near = np.maximum(low[one] - high[other], low[other] - high[one]).max(axis=1, initial=-np.inf) <= SAME_POSE
-    links = coo_array((near[near], (one[near], other[near])), shape=(len(cells), len(cells)))
+    a, b = KDTree(cells).query_pairs(1.5, p=np.inf, output_type="ndarray").T
+    near = np.maximum(low[a] - high[b], low[b] - high[a]).max(axis=1, initial=-np.inf) <= SAME_POSE
+    links = coo_array((near[near], (a[near], b[near])), shape=(len(cells), len(cells)))
     count, pose = connected_components(links, directed=False)
     least, most = np.full((count, joints.shape[1]), np.inf), np.full((count, joints.shape[1]), -np.inf)
     np.minimum.at(least, pose, low)
@@ -459,7 +472,7 @@ def same_poses(joints: Array) -> Rows:
 
 
 def pose_count(joints: Array) -> int:
-    """How many poses rows of these joints ``(N, n)`` are of, however often each was measured."""
+    """Number of poses that rows of these joints ``(N, n)`` are of, however often each was measured."""
     return len(np.unique(same_poses(joints)))
 
 
@@ -499,23 +512,23 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
         InputError: If the split is impossible.
     """
     count = len(observations.joints)
-    wanted = max(1, count // 5) if test_rows is None else test_rows
+    most = max(1, count // 5) if test_rows is None else test_rows
     poses = same_poses(observations.joints)
     if not observations.groups.any():
-        return random_split(poses, wanted, rng)
+        return random_split(poses, most, rng)
     home = home_groups(observations.groups, poses)
     train, test = [], []
     for number in np.unique(home):
         rows = np.flatnonzero(home == number)
-        share = max(1, round(wanted * len(rows) / count))
+        share = max(1, round(most * len(rows) / count))
         if len(rows) - share < 2:
             raise InputError(
                 f"{observations.source}: socket or station {number + 1} has {len(rows)} rows, too few to hold "
                 f"{share} of them out"
             )
-        here, there = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
-        train.append(rows[here])
-        test.append(rows[there])
+        training, held_out = random_split(np.unique(poses[rows], return_inverse=True)[1], share, rng)
+        train.append(rows[training])
+        test.append(rows[held_out])
     return np.concatenate(train), np.concatenate(test)
 
 
@@ -543,10 +556,10 @@ def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows
     begin = round(0.35 * count - first / 2), round(0.75 * count - second / 2)
     if begin[0] < 0 or begin[0] + first > begin[1] or begin[1] + second > count:
         raise InputError(f"{test_rows} of {rows} rows cannot be held out as two separate blocks; hold out fewer")
-    held = np.zeros(count, dtype=bool)
+    held_out = np.zeros(count, dtype=bool)
     for start, length in zip(begin, (first, second), strict=True):
-        held[start : start + length] = True
-    return np.flatnonzero(~held[poses]), np.flatnonzero(held[poses])
+        held_out[start : start + length] = True
+    return np.flatnonzero(~held_out[poses]), np.flatnonzero(held_out[poses])
 
 
 def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, Rows]]:
@@ -581,7 +594,7 @@ def home_groups(groups: Rows, poses: Rows) -> Rows:
 def _check(poses: Rows, test_rows: int) -> None:
     rows, count = len(poses), len(np.unique(poses))
     if count < 2:
-        there = "is 1 row" if rows == 1 else f"are {rows} rows of one pose" if rows else "is 0 row"
-        raise InputError(f"there {there}, and none can be both trained on and held out; measure more poses")
+        rows_in_words = "is 1 row" if rows == 1 else f"are {rows} rows of one pose" if rows else "is 0 row"
+        raise InputError(f"there {rows_in_words}, and none can be both trained on and held out; measure more poses")
     if not 0 < test_rows < rows:
         raise InputError(f"{test_rows} test rows of {rows} leave nothing to train on or to test; give 1 to {rows - 1}")

@@ -56,7 +56,7 @@ def projected(values: Array, points: Array) -> Array:
 
 
 def distorted(values: Array, ideal: Array) -> Array:
-    """Where the lens puts rays ``(..., 2)``, given by their slopes x / z and y / z."""
+    """Images by the lens of rays ``(..., 2)``, given by their slopes x / z and y / z."""
     k1, k2, p1, p2, k3 = values[4:]
     x, y = ideal[..., 0], ideal[..., 1]
     r2 = x * x + y * y
@@ -72,11 +72,11 @@ def distorted(values: Array, ideal: Array) -> Array:
 
 def undistorted(values: Array, pixels: Array) -> Array:
     """Slopes of the rays ``(..., 2)`` that the lens puts at ``pixels`` ``(..., 2)``, by fixed-point iteration."""
-    seen = (pixels - values[2:4]) / values[:2]
-    found = seen
+    slopes = (pixels - values[2:4]) / values[:2]
+    ideal = slopes
     for _ in range(UNDISTORTING_STEPS):
-        found = found + seen - distorted(values, found)
-    return np.asarray(found)
+        ideal = ideal + slopes - distorted(values, ideal)
+    return np.asarray(ideal)
 
 
 def by_point(values: Array, points: Array) -> Array:
@@ -104,21 +104,21 @@ def by_values(values: Array, points: Array) -> Array:
     bent = distorted(values, ideal)
     x, y = ideal[..., 0], ideal[..., 1]
     r2 = x * x + y * y
-    found = np.zeros((*x.shape, 2, len(LENS_NAMES)))
-    found[..., 0, 0], found[..., 1, 1] = bent[..., 0], bent[..., 1]
-    found[..., 0, 2] = found[..., 1, 3] = 1.0
+    derivatives = np.zeros((*x.shape, 2, len(LENS_NAMES)))
+    derivatives[..., 0, 0], derivatives[..., 1, 1] = bent[..., 0], bent[..., 1]
+    derivatives[..., 0, 2] = derivatives[..., 1, 3] = 1.0
     for column, power in ((4, r2), (5, r2**2), (8, r2**3)):
-        found[..., 0, column], found[..., 1, column] = fx * x * power, fy * y * power
-    found[..., 0, 6], found[..., 1, 6] = fx * 2.0 * x * y, fy * (r2 + 2.0 * y * y)
-    found[..., 0, 7], found[..., 1, 7] = fx * (r2 + 2.0 * x * x), fy * 2.0 * x * y
-    return found
+        derivatives[..., 0, column], derivatives[..., 1, column] = fx * x * power, fy * y * power
+    derivatives[..., 0, 6], derivatives[..., 1, 6] = fx * 2.0 * x * y, fy * (r2 + 2.0 * y * y)
+    derivatives[..., 0, 7], derivatives[..., 1, 7] = fx * (r2 + 2.0 * x * x), fy * 2.0 * x * y
+    return derivatives
 
 
 SLANT = 0.5
 """Cosine of the largest angle between a line of sight and a board's normal at which its corners are found: 60 deg."""
 
 Mount = Literal["hand", "world"]
-"""Where the camera is: on the arm's tool, or fixed in the world with the board on the tool."""
+"""Place of the camera: on the arm's tool, or fixed in the world with the board on the tool."""
 
 
 @register("observation", "pixels")
@@ -177,10 +177,10 @@ class PixelObservations(OneGroup):
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """What the camera would be asked at other joints ``(M, n)``, were every corner seen (see `visible`)."""
+        """The camera at other joints ``(M, n)``, were every corner seen (see `visible`)."""
         usual = np.full_like(self.std, np.median(self.std[self.seen]))
-        whole = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
-        return OneGroup.imagined(whole, joints)
+        full_views = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
+        return OneGroup.imagined(full_views, joints)
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
         """The board's poses in the camera, or the camera's before the board."""
@@ -191,7 +191,7 @@ class PixelObservations(OneGroup):
         return Measurements(self.joints, poses.position, poses.rotation, prismatic, source=self.source)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Which corners a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
+        """Corners that a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
         tool, points = model.pose(self.joints, self.conditions), self.in_camera(model)
         values = self.lens_values(unknowns)
         towards = tool.rotation[..., 2] if self.mount == "world" else tool.rotation[:, 2]  # into the board
@@ -215,10 +215,6 @@ class PixelObservations(OneGroup):
         if self.mount == "world":
             return np.asarray(tool.position[:, None] + self.board @ np.swapaxes(tool.rotation, 1, 2))
         return np.asarray((self.board - tool.position[:, None]) @ tool.rotation)
-
-    def predict(self, model: ArmModel, unknowns: Array) -> Array:
-        """Where the corners should be ``(V, K, 2)``, px."""
-        return projected(self.lens_values(unknowns), self.in_camera(model))
 
     def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
         """Found minus predicted ``(R, 2)``, px, of the corners found, view by view."""
@@ -246,12 +242,12 @@ class PixelObservations(OneGroup):
         points = self.in_camera(model)[self.seen]
         if self.mount == "world":
             lever = points - tool.position[rows]
-            moved = point_jacobian(pose[rows], lever)
+            by_arm = point_jacobian(pose[rows], lever)
         else:
             lever = np.broadcast_to(self.board, (*self.corners.shape[:2], 3))[self.seen] - tool.position[rows]
-            moved = -np.swapaxes(tool.rotation, 1, 2)[rows] @ point_jacobian(pose[rows], lever)
+            by_arm = -np.swapaxes(tool.rotation, 1, 2)[rows] @ point_jacobian(pose[rows], lever)
         weight = 1.0 / self.std[self.seen][:, None, None]
-        return by_point(numbers, points) @ moved * weight, by_values(numbers, points) * weight
+        return by_point(numbers, points) @ by_arm * weight, by_values(numbers, points) * weight
 
 
 def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
@@ -270,8 +266,8 @@ def board_poses(data: PixelObservations) -> Pose:
         data: Views with at least four corners each, not all in one line; the board's corners lie in its plane z = 0.
     """
     poses = [
-        _pose(data.board[seen, :2], undistorted(data.camera.values, corners[seen]))
-        for corners, seen in zip(data.corners, data.seen, strict=True)
+        _pose(data.board[visible, :2], undistorted(data.camera.values, corners[visible]))
+        for corners, visible in zip(data.corners, data.seen, strict=True)
     ]
     return Pose(np.array([p.position for p in poses]), np.array([p.rotation for p in poses]))
 
@@ -295,7 +291,7 @@ def _homography(flat: Array, rays: Array) -> Array:
     rows = np.concatenate(
         [np.hstack([points, blank, -rays[:, :1] * points]), np.hstack([blank, points, -rays[:, 1:] * points])]
     )
-    found = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    homography = np.linalg.svd(rows)[2][-1].reshape(3, 3)
     return np.asarray(
-        found @ np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]])
+        homography @ np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]])
     )

@@ -1,4 +1,4 @@
-"""What is expected of an arm's parameters before anything was measured: mean, standard deviation, and where from.
+"""Expectations of an arm's parameters before anything was measured: mean, standard deviation, and source.
 
 Every parameter has a prior, and what is fitted is said by its width. Parts lie within what they are made to (a
 tolerance class), base and tool of an instrument that stood anywhere within metres, coefficients of terms within a few
@@ -32,7 +32,7 @@ from pickenv.calibration.model.arm_model import (
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
-"""What a fit may move: all parameters by their priors, the joints' zeros alone, or all parameters without priors."""
+"""Parameters that a fit may move: all by their priors, the joints' zeros alone, or all without priors."""
 
 TOLERANCE_CLASS = "cobot"
 """The tolerance class that parts are expected to be made to, where none is named."""
@@ -50,7 +50,7 @@ FRAMES, ZEROS, LENGTHS, ANGLES, TERMS = "frames", "zeros", "lengths", "angles", 
 """Groups of parameters: frames that stand anywhere, joints' zeros, lengths and angles of parts, coefficients."""
 
 MADE = (ZEROS, LENGTHS, ANGLES)
-"""What a tolerance class speaks of; the rows scale the widths of each."""
+"""Groups of which a tolerance class speaks; the rows scale the widths of each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,8 +136,8 @@ class PriorModel:
 
     def without_base(self) -> PriorModel:
         """The same with the base held still: no instrument without a frame can see where it stands."""
-        kept = np.array([not name.startswith("base_") for name in self.parameters.names])
-        return replace(self, parameters=self.parameters.some(kept), std=self.std[kept], group=self.group[kept])
+        further = np.array([not name.startswith("base_") for name in self.parameters.names])
+        return replace(self, parameters=self.parameters.some(further), std=self.std[further], group=self.group[further])
 
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
         """The same with further terms, whose coefficients are expected at zero."""
@@ -178,17 +178,17 @@ def prior_model(
         parameters = frames_model(geometry) if arm == CARRIER else geometric_model(geometry, known)
         std = np.full(len(parameters.names), np.inf)
         return PriorModel(parameters, start, std, _groups(parameters, geometry, known), "none: any value is as likely")
-    made = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)
+    expected = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)
     zeros = joint_zeros_model(geometry)
     parameters = complete_model(geometry)
     if fit == "offsets":
         parameters = zeros if known else frames_model(geometry).joined(zeros)
     group = _groups(parameters, geometry, known)
-    std = standard_deviations(made, geometry)[parameters.columns]
+    std = standard_deviations(expected, geometry)[parameters.columns]
     angle = geometry.parameter_is_angle[parameters.columns]
     std = np.where(group == FRAMES, np.where(angle, FRAME_STD[1], FRAME_STD[0]), std)
     scales = {} if scale is None else dict.fromkeys(MADE, scale)
-    return PriorModel(parameters, start, std, group, f"tolerance class {made.name}", scales)
+    return PriorModel(parameters, start, std, group, f"tolerance class {expected.name}", scales)
 
 
 def expected_sizes(model: ArmModel) -> Array:

@@ -64,7 +64,7 @@ def rotations(convention: str, values: Array) -> Array:
 
 
 def convention_table(geometry: Geometry, joints: Array, position: Array, values: Array, where: str) -> str:
-    """What each convention leaves after base and tool were fitted, best first, as lines of text.
+    """The errors that each convention leaves after base and tool were fitted, best first, as lines of text.
 
     Args:
         geometry: Nominal geometry.
@@ -90,7 +90,7 @@ def convention_table(geometry: Geometry, joints: Array, position: Array, values:
 
 
 SEPARATORS = {";": "';'", "\t": "a tab", "|": "'|'", ",": "','", " ": "a space"}
-"""What may stand between columns, and how it is called; in the order in which a file is asked for it."""
+"""Separators of columns, and their names; in the order in which a file is asked for them."""
 
 LONGEST_EXPRESSION = 1000
 """Characters; nobody writes a longer one, and a parser's depth ends."""
@@ -104,7 +104,7 @@ OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
-"""What expressions of columns may do."""
+"""Operators in expressions of columns."""
 
 
 class Table:
@@ -139,7 +139,7 @@ class Table:
         return self.cache[name]
 
     def index(self, name: str) -> int:
-        """Where a column stands."""
+        """Place of a column in the header."""
         if name not in self.header:
             raise InputError(f"{self.where}: column '{shortened(name)}' is missing; the file has {listed(self.header)}")
         if self.header.count(name) > 1:
@@ -147,6 +147,10 @@ class Table:
                 f"{self.where}: column '{shortened(name)}' occurs {self.header.count(name)} times; rename all but one"
             )
         return self.header.index(name)
+
+    def cell(self, row: int, name: object) -> str:
+        """File, line and column, as messages name them."""
+        return f"{self.where}: row {self.lines[row]}, column '{name}'"
 
     def fill_blanks(self, name: str) -> Array:
         """Read empty and NaN cells of a column, which a lost reflector leaves, as zero; returns which ``(N,)``."""
@@ -175,8 +179,8 @@ class Table:
         if value is not None and np.isfinite(value):
             return value
         fault = f"holds '{shortened(text)}', which is not a number" if text else "is empty"
-        said = fault if value is None else f"is {shortened(text)}"
-        raise InputError(f"{self.where}: row {line}, column '{shortened(name)}' {said}; correct or remove the row")
+        predicate = fault if value is None else f"is {shortened(text)}"
+        raise InputError(f"{self.where}: row {line}, column '{shortened(name)}' {predicate}; correct or remove the row")
 
     def value(self, expression: str) -> Array:
         """A column by its name, or an expression of columns with + - * / and numbers; `odd names` in backticks."""
@@ -242,16 +246,16 @@ def refuse_repeated(paths: Sequence[str | Path]) -> None:
     Raises:
         InputError: Names the file.
     """
-    seen: set[object] = set()
+    marks: set[object] = set()
     for path in paths:
         try:
             stat = Path(path).stat()
         except (OSError, ValueError):
             continue  # whoever reads it says what is wrong
         mark = (stat.st_dev, stat.st_ino)
-        if mark in seen:
+        if mark in marks:
             raise InputError(f"{path} is given twice; name each file once")
-        seen.add(mark)
+        marks.add(mark)
 
 
 def read_table(
@@ -311,14 +315,14 @@ def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[li
 def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, decimal: str) -> None:
     """A first row in one piece that holds another separator: say which, and how a description names it."""
     first = rows[0][0].strip() if len(rows[0]) == 1 else ""
-    other = next((character for character in SEPARATORS if character != separator and character in first), None)
-    if other is None or not any(other in cell for row in rows[1:] for cell in row):
+    better = next((character for character in SEPARATORS if character != separator and character in first), None)
+    if better is None or not any(better in cell for row in rows[1:] for cell in row):
         return
-    comma = other != "," and decimal == "." and any(re.search(r"\d,\d", ",".join(row)) for row in rows[1:])
-    keys = f"separator = {json.dumps(other)}" + (' and decimal = ","' if comma else "")
+    comma = better != "," and decimal == "." and any(re.search(r"\d,\d", ",".join(row)) for row in rows[1:])
+    keys = f"separator = {json.dumps(better)}" + (' and decimal = ","' if comma else "")
     raise InputError(
-        f"{path} is separated by {SEPARATORS[other]}, not by {SEPARATORS.get(separator, repr(separator))}; separate "
-        f"its columns so, or, if it holds measurements, give --columns a description with {keys}"
+        f"{path} is separated by {SEPARATORS[better]}, not by {SEPARATORS.get(separator, repr(separator))}; separate "
+        f"its columns so, or, if it holds measurements, give `columns` a description with {keys}"
     )
 
 

@@ -7,7 +7,7 @@ It names separator, decimal sign, units, conventions and uncertainties; which se
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, make_dataclass
 from math import inf
 from pathlib import Path
@@ -26,13 +26,13 @@ from pickenv.base import (
     Then,
     Unit,
     fault,
-    is_file,
+    file_named,
     read_toml,
     shortened,
     toml_table,
 )
 from pickenv.base.registry import load_all, names
-from pickenv.calibration.camera.boards import Board
+from pickenv.calibration.camera.boards import Board, one_of
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
 from pickenv.calibration.model.pixels import Mount
 from pickenv.calibration.reading.csv_table import CONVENTIONS, expression_tree
@@ -41,14 +41,7 @@ from pickenv.calibration.reading.csv_table import CONVENTIONS, expression_tree
 
 LENGTHS, ANGLES = ("mm", "m"), ("deg", "rad")
 KNOWN, FITTED = "known", "fitted"
-TILTS = ("deg", "rad", "g")
 LOST = ("zeros", "empty")
-
-
-def one_of(names: Iterable[str]) -> Check:
-    """A check that a value is among these."""
-    allowed = tuple(names)
-    return Check(allowed.__contains__, f"one of {', '.join(allowed)}")
 
 
 DOUBT = Then(lambda word, _: inf if word == FITTED else 0.0, Annotated[str, one_of((KNOWN, FITTED))])
@@ -123,7 +116,7 @@ class SocketsTable(ContactTable):
 
 @toml_table
 class ReadingTable(ContactTable):
-    """What [wire] and [dial] share: one column of readings."""
+    """One column of readings, as [wire] and [dial] have it."""
 
     position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
     position_unit: Annotated[str, one_of(LENGTHS), Key("unit")]
@@ -167,7 +160,7 @@ class TiltTable:
 
     _: KW_ONLY
     position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    position_unit: Annotated[str, one_of(TILTS), Key("unit")]
+    position_unit: Annotated[str, one_of((*ANGLES, "g")), Key("unit")]
     position_std: Annotated[float, DEG.positive, Key("std_deg")] = 1e-3
     axes_std: Annotated[float, DOUBT, Key("mount")] = inf
     down_std: Annotated[float, DOUBT, Key("base")] = inf
@@ -177,11 +170,10 @@ class TiltTable:
 
 
 def kinds() -> tuple[str, ...]:
-    """What can be measured, each a section of a description: what registered instruments read, and pictures."""
+    """Kinds of measurement, each a section of a description: those of registered instruments, and pictures."""
     return (*names("instrument"), "pixels")
 
 
-LENSES = ("fixed", "free", "prior")
 PIXELS = Unit(most=1e6).positive
 MASSES = {"kg": 1.0, "g": 1e-3}
 TORQUES = {"N*m": 1.0, "N": 1.0, "N*mm": 1e-3, "kN": 1e3}
@@ -196,7 +188,7 @@ COUNTS: dict[str, tuple[Callable[[int], bool], str]] = {
     "sockets": (lambda n: n <= 1, "the column that numbers the sockets"),
     "pixels": (lambda n: n in (0, 2), "two columns, across and down, where corners and not pictures are given"),
 }
-"""How many columns each kind of section needs; one that is not here has none."""
+"""Number of columns that each kind of section needs; one that is not here has none."""
 JOINT_UNIT = one_of(LENGTHS + ANGLES)
 
 
@@ -247,7 +239,7 @@ class PixelsTable:
 
 
 Section = LengthsTable | ContactTable | TiltTable | PixelsTable
-"""What was measured."""
+"""The section that says what was measured."""
 
 
 @toml_table
@@ -263,7 +255,7 @@ class LensTable:
     width: Annotated[int, WHOLE.at_least(1)] | None = None
     height: Annotated[int, WHOLE.at_least(1)] | None = None
     distortion: Annotated[tuple[float, ...], NUMBER] = ()
-    lens: Annotated[str, one_of(LENSES)] = "fixed"
+    lens: Annotated[str, one_of(("fixed", "free", "prior"))] = "fixed"
     prior_px: Annotated[float, PIXELS, Key("prior_px")] = 10.0
     prior_distortion: Annotated[float, NUMBER] = 0.1
 
@@ -294,8 +286,8 @@ class RotationTable:
         if not (count == 3 if self.convention is None else CONVENTIONS[self.convention][0] == "angle"):
             return "rad"
         if self.rotation_unit not in ANGLES:
-            given = "missing" if self.rotation_unit is None else shortened(repr(self.rotation_unit))
-            raise InputError(f"unit of [rotation] is {given}; give {one_of(ANGLES).wanted}")
+            unit = "missing" if self.rotation_unit is None else shortened(repr(self.rotation_unit))
+            raise InputError(f"unit of [rotation] is {unit}; give {one_of(ANGLES).wanted}")
         return str(self.rotation_unit)
 
 
@@ -354,7 +346,7 @@ class ConditionsTable:
 
 @toml_table
 class DescriptionFile:
-    """What a column description holds: exactly one of the sections of `kinds`."""
+    """Content of a column description: exactly one of the sections of `kinds`."""
 
     joints: JointsTable | None = None
     description: str = ""
@@ -388,10 +380,10 @@ class DescriptionFile:
         if not sections:
             raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(kinds()))
         self._check_views()
-        fits, wanted = COUNTS.get(sections[0], (lambda _: True, ""))
+        fits, columns = COUNTS.get(sections[0], (lambda _: True, ""))
         count = len(getattr(self.measured, "position", ()))
         if not fits(count):
-            raise InputError(f"[{sections[0]}] needs {wanted}")
+            raise InputError(f"[{sections[0]}] needs {columns}")
         stds = len(getattr(self.measured, "position_std_columns", ()))
         if stds and stds != count:
             raise InputError(f"[{sections[0]}] has {count} columns but {stds} std_columns; give one each")
@@ -418,7 +410,7 @@ class DescriptionFile:
 
     @property
     def kind(self) -> str:
-        """What was measured, one of `kinds`."""
+        """Name of the section, one of `kinds`."""
         return next(kind for kind in kinds() if getattr(self, kind, None) is not None)
 
     @property
@@ -429,7 +421,7 @@ class DescriptionFile:
 
 
 def description_file() -> type[DescriptionFile]:
-    """What a column description holds, with the sections of other packages' instruments.
+    """The class of a column description's content, with the sections of other packages' instruments.
 
     A section's class is what the parameter ``section`` of its reader is annotated with.
     """
@@ -444,7 +436,7 @@ DESCRIPTIONS = Path(__file__).parent / "descriptions"
 
 
 MEASURED = ("position", "position_unit", "position_std", "position_std_columns")
-"""What a section says in words of its own for any kind."""
+"""Keys of a section that are its own words for any kind."""
 
 
 @dataclass(frozen=True)
@@ -458,7 +450,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class ColumnDescription:
-    """How a foreign file is laid out.
+    """Layout of a foreign file.
 
     Attributes:
         where: The description's own file, for messages.
@@ -503,28 +495,16 @@ class ColumnDescription:
     section: Section | None = None
 
 
-def shipped_descriptions() -> list[str]:
-    """Names of the column descriptions that come with pickenv."""
-    return sorted(path.stem for path in DESCRIPTIONS.glob("*.toml"))
-
-
 def load_description(name: str | Path) -> ColumnDescription:
     """Read a column description by name (a shipped one) or from a path to a TOML file.
 
     Raises:
         InputError: If it is unknown or malformed; the message names the file and key.
     """
-    path = Path(name)
-    if path.suffix != ".toml":
-        path = DESCRIPTIONS / f"{name}.toml"
-    if not is_file(path):
-        given = shortened(name)
-        raise InputError(
-            f"unknown column description '{given}'; give one of {shipped_descriptions()} or a path (.toml)"
-        )
+    path = file_named("column description", name, DESCRIPTIONS)
     file = read_toml(description_file(), path)
     section = file.measured
-    own: dict[str, Any] = {key: value for key, value in vars(section).items() if key in MEASURED and value is not None}
+    stated: dict[str, Any] = {k: value for k, value in vars(section).items() if k in MEASURED and value is not None}
     joints, joint_units = ((), ()) if file.joints is None else (file.joints.columns, file.joints.each)
     description = ColumnDescription(
         where=str(path),
@@ -535,8 +515,8 @@ def load_description(name: str | Path) -> ColumnDescription:
         joint_units=joint_units,
         kind=file.kind,
         views=None if file.pixels is None else file,
-        **own,
-        std_stated="position_std" in own,
+        **stated,
+        std_stated="position_std" in stated,
         section=section,
         **({} if file.rotation is None else {**vars(file.rotation), "rotation_unit": file.rotation.unit()}),
         conditions=_conditions(file.conditions, joint_units),
@@ -547,18 +527,18 @@ def load_description(name: str | Path) -> ColumnDescription:
 
 def _conditions(table: ConditionsTable, joint_units: tuple[str, ...]) -> dict[str, Condition]:
     """Recorded conditions, each with what turns it into SI."""
-    found = {}
+    conditions = {}
     if (warmth := table.temperature) is not None:
         usual = 20.0 if warmth.unit == "degC" else 0.0
-        found["temperature"] = Condition(
+        conditions["temperature"] = Condition(
             (warmth.column,), (1.0,), usual if warmth.reference is None else warmth.reference
         )
     if (mass := table.payload) is not None:
-        found["payload"] = Condition((mass.column,), (MASSES[mass.unit],), mass.reference)
+        conditions["payload"] = Condition((mass.column,), (MASSES[mass.unit],), mass.reference)
     if (torques := table.torques) is not None:
         units = torques.each or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
-        found["torque"] = Condition(torques.columns, tuple(TORQUES[unit] for unit in units))
-    return found
+        conditions["torque"] = Condition(torques.columns, tuple(TORQUES[unit] for unit in units))
+    return conditions
 
 
 def _refuse_repeats(description: ColumnDescription) -> None:
@@ -568,18 +548,18 @@ def _refuse_repeats(description: ColumnDescription) -> None:
         roles += [(f"column {i + 1} of [{section}]", text) for i, text in enumerate(columns)]
     for name, condition in (description.conditions or {}).items():
         roles += [(f"column {i + 1} of [conditions.{name}]", text) for i, text in enumerate(condition.columns)]
-    seen: dict[str, str] = {}
+    roles_of: dict[str, str] = {}
     for role, text in roles:
         tree, quoted = expression_tree(text)
         plain = text.strip() if tree is None else ast.dump(tree)
         for i, name in enumerate(quoted):
             plain = plain.replace(f"'__quoted_{i}'", repr(name))
-        if plain in seen:
+        if plain in roles_of:
             raise InputError(
-                f"{description.where}: '{shortened(text)}' is given for {seen[plain]} and for {role}; "
+                f"{description.where}: '{shortened(text)}' is given for {roles_of[plain]} and for {role}; "
                 "name each column once"
             )
-        seen[plain] = role
+        roles_of[plain] = role
 
 
 OWN_CONDITIONS = {
@@ -595,15 +575,16 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
     joints, units = [], []
     for name in expected:
         stem = name.rpartition("_")[0]
-        found = [column for column in header if column.rpartition("_")[0] == stem]
-        if len(found) != 1 or found[0].rpartition("_")[2] not in LENGTHS + ANGLES:
-            unit = found[0].rpartition("_")[2] if found else ""
-            fault = "is given twice" if len(found) > 1 else f"has the unknown unit '{unit}'" if found else "is missing"
+        columns = [column for column in header if column.rpartition("_")[0] == stem]
+        if len(columns) != 1 or columns[0].rpartition("_")[2] not in LENGTHS + ANGLES:
+            fault = "is given twice" if len(columns) > 1 else "is missing"
+            if len(columns) == 1:
+                fault = f"has the unknown unit '{columns[0].rpartition('_')[2]}'"
             raise InputError(
                 f"{where}: joint column '{name}' {fault}; our format has {', '.join(expected)}, x_mm, y_mm, z_mm"
             )
-        joints.append(found[0])
-        units.append(found[0].rpartition("_")[2])
+        joints.append(columns[0])
+        units.append(columns[0].rpartition("_")[2])
     position_unit = "m" if "x_m" in header else "mm"
     has_rotation = any(column.startswith(("rx_", "ry_", "rz_")) for column in header)
     rotation_unit = "rad" if "rx_rad" in header else "deg"
@@ -611,7 +592,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
         if column.lower().startswith(("temp", "payload", "torque")) and column not in OWN_CONDITIONS:
             raise InputError(
                 f"{where}: column '{shortened(column)}' is none of our format's, which records "
-                f"{' and '.join(OWN_CONDITIONS)}; rename it, describe it in [conditions] (--columns), or remove it"
+                f"{' and '.join(OWN_CONDITIONS)}; rename it, describe it in [conditions] of `columns`, or remove it"
             )
     return ColumnDescription(
         where=where,
@@ -637,10 +618,10 @@ def joint_scales(description: ColumnDescription, geometry: Geometry) -> tuple[fl
             f"{description.where}: {len(description.joints)} joint columns are named, but the arm has {n} joints"
         )
     for i, unit in enumerate(description.joint_units):
-        wanted = LENGTHS if geometry.prismatic[i] else ANGLES
-        if unit not in wanted:
+        units = LENGTHS if geometry.prismatic[i] else ANGLES
+        if unit not in units:
             kind = "prismatic" if geometry.prismatic[i] else "revolute"
             raise InputError(
-                f"{description.where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(wanted)}"
+                f"{description.where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(units)}"
             )
     return tuple(TO_SI[unit] for unit in description.joint_units)

@@ -10,12 +10,13 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pickenv.arm import Array, Geometry, Pose
 from pickenv.base import LIMITS, TO_SI, InputError, check_limit, read_text, register, yaml_content
-from pickenv.calibration.camera.boards import Board, FoundCorners, Grey, find_corners, no_corners, opencv, read_lens
+from pickenv.calibration.camera.boards import Board, FoundCorners, Grey, corners_at, find_corners, opencv, read_lens
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
 from pickenv.calibration.model.kinds import (
     DistanceObservations,
@@ -54,6 +55,7 @@ class Files:
         geometry: The arm's nominal geometry.
         joints: Joints of all rows ``(N, n)``, rad or m.
         source: How messages name them.
+        origins: File and line of each row.
     """
 
     tables: list[Table]
@@ -61,6 +63,7 @@ class Files:
     geometry: Geometry
     joints: Array
     source: str
+    origins: Origins
 
     @property
     def first(self) -> ColumnDescription:
@@ -68,16 +71,12 @@ class Files:
         return self.given[0]
 
     def values(self) -> Array:
-        """What was measured in all rows, as described under the kind ``(N, k)``, m."""
-        return np.concatenate([table.values(each.position) * TO_SI[each.position_unit] for table, each in self.pairs()])
+        """The readings of all rows, as described under the kind ``(N, k)``, m."""
+        return np.concatenate([t.values(d.position) * TO_SI[d.position_unit] for t, d in self.pairs()])
 
     def place(self, row: int) -> str:
         """File and line of a row, as messages name it."""
-        for table in self.tables:
-            if row < len(table.lines):
-                return f"{table.where}: row {table.lines[row]}"
-            row -= len(table.lines)
-        raise IndexError(row)
+        return "{}: row {}".format(*self.origins.place(row))
 
     def pairs(self) -> Iterator[tuple[Table, ColumnDescription]]:
         """Each file and its description."""
@@ -88,7 +87,7 @@ class Files:
 
 
 QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
-"""What each recorded condition is, of `pickenv.base.limits`; a temperature is counted from its reference."""
+"""Quantity of each recorded condition, of `pickenv.base.limits`; a temperature is counted from its reference."""
 
 FARTHEST = 1e4
 """No instrument sees a tool from farther away than this, m."""
@@ -109,13 +108,10 @@ def refuse_repeated_joints(given: list[ColumnDescription], joints: Array, geomet
 def refuse_far(table: Table, description: ColumnDescription) -> None:
     """A coordinate beyond `FARTHEST` is no measurement of a tool."""
     values = table.values(description.position)
-    far = np.argwhere(np.abs(values) * TO_SI[description.position_unit] > FARTHEST)
-    if len(far):
-        row, column = far[0]
+    for row, column in np.argwhere(np.abs(values) * TO_SI[description.position_unit] > FARTHEST)[:1]:
         raise InputError(
-            f"{table.where}: row {table.lines[row]}, column '{description.position[column]}' is "
-            f"{values[row, column]:.6g} {description.position_unit}, farther than any instrument sees; correct or "
-            "remove the row"
+            f"{table.cell(row, description.position[column])} is {values[row, column]:.6g} "
+            f"{description.position_unit}, farther than any instrument sees; correct or remove the row"
         )
 
 
@@ -131,15 +127,15 @@ def refuse_origin(table: Table, description: ColumnDescription) -> None:
 
 def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> None:
     """Refuse rows that repeat another to the last digit: they count twice, and leak into what is held out."""
-    whole = np.concatenate([joints, found.readings()], axis=1)
-    _, first, inverse, count = np.unique(whole, axis=0, return_index=True, return_inverse=True, return_counts=True)
-    again = np.setdiff1d(np.arange(len(whole)), first)
+    numbers = np.concatenate([joints, found.readings()], axis=1)
+    _, first, inverse, count = np.unique(numbers, axis=0, return_index=True, return_inverse=True, return_counts=True)
+    again = np.setdiff1d(np.arange(len(numbers)), first)
     if len(again):
         row = int(again[0])
-        where, line = origins.place(int(first[inverse.ravel()[row]]))
-        here, this = origins.place(row)
+        file, line = origins.place(int(first[inverse.ravel()[row]]))
+        place, this = origins.place(row)
         raise InputError(
-            f"{here}: row {this} repeats row {line}{'' if where == here else f' of {where}'} to the last digit "
+            f"{place}: row {this} repeats row {line}{'' if file == place else f' of {file}'} to the last digit "
             f"({int((count - 1).sum())} repeated rows in all); remove them, they would count twice"
         )
 
@@ -159,12 +155,12 @@ def read_joints(table: Table, description: ColumnDescription, geometry: Geometry
         outside = (values < lower - room) | (values > upper + room)
         if outside.any():
             row = int(np.argmax(outside))
-            other = {"rad": "deg", "deg": "rad", "m": "mm", "mm": "m"}[unit]
+            likely = {"rad": "deg", "deg": "rad", "m": "mm", "mm": "m"}[unit]
             mixed = f" ({int(outside.sum())} of {len(values)} rows are so)" if not outside.all() else ""
             raise InputError(
                 f"{table.where}: row {table.lines[row]}, column '{column}' is {values[row] / scale:.6g} {unit}, but "
                 f"joint {i + 1} ({geometry.joint_names[i]}) moves over {lower / scale:.4g} to {upper / scale:.4g} "
-                f"{unit}; its unit is probably {other}{mixed}"
+                f"{unit}; its unit is probably {likely}{mixed}"
             )
         columns.append(values)
     return np.stack(columns, -1)
@@ -173,10 +169,9 @@ def read_joints(table: Table, description: ColumnDescription, geometry: Geometry
 def refuse_implausible_conditions(table: Table, name: str, values: Array, columns: tuple[str, ...]) -> None:
     """Refuse temperatures from the reference, payloads and torques ``(N, k)``, SI, that no arm works under."""
     least, most, _ = LIMITS[QUANTITIES[name]]
-    rows, places = np.nonzero((values < least) | (values > most))
-    if len(rows):
-        where = f"{table.where}: row {table.lines[rows[0]]}, column '{columns[places[0]]}' as {QUANTITIES[name]}"
-        check_limit(where, float(values[rows[0], places[0]]), QUANTITIES[name])
+    for row, column in np.argwhere((values < least) | (values > most))[:1]:
+        place = f"{table.cell(row, columns[column])} as {QUANTITIES[name]}"
+        check_limit(place, float(values[row, column]), QUANTITIES[name])
 
 
 TURNED = float(np.radians(1.0))
@@ -192,7 +187,7 @@ EXPLAINED, UNEXPLAINED = 0.2, 0.5
 def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations:
     """Reflector groups; a reflector counts as lost only as the description says that it is marked."""
     first = files.first
-    points, seen = [], []
+    points, visible_parts = [], []
     for table in files.tables:
         blank = np.zeros((len(table.lines), len(first.position)), dtype=bool)
         if "empty" in section.lost:
@@ -206,8 +201,8 @@ def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations
                 "that the tracker lost it; say lost = 'zeros' in [reflectors], or remove the row"
             )
         points.append(values)
-        seen.append(~(empty | (zero if "zeros" in section.lost else empty)))
-    visible = np.concatenate(seen)
+        visible_parts.append(~(empty | (zero if "zeros" in section.lost else empty)))
+    visible = np.concatenate(visible_parts)
     if (visible.sum(axis=0) < 3).any():
         which = int(np.argmin(visible.sum(axis=0)))
         raise InputError(f"{files.source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
@@ -224,14 +219,8 @@ def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations
 def _wire(files: Files, section: WireTable) -> DistanceObservations:
     length = files.values()[:, 0]
     for row in np.flatnonzero(length <= 0.0)[:1]:
-        raise InputError(f"{files.place(int(row))}: a length of {_mm(length[row])} mm is not above zero; correct it")
-    _refuse_no_contact(files, section)
-    data = replace(
-        _distances(files, section, length),
-        zero=section.zero,
-        zero_std=section.zero_std,
-        scale_std=section.scale_std,
-    )
+        raise InputError(f"{files.place(row)}: a length of {length[row] * 1e3:.6g} mm is not above zero; correct it")
+    data = _distances(files, section, length, zero=section.zero, zero_std=section.zero_std, scale_std=section.scale_std)
     _refuse_other_unit(files, data)
     return data
 
@@ -240,26 +229,25 @@ def _dial(files: Files, section: DialTable) -> DistanceObservations:
     reading = files.values()[:, 0]
     for row in np.flatnonzero(np.isclose(reading, section.free, rtol=0.0, atol=1e-9))[:1]:
         raise InputError(
-            f"{files.place(int(row))}: the dial reads {_mm(reading[row])} mm, as one that touches nothing; remove the "
-            "row, or say in [dial] what it reads then (free_mm)"
+            f"{files.place(row)}: the dial reads {reading[row] * 1e3:.6g} mm, as one that touches nothing; remove "
+            "the row, or say in [dial] what it reads then (free_mm)"
         )
-    _refuse_no_contact(files, section)
-    return replace(_distances(files, section, reading), surface="plane", scale_std=section.scale_std)
+    return _distances(files, section, reading, surface="plane", scale_std=section.scale_std)
 
 
 def _kept(files: Files, section: ContactTable) -> DistanceObservations:
     """A ball bar, a sphere, an edge or a plane: one distance in all rows, known or not."""
-    kind = files.first.kind
-    _refuse_no_contact(files, section)
-    _refuse_one_pose(files, np.arange(len(files.joints)))
-    data = _distances(files, section, np.zeros(len(files.joints)))
+    length, zero_std = 0.0, 0.0
     if isinstance(section, BarTable | RadiusTable):
-        length, std = (section.length, section.length_std) if section.length else (0.0, np.inf)
-        data = replace(data, length=data.length + length, zero_std=std)
-    return replace(data, surface="line" if kind == "edge" else "plane" if kind == "plane" else "point")
+        length, zero_std = (section.length, section.length_std) if section.length else (0.0, np.inf)
+    surface = {"edge": "line", "plane": "plane"}.get(files.first.kind, "point")
+    data = _distances(files, section, np.full(len(files.joints), length), zero_std=zero_std, surface=surface)
+    _refuse_one_pose(files, np.arange(len(files.joints)))
+    return data
 
 
-def _distances(files: Files, section: ContactTable, readings: Array) -> DistanceObservations:
+def _distances(files: Files, section: ContactTable, readings: Array, **more: Any) -> DistanceObservations:
+    _refuse_no_contact(files, section)
     return DistanceObservations(
         joints=files.joints,
         length=readings,
@@ -267,61 +255,53 @@ def _distances(files: Files, section: ContactTable, readings: Array) -> Distance
         tip=section.tool_point,
         tip_std=section.tip_std,
         kind=files.first.kind,
+        **more,
     )
 
 
 def _touches(files: Files, section: ContactTable) -> SocketObservations:
     """One place that was touched in every row."""
-    _refuse_no_contact(files, section)
-    _refuse_one_pose(files, np.arange(len(files.joints)))
-    return SocketObservations(
-        joints=files.joints,
-        socket=np.zeros(len(files.joints), dtype=np.int64),
-        pairs=np.zeros((0, 2), dtype=np.int64),
-        spacing=np.zeros(0),
-        std=files.first.position_std,
-        kind=files.first.kind,
-        places=("point",),
-        tip=section.tool_point,
-        tip_std=section.tip_std,
-    )
+    return _rests(files, section, np.zeros(len(files.joints), dtype=np.int64), [], None, places=("point",))
 
 
 def _sockets(files: Files, section: SocketsTable) -> SocketObservations:
     """Sockets by a column, in consecutive pairs of their numbers; or one per file, the files of a folder a pair."""
-    first = files.first
-    _refuse_no_contact(files, section)
     names: tuple[str, ...] = ()
-    if first.position:
-        named = np.concatenate([table.value(first.position[0]) for table in files.tables])
-        labels, socket = np.unique(named, return_inverse=True)
+    if files.first.position:
+        numbers = np.concatenate([table.value(files.first.position[0]) for table in files.tables])
+        labels, socket = np.unique(numbers, return_inverse=True)
         folders = [str(i // 2) for i in range(len(labels))]
         names = tuple(f"socket{label:g}" for label in labels)
     else:
-        socket = np.repeat(np.arange(len(files.tables)), [len(table.lines) for table in files.tables])
+        socket = files.origins.file
         folders = [str(Path(table.where).parent) for table in files.tables]
-    sockets: dict[str, list[int]] = {}
-    for i, folder in enumerate(folders):
-        sockets.setdefault(folder, []).append(i)
-    pairs = [] if section.spacing is None else list(sockets.items())
-    for folder, members in pairs:
-        if len(members) != 2:
+    members = {folder: [i for i, home in enumerate(folders) if home == folder] for folder in folders}
+    for folder, sockets in members.items():
+        if section.spacing is not None and len(sockets) != 2:
             raise InputError(
-                f"{files.source}: a spacing is given for pairs of sockets, but '{folder}' holds {len(members)}; give "
+                f"{files.source}: a spacing is given for pairs of sockets, but '{folder}' holds {len(sockets)}; give "
                 "two files per folder, or leave spacing_mm out"
             )
+    pairs = [] if section.spacing is None else list(members.values())
+    return _rests(files, section, socket, pairs, section.spacing, spacing_std=section.spacing_std, places=names)
+
+
+def _rests(
+    files: Files, section: ContactTable, socket: Rows, pairs: list[list[int]], spacing: float | None, **more: Any
+) -> SocketObservations:
+    _refuse_no_contact(files, section)
     for place in np.unique(socket):
         _refuse_one_pose(files, np.flatnonzero(socket == place))
     return SocketObservations(
         joints=files.joints,
         socket=np.asarray(socket, dtype=np.int64),
-        pairs=np.array([members for _, members in pairs], dtype=np.int64).reshape(-1, 2),
-        spacing=np.full(len(pairs), section.spacing or 0.0),
-        std=first.position_std,
-        spacing_std=section.spacing_std,
-        places=names,
+        pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
+        spacing=np.full(len(pairs), spacing or 0.0),
+        std=files.first.position_std,
         tip=section.tool_point,
         tip_std=section.tip_std,
+        kind=files.first.kind,
+        **more,
     )
 
 
@@ -333,7 +313,7 @@ def _tilt(files: Files, section: TiltTable) -> TiltObservations:
         angles = values * TO_SI[section.position_unit]
         for row, column in np.argwhere(np.abs(angles) > np.pi / 2)[:1]:
             raise InputError(
-                f"{files.place(int(row))}: an inclination of {np.degrees(angles[row, column]):.4g} deg is beyond 90; "
+                f"{files.place(row)}: an inclination of {np.degrees(angles[row, column]):.4g} deg is beyond 90; "
                 "correct the row, or the unit of [tilt]"
             )
         values, std = np.sin(angles), std * np.maximum(np.cos(angles), UNIT_LENGTH)
@@ -341,15 +321,11 @@ def _tilt(files: Files, section: TiltTable) -> TiltObservations:
     wrong = size > 1.0 + UNIT_LENGTH if values.shape[1] < 3 else np.abs(size - 1.0) > UNIT_LENGTH
     for row in np.flatnonzero(wrong)[:1]:
         raise InputError(
-            f"{files.place(int(row))}: the components of down have length {size[row]:.4g}, not 1; divide them by "
+            f"{files.place(row)}: the components of down have length {size[row]:.4g}, not 1; divide them by "
             "gravity, or remove rows in which the arm still moved"
         )
     _refuse_one_pose(files, np.arange(len(files.joints)))
     return TiltObservations(files.joints, values, std, axes_std=section.axes_std, down_std=section.down_std)
-
-
-def _mm(value: float) -> str:
-    return f"{value * 1e3:.6g}"
 
 
 def _refuse_no_contact(files: Files, section: ContactTable) -> None:
@@ -357,10 +333,7 @@ def _refuse_no_contact(files: Files, section: ContactTable) -> None:
     for table in files.tables if section.contact is not None else ():
         table.fill_blanks(str(section.contact))
         for row in np.flatnonzero(table.column(str(section.contact)) == 0.0)[:1]:
-            raise InputError(
-                f"{table.where}: row {table.lines[row]}, column '{section.contact}' says that nothing was touched; "
-                "remove the row"
-            )
+            raise InputError(f"{table.cell(row, section.contact)} says that nothing was touched; remove the row")
 
 
 def _refuse_one_pose(files: Files, rows: Rows) -> None:
@@ -384,12 +357,12 @@ def _refuse_other_unit(files: Files, data: DistanceObservations) -> None:
 
     if left(1.0) < UNEXPLAINED:
         return
-    here = files.first.position_unit
-    other, factor = ("m", 1e3) if here == "mm" else ("mm", 1e-3)
+    unit = files.first.position_unit
+    likely, factor = ("m", 1e3) if unit == "mm" else ("mm", 1e-3)
     if left(factor) < EXPLAINED:
-        median = np.median(data.length) / TO_SI[here]
+        median = np.median(data.length) / TO_SI[unit]
         raise InputError(
-            f"{files.source}: lengths of {median:.4g} {here} (median) fit no anchor, but as {other} they do; correct "
+            f"{files.source}: lengths of {median:.4g} {unit} (median) fit no anchor, but as {likely} they do; correct "
             "unit of [wire]"
         )
 
@@ -433,53 +406,48 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
     Raises:
         InputError: Names the file, row, column or picture at fault.
     """
-    whole = description.views
-    assert whole is not None and whole.pixels is not None and whole.board is not None and whole.camera is not None
+    file = description.views
+    assert file is not None and file.pixels is not None and file.board is not None and file.camera is not None
     if len(paths) != 1:
         raise InputError(f"views of a board are given as one file or folder, not as {len(paths)}; give one")
-    path = Path(paths[0])
-    table, home = _table(path, whole.pixels, description)
-    camera = _lens(whole.camera, home)
-    if (poses := whole.poses) is None:
-        joints = read_joints(table, description, geometry)
-    else:
-        turned = rotations(poses.convention, table.values(poses.rotation) * TO_SI[poses.rotation_unit])
-        joints = joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))
+    table, home = _table(Path(paths[0]), file.pixels, description)
+    camera = _lens(file.camera, home)
     pictures: list[Path] = []
-    if whole.pixels.position:
-        rows, found = _found_in_table(table, whole.pixels, whole.board, camera)
-        joints = joints[rows]
+    if file.pixels.position:
+        rows, views = _found_in_table(table, file.pixels, file.board, camera)
     else:
-        pictures = _pictures(table, whole.pixels, home)
-        rows, found = list(range(len(table.lines))), _found_in_pictures(table, whole.board, pictures)
-    if whole.poses is None:
-        refuse_repeated_joints([description], joints, geometry)
-    for row, view in zip(rows, found, strict=True):
+        pictures = _pictures(table, file.pixels, home)
+        rows, views = list(range(len(table.lines))), _found_in_pictures(table, file.board, pictures)
+    for row, view in zip(rows, views, strict=True):
         if view.size != camera.size:
             raise InputError(
                 f"{table.where}: row {table.lines[row]}: the picture has {view.size[0]} x {view.size[1]} px, but the "
                 f"lens is for {camera.size[0]} x {camera.size[1]}; give the camera's numbers at this resolution"
             )
-    found_views = PixelObservations(
+    if (poses := file.poses) is None:
+        joints = read_joints(table, description, geometry)[rows]
+        refuse_repeated_joints([description], joints, geometry)
+    else:
+        turned = rotations(poses.convention, table.values(poses.rotation) * TO_SI[poses.rotation_unit])
+        joints = joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))[rows]
+    std = np.stack([view.std for view in views])
+    lines = np.array(table.lines, dtype=np.int64)[rows]
+    data = PixelObservations(
         joints=joints,
-        corners=np.stack([view.pixels for view in found]),
-        seen=np.stack([view.seen for view in found]),
-        board=whole.board.corners,
+        corners=np.stack([view.pixels for view in views]),
+        seen=np.stack([view.seen for view in views]),
+        board=file.board.corners,
         camera=camera,
-        lens_std=_lens_std(whole.camera),
-        std=np.stack(
-            [view.std if whole.pixels.std_px is None else np.full_like(view.std, whole.pixels.std_px) for view in found]
-        ),
-        mount=whole.pixels.mount,
+        lens_std=_lens_std(file.camera),
+        std=std if file.pixels.std_px is None else np.full_like(std, file.pixels.std_px),
+        mount=file.pixels.mount,
         source=table.where,
-        remarks=np.array([view.remark for view in found]),
+        remarks=np.array([view.remark for view in views]),
         pictures=np.array([str(path) for path in pictures]) if pictures else None,
-        origins=Origins(
-            (table.where,), np.zeros(len(rows), dtype=np.int64), np.array(table.lines, dtype=np.int64)[rows]
-        ),
+        origins=Origins((table.where,), np.zeros_like(lines), lines),
     )
-    refuse_duplicates(joints, found_views, origins_of(found_views))
-    return found_views
+    refuse_duplicates(joints, data, origins_of(data))
+    return data
 
 
 def _table(path: Path, pixels: PixelsTable, description: ColumnDescription) -> tuple[Table, Path]:
@@ -524,20 +492,20 @@ def _found_in_pictures(table: Table, board: Board, pictures: Sequence[Path]) -> 
 
     A few pictures that show no corner are kept, with the reason, to be listed; many mean another board.
     """
-    found, blind = [], []
+    views, faults = [], []
     for path, line in zip(pictures, table.lines, strict=True):
         if not path.is_file():
             raise InputError(f"{table.where}: row {line}: picture {path} does not exist; correct or remove the row")
         picture = _grey(path)
         try:
-            found.append(find_corners(board, picture, str(path)))
+            views.append(find_corners(board, picture, str(path)))
         except InputError as error:
-            blind.append(error)
+            faults.append(error)
             height, width = picture.shape
-            found.append(no_corners(board, (width, height), str(error)))
-    if len(blind) > MANY_BLIND * len(found):
-        raise blind[0]
-    return found
+            views.append(corners_at(board, [], np.zeros((0, 2)), [], (width, height), str(error)))
+    if len(faults) > MANY_BLIND * len(views):
+        raise faults[0]
+    return views
 
 
 def _grey(path: Path) -> Grey:
@@ -554,24 +522,19 @@ def _found_in_table(
     """First row and corners of each view."""
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.position)
-    count, rows, found = len(board.corners), [], []
-    wrong = (numbers < 0) | (numbers >= count) | (numbers != np.rint(numbers))
-    if wrong.any():
-        row = int(np.argmax(wrong))
+    count, rows, corners = len(board.corners), [], []
+    for row in np.flatnonzero((numbers < 0) | (numbers >= count) | (numbers != np.rint(numbers)))[:1]:
         raise InputError(
             f"{table.where}: row {table.lines[row]}: corner {numbers[row]:g} is none of the board's {count} (from 0); "
             "correct it or [board]"
         )
     for name in dict.fromkeys(views):
         mine = np.array([i for i, view in enumerate(views) if view == name])
-        chosen = numbers[mine].astype(np.int64)
-        if len(np.unique(chosen)) < len(chosen):
+        if len(np.unique(numbers[mine])) < len(mine):
             raise InputError(f"{table.where}: view '{name}' has a corner twice; remove one")
-        pixel, seen = np.zeros((count, 2)), np.zeros(count, dtype=bool)
-        pixel[chosen], seen[chosen] = places[mine], True
         rows.append(int(mine[0]))
-        found.append(FoundCorners(pixel, seen, np.full(count, DEFAULT_STD), camera.size))
-    return rows, found
+        corners.append(corners_at(board, numbers[mine], places[mine], DEFAULT_STD, camera.size))
+    return rows, corners
 
 
 def _lens(given: LensTable, home: Path) -> Lens:

@@ -34,7 +34,7 @@ from pickenv.calibration.reading.kind_readers import Files, read_views
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """What a file itself says about its noise, as the RMS of a position error's norm, m; None where it says nothing.
+    """A file's own word on its noise, as the RMS of a position error's norm, m; None where it says nothing.
 
     Attributes:
         repeat: From columns of the repeat sigma.
@@ -109,14 +109,16 @@ def read_observations(
         return FileReading(read_views(paths, geometry, description), NoiseFloor(None, None))
     layout = () if description is None else (description.separator, description.decimal, description.names)
     tables = [read_table(path, *layout) for path in paths]
-    given = [description or own_description(geometry, table.header, table.where) for table in tables]
-    joints = np.concatenate([kind_readers.read_joints(*pair, geometry) for pair in zip(tables, given, strict=True)])
+    descriptions = [description or own_description(geometry, table.header, table.where) for table in tables]
+    joints = np.concatenate(
+        [kind_readers.read_joints(*pair, geometry) for pair in zip(tables, descriptions, strict=True)]
+    )
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"
-    files = Files(tables, given, geometry, joints, source)
-    groups = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
+    file = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
     lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
-    origins = Origins(tuple(table.where for table in tables), groups, lines)
-    kind_readers.refuse_repeated_joints(given, joints, geometry)
+    origins = Origins(tuple(table.where for table in tables), file, lines)
+    files = Files(tables, descriptions, geometry, joints, source, origins)
+    kind_readers.refuse_repeated_joints(descriptions, joints, geometry)
     frames = {"frames": _frames(tables)} if description is None else {}
     rows: Any = get("instrument", files.first.kind)(files, files.first.section)
     rows = replace(rows, source=source, conditions=_conditions(files), origins=origins, **frames)
@@ -125,26 +127,26 @@ def read_observations(
 
 
 def _frames(tables: list[Table]) -> Frames:
-    """What files of our own format say about base and tool in every row; where they say nothing, both are fitted."""
-    said: dict[str, str] = {}
+    """The word of files of our own format on base and tool, in every row; where they say nothing, both are fitted."""
+    places_of: dict[str, str] = {}
     for table in tables:
         if FRAMES_COLUMN not in table.header:
-            said.setdefault("fitted", table.where)
+            places_of.setdefault("fitted", table.where)
             continue
         for text, line in zip(table.texts(FRAMES_COLUMN), table.lines, strict=True):
-            said.setdefault(text, f"{table.where}: row {line}")
-    for text, place in said.items():
+            places_of.setdefault(text, f"{table.where}: row {line}")
+    for text, place in places_of.items():
         if text not in FRAMES:
             raise InputError(f"{place}, column '{FRAMES_COLUMN}' holds '{text[:40]}'; give {' or '.join(FRAMES)}")
-    if len(said) > 1:
-        places = " but ".join(f"{place} says {text}" for text, place in said.items())
+    if len(places_of) > 1:
+        places = " but ".join(f"{place} says {text}" for text, place in places_of.items())
         raise InputError(f"{places}: base and tool cannot be both; calibrate these rows one by one")
-    return "known" if "known" in said else "fitted"
+    return "known" if "known" in places_of else "fitted"
 
 
 def _conditions(files: Files) -> Conditions:
     """Payload, temperature above the reference, and torques, where every file has them."""
-    found: dict[str, Array] = {}
+    conditions: dict[str, Array] = {}
     for name in ("temperature", "payload", "torque"):
         parts = []
         for table, description in files.pairs():
@@ -154,8 +156,8 @@ def _conditions(files: Files) -> Conditions:
                 kind_readers.refuse_implausible_conditions(table, name, values, condition.columns)
                 parts.append(values if name == "torque" else values[:, 0])
         if len(parts) == len(files.tables):
-            found[name] = np.concatenate(parts)
-    return Conditions(**found)
+            conditions[name] = np.concatenate(parts)
+    return Conditions(**conditions)
 
 
 @register("instrument", "position")
@@ -190,18 +192,18 @@ def _poses(files: Files, _section: Any) -> Measurements:
 def _attitudes(table: Table, description: ColumnDescription) -> Array:
     """Attitude columns in rad, or quaternions, checked."""
     values = table.values(description.rotation) * TO_SI[description.rotation_unit]
-    wanted = len(description.rotation) if description.convention is None else columns_of(description.convention)
-    if values.shape[1] != wanted:
-        raise InputError(f"{description.where}: convention '{description.convention}' needs {wanted} columns")
-    if wanted == 4 and np.any(np.abs(np.linalg.norm(values, axis=1) - 1.0) > 0.01):
+    count = len(description.rotation) if description.convention is None else columns_of(description.convention)
+    if values.shape[1] != count:
+        raise InputError(f"{description.where}: convention '{description.convention}' needs {count} columns")
+    if count == 4 and np.any(np.abs(np.linalg.norm(values, axis=1) - 1.0) > 0.01):
         bad = int(np.argmax(np.abs(np.linalg.norm(values, axis=1) - 1.0)))
         raise InputError(f"{table.where}: row {table.lines[bad]} holds a quaternion that is not of unit length")
-    if wanted == 3 and np.abs(values).max() > 4 * np.pi:
+    if count == 3 and np.abs(values).max() > 4 * np.pi:
         bad, column = divmod(int(np.argmax(np.abs(values))), values.shape[1])
         hint = "its unit is probably deg" if description.rotation_unit == "rad" else "correct or remove the row"
         raise InputError(
-            f"{table.where}: row {table.lines[bad]}, column '{description.rotation[column]}' is "
-            f"{np.abs(values[bad, column]):.0f} rad, which no rotation needs; {hint}"
+            f"{table.cell(bad, description.rotation[column])} is {np.abs(values[bad, column]):.0f} rad, which no "
+            f"rotation needs; {hint}"
         )
     return values
 
@@ -234,7 +236,7 @@ POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """What the arm is asked to do.
+    """The poses that the arm is asked for.
 
     Attributes:
         joints: Nominal joint targets ``(N, n)``, rad or m; None if poses were given.
@@ -264,14 +266,14 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
         InputError: Names the file, and the row and column at fault.
     """
     table = read_table(path)
-    wanted = joint_columns(geometry.prismatic)
-    as_joints = all(name in table.header for name in wanted)
+    columns = joint_columns(geometry.prismatic)
+    as_joints = all(name in table.header for name in columns)
     if not as_joints and not all(name in table.header for name in POSE_COLUMNS):
         raise InputError(
-            f"{path} has neither all joint columns ({', '.join(wanted)}) nor all pose columns "
+            f"{path} has neither all joint columns ({', '.join(columns)}) nor all pose columns "
             f"({', '.join(POSE_COLUMNS)}); it has {listed(table.header)}"
         )
-    values = table.values(tuple(wanted) if as_joints else POSE_COLUMNS)
+    values = table.values(tuple(columns) if as_joints else POSE_COLUMNS)
     lines = tuple(table.lines)
     if as_joints:
         scale = np.where(geometry.prismatic, 1e-3, np.radians(1.0))
@@ -289,8 +291,8 @@ def joints_of(targets: Targets, geometry: Geometry) -> Array:
     if targets.joints is not None:
         return targets.joints
     assert targets.pose is not None
-    found = inverse(geometry, targets.pose)
-    if not found.reached.all():
-        row = targets.lines[int(np.argmin(found.reached))]
+    solution = inverse(geometry, targets.pose)
+    if not solution.reached.all():
+        row = targets.lines[int(np.argmin(solution.reached))]
         raise InputError(f"{targets.source}: row {row} is a pose that the arm cannot reach; correct or remove the row")
-    return found.joints
+    return solution.joints

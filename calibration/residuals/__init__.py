@@ -1,1 +1,1 @@
-"""What the parameters leave, learnt from joints to pose errors, and the gate that says whether it pays."""
+"""Residuals beyond the parameters, learnt from joints to pose errors, and the gate that says whether they pay."""

@@ -43,7 +43,7 @@ Refit = Callable[[Measurements], Geometry | ArmModel]
 
 @dataclass(frozen=True)
 class GateVerdict:
-    """How one residual model fares. All RMS are of the position error's norm, m, unless they say attitude (rad).
+    """The errors with one residual model. All RMS are of the position error's norm, m, unless they say attitude (rad).
 
     Attributes:
         model: Name of the residual model.
@@ -86,12 +86,12 @@ class GateReport:
         """For JSON; lengths in mm and angles in degrees, as the names then say."""
         models = {}
         for verdict in self.verdicts:
-            named: dict[str, Any] = {"accepted": verdict.accepted, "reason": verdict.reason}
+            content: dict[str, Any] = {"accepted": verdict.accepted, "reason": verdict.reason}
             for key, value in vars(verdict).items():
                 if key.endswith("rms"):
                     unit, scale = ("deg", np.degrees(1.0)) if key.endswith("attitude_rms") else ("mm", 1e3)
-                    named[f"{key}_{unit}"] = None if value is None else float(value * scale)
-            models[verdict.model] = dict(sorted(named.items()))
+                    content[f"{key}_{unit}"] = None if value is None else float(value * scale)
+            models[verdict.model] = dict(sorted(content.items()))
         return {"models": models, "selected": self.selected, "blocked_rms_mm": self.blocked_rms * 1e3}
 
 
@@ -151,12 +151,11 @@ def gate_residuals(
         verdicts[name] = _verdict(replace(bare, model=name), learn, blocked, inner)
     if progress is not None:
         progress(len(models), len(models))
-    chosen = min(
-        (verdict for verdict in verdicts.values() if verdict.accepted), key=attrgetter("inner_rms"), default=None
-    )
-    blocked_rms = bare.geometric_blocked_rms if chosen is None else chosen.blocked_rms
+    accepted = [verdict for verdict in verdicts.values() if verdict.accepted]
+    best = min(accepted, key=attrgetter("inner_rms"), default=None)
+    blocked_rms = bare.geometric_blocked_rms if best is None else best.blocked_rms
     assert blocked_rms is not None  # whatever was chosen was judged
-    return GateReport(tuple(verdicts[name] for name in models), None if chosen is None else chosen.model, blocked_rms)
+    return GateReport(tuple(verdicts[name] for name in models), None if best is None else best.model, blocked_rms)
 
 
 def position_rms(residuals: Array, counts: Array | None = None) -> float:
@@ -186,7 +185,7 @@ class _Trial:
 
 
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: _Trial) -> Array:
-    """What a model that learns from the trial's training rows leaves of its other rows."""
+    """Residual of the trial's other rows beyond a model that learns from its training rows."""
     train, test = trial.train, trial.test
     model = fit_residual(
         name,
@@ -208,17 +207,17 @@ def _wins_outside(verdict: GateVerdict) -> bool:
 def _verdict(
     verdict: GateVerdict, left_by: Callable[[_Trial], Array], blocked: _Trial, inner: Callable[[], Sequence[_Trial]]
 ) -> GateVerdict:
-    """How a model fares; the inner trials are made for those that win on the outer blocks."""
+    """Verdict on a model; the inner trials are made for those that win on the outer blocks."""
     untouched, counts = blocked.test_residual, blocked.counts
     try:
-        left = left_by(blocked)
+        residual = left_by(blocked)
     except InputError as error:
         return replace(verdict, reason=f"not fitted: {error}")
-    accepted, reason = _compared(untouched, left, counts)
+    accepted, reason = _compared(untouched, residual, counts)
     verdict = replace(
         verdict,
-        blocked_rms=position_rms(left, counts),
-        blocked_attitude_rms=_attitude_rms(left, counts),
+        blocked_rms=position_rms(residual, counts),
+        blocked_attitude_rms=_attitude_rms(residual, counts),
         reason=reason,
     )
     if not accepted:

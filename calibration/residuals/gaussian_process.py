@@ -29,7 +29,7 @@ CONSTANT = 1e-9
 
 
 class Regressor(Protocol):
-    """What a residual model is: fitted to numbers, it gives numbers, and all of it is kept in plain arrays.
+    """A residual model: fitted to numbers, it gives numbers, and all of it is kept in plain arrays.
 
     Two methods may be left out: ``faster()`` returns the model for control loops, and ``predict_std(inputs)`` the
     standard deviation of `predict`.
@@ -102,62 +102,57 @@ class Rbf(SavedArrays):
     offset: Array
 
     @staticmethod
-    def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Rbf:
-        """Fit it as `fit_rbf` does."""
-        return fit_rbf(inputs, targets, rng)
+    def fit(
+        inputs: Array,
+        targets: Array,
+        rng: np.random.Generator,
+        *,
+        centres: int = 200,
+        widths: Sequence[float] = (0.25, 0.5, 1.0, 2.0),
+        ridges: Sequence[float] = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2),
+        rounds: int = 20,
+    ) -> Rbf:
+        """Fit the network.
+
+        Args:
+            inputs: Standardised inputs ``(N, F)``.
+            targets: Residuals to learn ``(N, k)``, m and rad.
+            rng: Draws the first centres of k-means.
+            centres: Number of basis functions at most; a third of the rows where these are few.
+            widths: Widths tried, in units of the median distance between rows and centres.
+            ridges: Ridge coefficients tried, relative to the largest squared singular value.
+            rounds: Rounds of k-means.
+
+        Raises:
+            InputError: If there are fewer than ten rows.
+        """
+        rows = len(inputs)
+        if rows < 10:
+            raise InputError(f"{rows} poses are too few for an RBF network; measure at least 10")
+        middles = k_means(inputs, min(centres, rows // 3), rng, rounds)
+        offset, scale = targets.mean(axis=0), column_std(targets, 1e-12)
+        scaled = (targets - offset) / scale
+        unit = float(np.sqrt(np.median(_squared_distances(inputs, middles))))
+        best, solution = np.inf, (1.0, np.zeros((len(middles), targets.shape[1])))
+        for width in (factor * unit for factor in widths):
+            with single_threaded():
+                u, s, vt = np.linalg.svd(_gaussians(inputs, middles, width), full_matrices=False)
+            coordinates = u.T @ scaled
+            outside = np.sum(scaled**2) - np.sum(coordinates**2)
+            for ridge in ridges:
+                damping = ridge * s[0] ** 2
+                shares = s**2 / (s**2 + damping)
+                missed = outside + np.sum(((1.0 - shares)[:, None] * coordinates) ** 2)
+                score = missed / (1.0 - shares.sum() / rows) ** 2
+                if score < best:
+                    best, solution = score, (width, vt.T @ ((s / (s**2 + damping))[:, None] * coordinates))
+        return Rbf(middles, solution[0], solution[1] * scale, offset)
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
         return np.asarray(
             _gaussians(np.asarray(inputs, dtype=float), self.centres, self.width) @ self.weights + self.offset
         )
-
-
-def fit_rbf(
-    inputs: Array,
-    targets: Array,
-    rng: np.random.Generator,
-    *,
-    centres: int = 200,
-    widths: Sequence[float] = (0.25, 0.5, 1.0, 2.0),
-    ridges: Sequence[float] = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2),
-    rounds: int = 20,
-) -> Rbf:
-    """Fit the network.
-
-    Args:
-        inputs: Standardised inputs ``(N, F)``.
-        targets: Residuals to learn ``(N, k)``, m and rad.
-        rng: Draws the first centres of k-means.
-        centres: Number of basis functions at most; a third of the rows where these are few.
-        widths: Widths tried, in units of the median distance between rows and centres.
-        ridges: Ridge coefficients tried, relative to the largest squared singular value.
-        rounds: Rounds of k-means.
-
-    Raises:
-        InputError: If there are fewer than ten rows.
-    """
-    rows = len(inputs)
-    if rows < 10:
-        raise InputError(f"{rows} poses are too few for an RBF network; measure at least 10")
-    middles = k_means(inputs, min(centres, rows // 3), rng, rounds)
-    offset, scale = targets.mean(axis=0), column_std(targets, 1e-12)
-    wanted = (targets - offset) / scale
-    unit = float(np.sqrt(np.median(_squared_distances(inputs, middles))))
-    best, chosen = np.inf, (1.0, np.zeros((len(middles), targets.shape[1])))
-    for width in (factor * unit for factor in widths):
-        with single_threaded():
-            u, s, vt = np.linalg.svd(_gaussians(inputs, middles, width), full_matrices=False)
-        seen = u.T @ wanted
-        outside = np.sum(wanted**2) - np.sum(seen**2)
-        for ridge in ridges:
-            damping = ridge * s[0] ** 2
-            kept = s**2 / (s**2 + damping)
-            missed = outside + np.sum(((1.0 - kept)[:, None] * seen) ** 2)
-            score = missed / (1.0 - kept.sum() / rows) ** 2
-            if score < best:
-                best, chosen = score, (width, vt.T @ ((s / (s**2 + damping))[:, None] * seen))
-    return Rbf(middles, chosen[0], chosen[1] * scale, offset)
 
 
 def k_means(points: Array, count: int, rng: np.random.Generator, rounds: int) -> Array:
@@ -190,7 +185,7 @@ PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
 """Amplitude, every length scale and noise where half is noise and where almost nothing is; all inputs count alike."""
 
 DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
-"""Where amplitude, each length scale and noise of further starts are drawn, so that inputs count differently.
+"""Bounds of amplitude, each length scale and noise of further starts, so that inputs count differently.
 
 Shorter length scales end in noise alone, longer ones with inputs ignored."""
 
@@ -203,7 +198,7 @@ COARSE, FINE = 1e-5, 1e-7
 
 @dataclass(frozen=True)
 class GaussianProcessSettings:
-    """How the process is fitted.
+    """Settings of the fit.
 
     Attributes:
         rows: Training rows kept at most, drawn evenly; the cost grows with their cube.
@@ -248,31 +243,68 @@ class GaussianProcess(SavedArrays):
     output_std: Array
 
     @staticmethod
-    def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> GaussianProcess:
-        """Fit it as `fit_gaussian_process` does."""
-        return fit_gaussian_process(inputs, targets, rng)
+    def fit(
+        inputs: Array, targets: Array, rng: np.random.Generator, settings: GaussianProcessSettings | None = None
+    ) -> GaussianProcess:
+        """Fit one process per output.
+
+        Args:
+            inputs: Standardised inputs ``(N, F)``.
+            targets: Residuals to learn ``(N, k)``, m and rad.
+            rng: Draws the starts of the search, and the rows that are kept where there are too many.
+            settings: How; the defaults when left out.
+
+        Raises:
+            InputError: If there are fewer than ten rows.
+        """
+        settings = settings or GaussianProcessSettings()
+        if len(inputs) < 10:
+            raise InputError(f"{len(inputs)} poses are too few for a Gaussian process; measure at least 10")
+        order = rng.permutation(len(inputs))
+        rows = np.sort(order[: settings.rows])
+        some = np.sort(order[: settings.likelihood_rows])
+        mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
+        scaled = (targets - mean) / std
+        lengths, amplitudes, noises, weights = [], [], [], []
+        with single_threaded():
+            for j in range(targets.shape[1]):
+                amplitude, length, noise = _most_likely(inputs[some], scaled[some, j], rng, settings)
+                factor = _factor(_kernel(inputs[rows], inputs[rows], length, amplitude), noise)
+                lengths.append(length)
+                amplitudes.append(amplitude)
+                noises.append(noise)
+                weights.append(cho_solve((factor, True), scaled[rows, j]))
+        return GaussianProcess(
+            rows=inputs[rows],
+            length_scales=np.array(lengths),
+            amplitude=np.array(amplitudes),
+            noise=np.array(noises),
+            weights=np.array(weights),
+            output_mean=mean,
+            output_std=std,
+        )
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
-        found = self._by_output(inputs, lambda j, part: self._kernel(j, part) @ self.weights[j])
-        return np.asarray(found * self.output_std + self.output_mean)
+        mean = self._by_output(inputs, lambda j, part: self._kernel(j, part) @ self.weights[j])
+        return np.asarray(mean * self.output_std + self.output_mean)
 
     def predict_std(self, inputs: ArrayLike) -> Array:
         """Standard deviation ``(..., k)`` (m, rad) of the noise-free outputs at standardised inputs ``(..., F)``."""
 
         def unknown(j: int, part: Array) -> Array:
-            known = solve_triangular(self._factors[j], self._kernel(j, part).T, lower=True)
-            return np.asarray(np.sqrt(np.maximum(self.amplitude[j] ** 2 - np.sum(known**2, axis=0), 0.0)))
+            explained = solve_triangular(self._factors[j], self._kernel(j, part).T, lower=True)
+            return np.asarray(np.sqrt(np.maximum(self.amplitude[j] ** 2 - np.sum(explained**2, axis=0), 0.0)))
 
         return self._by_output(inputs, unknown) * self.output_std
 
     def targets(self, output: int) -> Array:
-        """What it was fitted to ``(M,)``, in units of the output's own deviation from its mean."""
+        """The targets of its fit ``(M,)``, in units of the output's own deviation from its mean."""
         smooth = self._kernel(output, self.rows) @ self.weights[output]
         return np.asarray(smooth + (self.noise[output] ** 2 + JITTER) * self.weights[output])
 
     def _by_output(self, inputs: ArrayLike, one: Callable[[int, Array], Array]) -> Array:
-        """What ``one`` says of each output ``(..., k)``, for so many inputs ``(..., F)`` at a time as caches hold."""
+        """Values by ``one`` of each output ``(..., k)``, for so many inputs ``(..., F)`` at a time as caches hold."""
         inputs = np.asarray(inputs, dtype=float)
         flat = inputs.reshape(-1, inputs.shape[-1])
         values = np.empty((len(flat), len(self.amplitude)))
@@ -291,48 +323,6 @@ class GaussianProcess(SavedArrays):
         return _kernel(inputs, self.rows, self.length_scales[output], float(self.amplitude[output]))
 
 
-def fit_gaussian_process(
-    inputs: Array, targets: Array, rng: np.random.Generator, settings: GaussianProcessSettings | None = None
-) -> GaussianProcess:
-    """Fit one process per output.
-
-    Args:
-        inputs: Standardised inputs ``(N, F)``.
-        targets: Residuals to learn ``(N, k)``, m and rad.
-        rng: Draws the starts of the search, and the rows that are kept where there are too many.
-        settings: How; the defaults when left out.
-
-    Raises:
-        InputError: If there are fewer than ten rows.
-    """
-    settings = settings or GaussianProcessSettings()
-    if len(inputs) < 10:
-        raise InputError(f"{len(inputs)} poses are too few for a Gaussian process; measure at least 10")
-    order = rng.permutation(len(inputs))
-    kept = np.sort(order[: settings.rows])
-    seen = np.sort(order[: settings.likelihood_rows])
-    mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
-    scaled = (targets - mean) / std
-    lengths, amplitudes, noises, weights = [], [], [], []
-    with single_threaded():
-        for j in range(targets.shape[1]):
-            amplitude, length, noise = _most_likely(inputs[seen], scaled[seen, j], rng, settings)
-            factor = _factor(_kernel(inputs[kept], inputs[kept], length, amplitude), noise)
-            lengths.append(length)
-            amplitudes.append(amplitude)
-            noises.append(noise)
-            weights.append(cho_solve((factor, True), scaled[kept, j]))
-    return GaussianProcess(
-        rows=inputs[kept],
-        length_scales=np.array(lengths),
-        amplitude=np.array(amplitudes),
-        noise=np.array(noises),
-        weights=np.array(weights),
-        output_mean=mean,
-        output_std=std,
-    )
-
-
 def _most_likely(
     inputs: Array, target: Array, rng: np.random.Generator, settings: GaussianProcessSettings
 ) -> tuple[float, Array, float]:
@@ -340,13 +330,13 @@ def _most_likely(
     count = np.array([1, inputs.shape[1], 1])
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
     low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
-    drawn = rng.uniform(low, high, (settings.starts, len(low)))
-    starts = [*plain, *drawn]
+    random_starts = rng.uniform(low, high, (settings.starts, len(low)))
+    starts = [*plain, *random_starts]
     some = np.linspace(0, len(inputs) - 1, min(len(inputs), settings.start_rows)).astype(int)
-    found = sorted(
+    optima = sorted(
         (_search(start, inputs[some], target[some], COARSE, settings) for start in starts), key=itemgetter(1)
     )
-    finalists = [optimum for optimum, _ in found[:2]]
+    finalists = [optimum for optimum, _ in optima[:2]]
     if len(some) < len(inputs):
         finalists.append(plain[0])  # where some rows show noise alone, all may show more
     best, _ = min((_search(start, inputs, target, FINE, settings) for start in finalists), key=itemgetter(1))
@@ -443,10 +433,10 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
     """The posterior of a fitted process in ``count`` waves per output, each a cosine and a sine; a power of two."""
     from scipy.stats import norm, qmc
 
-    drawn = qmc.Sobol(process.rows.shape[1], rng=rng).random(count)
-    normal = norm.ppf(np.clip(drawn, 1e-9, 1.0 - 1e-9))
+    points = qmc.Sobol(process.rows.shape[1], rng=rng).random(count)
+    normal = norm.ppf(np.clip(points, 1e-9, 1.0 - 1e-9))
     parts = [_of_output(process, output, normal) for output in range(len(process.noise))]
-    frequency, mean, factor = (np.stack(each) for each in zip(*parts, strict=True))
+    frequency, mean, factor = (np.stack(arrays) for arrays in zip(*parts, strict=True))
     return FeatureProcess(frequency, mean, factor, process.output_mean, process.noise * process.output_std)
 
 

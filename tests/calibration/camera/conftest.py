@@ -10,8 +10,9 @@ import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from pickenv.arm import Array, Pose
-from pickenv.calibration.camera.boards import Board, Grey, board_picture
-from pickenv.calibration.model.pixels import Lens, undistorted
+from pickenv.calibration import Board, Lens, board_picture
+from pickenv.calibration.camera.boards import Grey
+from pickenv.calibration.model.pixels import undistorted
 
 SAMPLES = 3
 """Rays along each side of a pixel."""

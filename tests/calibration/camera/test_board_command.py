@@ -7,11 +7,13 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from pickenv import calibration
 from pickenv.base import InputError
-from pickenv.calibration.camera.boards import SHIPPED, load_board
+from pickenv.calibration import load_board
 from pickenv.cli import app
 
 A4 = (0.210, 0.297)
+SHIPPED = Path(calibration.__file__).parent / "camera" / "shipped_boards"
 
 
 @pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.toml")), ids=lambda path: path.stem)

@@ -15,17 +15,14 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import Pose
 from pickenv.base import InputError
 from pickenv.base.toml_tables import made
+from pickenv.calibration import Board, Lens, board_picture, projected, write_board
 from pickenv.calibration.camera.boards import (
-    Board,
     _grey_at,
-    board_picture,
     corner_std,
     find_corners,
     opencv_board,
     picture_noise,
-    write_board,
 )
-from pickenv.calibration.model.pixels import Lens, projected
 
 BOARDS = {
     "charuco": Board(kind="charuco", columns=6, rows=8, square=0.03, marker=0.022, dictionary="5x5_100"),

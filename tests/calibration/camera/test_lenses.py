@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from pickenv.base import InputError
-from pickenv.calibration.camera.boards import read_lens, write_lens
-from pickenv.calibration.model.pixels import LENS_NAMES, Lens, by_point, by_values, projected, undistorted
+from pickenv.calibration import Lens, projected, read_lens, write_lens
+from pickenv.calibration.model.pixels import LENS_NAMES, by_point, by_values, undistorted
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)) * (0.3, 0.3, 0.1) + (0.0, 0.0, 1.2)
 

@@ -13,10 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from pickenv.base import InputError
-from pickenv.calibration import read_observations
-from pickenv.calibration.camera.boards import load_board, read_lens
+from pickenv.calibration import load_board, pose_carrier, read_lens, read_observations
 from pickenv.calibration.identification.diagnosis import without_blind_views
-from pickenv.calibration.model.arm_model import pose_carrier
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.cli import app
 

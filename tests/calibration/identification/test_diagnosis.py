@@ -11,14 +11,17 @@ from pickenv.base import InputError
 from pickenv.calibration import (
     Choices,
     DistanceObservations,
+    Lens,
+    PixelObservations,
     ReflectorObservations,
     calibrate,
+    contiguous_folds,
     random_joints,
+    same_poses,
     simulated_tracker,
 )
-from pickenv.calibration.identification.diagnosis import mixed_unit, telling_views
-from pickenv.calibration.model.observations import choose, contiguous_folds, same_poses
-from pickenv.calibration.model.pixels import Lens, PixelObservations
+from pickenv.calibration.identification.diagnosis import mixed_unit, without_blind_views
+from pickenv.calibration.model.observations import choose
 from tests.calibration.simulated_instruments import tilt
 
 PLAIN = Choices(terms="none", residual="none")
@@ -349,12 +352,12 @@ def test_views_of_few_corners_or_of_corners_near_one_line_are_left_out_and_four_
         lens_std=np.zeros(9),
         std=np.ones((5, 8)),
     )
-    kept, (left,) = telling_views(views)
+    kept, (left,) = without_blind_views(views)
     np.testing.assert_array_equal(kept.corners, views.corners[:4])
     assert left.why == "its 8 corners lie near one line, and do not tell how the board is turned"
     seen[0, 5:] = False
     with pytest.raises(InputError, match="3 of 5 views show enough of the board, of which 4 are needed"):
-        telling_views(views)
+        without_blind_views(views)
     seen[1:3, 1:] = False
     with pytest.raises(InputError, match="1 of 5 views"):
-        telling_views(views)
+        without_blind_views(views)

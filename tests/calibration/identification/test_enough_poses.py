@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from pickenv.base import InputError
-from pickenv.calibration import complete_model, identify, link_model
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, LeadTerm, with_terms
+from pickenv.calibration import ArmModel, ErrorModel, LeadTerm, complete_model, identify, link_model, with_terms
 
 
 def chosen(geometry, *names):

@@ -1,6 +1,5 @@
 """Each step of the Kalman filter against its textbook formula, and what an hour of drift adds."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,10 @@ from pickenv.arm import Pose, displace_pose, forward, joint_jacobian, load_arm, 
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
+    Conditions,
     Measurements,
+    ThermalTerm,
     complete_model,
     continue_filter,
     filter_measurements,
@@ -22,9 +24,9 @@ from pickenv.calibration import (
     random_walk,
     start_filter,
     thermal_walk,
+    with_terms,
 )
 from pickenv.calibration.identification.extended_kalman_filter import predict, update
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm, with_terms
 
 NOISE = MeasurementNoise(2e-4, 5e-4)
 
@@ -184,9 +186,7 @@ def test_one_pass_is_row_after_row(qiao, positions):
     position[[9, 17]] += 0.2
     data = replace(data, position=position, position_std=2e-4, attitude_std=5e-4)
     data = data.positions_only() if positions else data
-    begin = time.perf_counter()
     found = filter_measurements(model, nominal, data, gate=0.99999)
-    assert 0.0 < found.solve_seconds < time.perf_counter() - begin
     state = start_filter(model, nominal, data.joints, full_pose=not positions)
     nis = []
     for i in range(25):
@@ -200,9 +200,6 @@ def test_one_pass_is_row_after_row(qiao, positions):
     kept = np.delete(nis, [9, 17])
     coordinates = 3 if positions else 6
     assert found.consistency == pytest.approx(kept.mean() / coordinates)
-    assert f"innovations are {np.sqrt(kept.mean() / coordinates):.1f} times" in found.report()
-    assert "one pass over 25 poses" in found.report() and "2 refused" in found.report()
-    assert f"identifiable: {len(state.names)} of 24 parameters" in found.report()
     for k, name in enumerate(model.names):
         kind, joint = name.rstrip("0123456789"), int(name.lstrip("abcdefghijklmnopqrstuvwxyz"))
         joint -= kind in ("theta", "d")  # Craig's alpha and a count from 0

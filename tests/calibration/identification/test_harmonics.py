@@ -7,7 +7,23 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.base import InputError
-from pickenv.calibration import Calibration, Choices, Measurements, calibrate, complete_model, identify
+from pickenv.calibration import (
+    ArmModel,
+    Calibration,
+    Choices,
+    Conditions,
+    GravityTerm,
+    Measurements,
+    PeriodicTerm,
+    calibrate,
+    complete_model,
+    contiguous_folds,
+    harmonics_of,
+    identify,
+    identify_terms,
+    plain_term,
+    same_poses,
+)
 from pickenv.calibration.identification import term_choice
 from pickenv.calibration.identification.term_choice import (
     HIGHEST,
@@ -19,16 +35,12 @@ from pickenv.calibration.identification.term_choice import (
     choose_terms,
     chosen_orders,
     every_order,
-    harmonics_of,
-    identify_terms,
-    plain_term,
     pursued,
     refined,
     solved,
     terms_of,
 )
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, GravityTerm, OrderTerm, PeriodicTerm, kind_of_term
-from pickenv.calibration.model.observations import contiguous_folds, same_poses
+from pickenv.calibration.model.arm_model import OrderTerm, kind_of_term
 
 ARM = load_arm("ur5")
 NOISE = 2e-5

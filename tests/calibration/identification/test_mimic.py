@@ -11,14 +11,18 @@ from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
 from pickenv.calibration import (
     Calibration,
     Compensator,
+    ComplianceTerm,
+    Conditions,
+    GravityTerm,
+    LeadTerm,
     Measurements,
+    ThermalTerm,
     fit,
     random_joints,
     read_measurements,
     write_arm_toml,
     write_arm_urdf,
 )
-from pickenv.calibration.model.arm_model import ComplianceTerm, Conditions, GravityTerm, LeadTerm, ThermalTerm
 from pickenv.inspect.runs.saved import nominal_points
 
 URDF = """<robot name="lift_arm">

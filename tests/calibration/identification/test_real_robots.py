@@ -1,8 +1,11 @@
 """Real arms: laser tracker, reflectors, camera and balls in sockets; base and tool unknown everywhere."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from pickenv import calibration
 from pickenv.arm import load_arm
 from pickenv.base import InputError
 from pickenv.calibration import (
@@ -10,13 +13,13 @@ from pickenv.calibration import (
     Measurements,
     calibrate,
     complete_model,
+    contiguous_folds,
     fit,
     identify,
     read_measurements,
     read_observations,
+    same_poses,
 )
-from pickenv.calibration.model.observations import contiguous_folds, same_poses
-from pickenv.calibration.pipeline.fitting import what_is_left
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +126,7 @@ def test_the_interval_between_blocks_holds_what_other_cuts_of_the_file_give(data
     for folds, shift in ((10, count // 20), (8, 0), (12, 0)):
         turned = data.select(np.roll(np.arange(count), -shift))
         left = [
-            what_is_left(fit(arm, turned.select(rows)), turned.select(held))[:, :3]
+            fit(arm, turned.select(rows)).calibration.errors(turned.select(held))[:, :3]
             for rows, held in contiguous_folds(turned.groups, same_poses(turned.joints), folds)
         ]
         rms = 1e3 * np.sqrt(np.mean(np.sum(np.concatenate(left) ** 2, axis=1)))
@@ -214,14 +217,12 @@ def test_a_file_of_poses_without_a_convention_is_asked_for_it(data_folder, tmp_p
 
     What is left of a full fit is the finding of the poses: the same pictures' corners leave a quarter of it.
     """
-    from pickenv.calibration.reading.description import DESCRIPTIONS
-
     arm, reading = read_set(data_folder, "ur10e", "ur10e_figaroh_pnp", "figaroh-calib/ur10_mocap_pose_calibration.csv")
     found = fit(arm, reading.observations)
     assert left_mm_of_positions(found.calibration.nominal, reading.observations).mean() == pytest.approx(3.26, abs=0.03)
     assert left_mm_of_positions(found.calibration.identified, reading.observations).mean() <= 2.6
-    silent = (DESCRIPTIONS / "ur10e_figaroh_pnp.toml").read_text().replace('convention = "euler_xyz_extrinsic"', "")
-    (tmp_path / "silent.toml").write_text(silent)
+    silent = Path(calibration.__file__).parent / "reading" / "descriptions" / "ur10e_figaroh_pnp.toml"
+    (tmp_path / "silent.toml").write_text(silent.read_text().replace('convention = "euler_xyz_extrinsic"', ""))
     with pytest.raises(InputError, match="names no convention") as caught:
         read_observations([reading.observations.source], arm.nominal, tmp_path / "silent.toml")
     lines = str(caught.value).splitlines()[1:-1]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Plant, draw_plants, forward, load_arm, load_tolerances, plant_at, rotation_matrix
-from pickenv.calibration import complete_model, identify, random_joints, simulated_tracker
+from pickenv.calibration import complete_model, identify, prior_model, random_joints, simulated_tracker
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.noise import stated_noise
-from pickenv.calibration.model.prior import ANGLES, LENGTHS, ZEROS, prior_model
+from pickenv.calibration.model.prior import ANGLES, LENGTHS, ZEROS
 
 ARM = load_arm("ur5")
 UR5 = ARM.nominal

@@ -7,8 +7,16 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from pickenv.arm import Array, Geometry, Pose, load_arm
-from pickenv.calibration import Identifiability, Measurements, complete_model, frames_model, identifiability, link_model
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
+from pickenv.calibration import (
+    ArmModel,
+    ErrorModel,
+    Identifiability,
+    Measurements,
+    complete_model,
+    frames_model,
+    identifiability,
+    link_model,
+)
 
 PAPER_DROPS = {"a2", "a3", "a5", "d3", "d4", "theta2", "d6"}
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_arm
-from pickenv.calibration import Measurements, random_joints
-from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration import ArmModel, Measurements, random_joints
 from pickenv.calibration.model.noise import RowNoise, neighbours, noise_of, stated_noise
 
 UR5 = load_arm("ur5").nominal
@@ -89,6 +88,9 @@ class Pictures:
         columns = np.zeros((self.values.size, len(model.parameter_names)))
         columns[:, 5 * model.geometry.links + 6 :][:, :6] = self.effect.reshape(-1, 6)
         return columns, np.zeros((self.values.size, 0))
+
+    def by_tool(self, model, unknowns):
+        return self.effect.reshape(-1, 6)
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,21 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Geometry, Pose, forward, load_arm, rotation_matrix
-from pickenv.calibration import frames_model, identify
+from pickenv.calibration import (
+    ArmModel,
+    Board,
+    Lens,
+    PixelObservations,
+    checked_rows,
+    frames_model,
+    identify,
+    pose_carrier,
+    projected,
+)
 from pickenv.calibration.assessment.instrument import said_of_instruments
-from pickenv.calibration.camera.boards import Board
-from pickenv.calibration.identification.diagnosis import checked_rows
 from pickenv.calibration.identification.robust import fitted_model, rough_start
-from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses, pose_carrier
-from pickenv.calibration.model.pixels import Lens, PixelObservations, board_poses, projected
+from pickenv.calibration.model.arm_model import joints_of_finished_poses
+from pickenv.calibration.model.pixels import board_poses
 
 BOARD = Board(kind="charuco", columns=6, rows=8, square=0.03, marker=0.022, dictionary="5x5_100")
 LENS = Lens(np.array([620.0, 622.0, 323.0, 238.0, -0.08, 0.05, 0.0008, -0.0005, 0.01]), (640, 480))

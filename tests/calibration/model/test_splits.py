@@ -5,15 +5,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from pickenv.base import InputError
-from pickenv.calibration.model.observations import (
-    PATH,
-    SAME_POSE,
-    blocked_split,
-    contiguous_folds,
-    pose_count,
-    random_split,
-    same_poses,
-)
+from pickenv.calibration import SocketObservations, blocked_split, contiguous_folds, same_poses
+from pickenv.calibration.model.observations import PATH, SAME_POSE, choose, pose_count, random_split
 
 
 @given(st.integers(2, 500), st.data())
@@ -139,3 +132,12 @@ def test_rows_of_a_single_pose_cannot_be_split() -> None:
         random_split(np.zeros(5, dtype=int), 1, np.random.default_rng(0))
     with pytest.raises(InputError, match="6 rows of 3 poses cannot be cut into 4 folds; measure at least 4"):
         contiguous_folds(np.zeros(6, dtype=int), np.repeat(np.arange(3), 2), 4)
+
+
+def test_some_rows_of_every_socket_are_held_out() -> None:
+    joints = np.random.default_rng(1).uniform(-1.0, 1.0, (30, 6))
+    socket, pairs = np.arange(30) % 4, np.zeros((0, 2), dtype=np.int64)
+    data = SocketObservations(joints, socket, pairs, np.zeros(0))
+    train, test = choose(data, 8, np.random.default_rng(0))
+    assert set(socket[train]) == set(socket[test]) == {0, 1, 2, 3}
+    assert sorted([*train, *test]) == list(range(30))

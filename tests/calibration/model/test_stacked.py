@@ -12,18 +12,20 @@ from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.arm.kinematics.geometry import move_pose
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
     Choices,
     DistanceObservations,
+    InstrumentStation,
     Measurements,
     Observations,
+    Stacked,
     align,
     calibrate,
     frames_model,
     random_joints,
 )
 from pickenv.calibration.identification.robust import rough_start, stations_of
-from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel
-from pickenv.calibration.model.measurements import InstrumentStation, Stacked
+from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE
 from tests.calibration.simulated_instruments import touches
 
 PLAIN = Choices(terms="none", residual="none")
@@ -191,11 +193,11 @@ def test_equations_that_belong_to_no_row_stay_so_and_channels_are_each_stations_
     np.testing.assert_array_equal(rows, np.concatenate([first, second, third]))
     wire_channels = data.parts[1].equations()[1]
     np.testing.assert_array_equal(channels, np.concatenate([np.zeros(18), 1 + wire_channels, np.full(12, 2)]))
-    assert data.first_channels() == [0, 1, 2]
+    assert data.channels_of(data.select([6, 7])).tolist() == [1] and data.channels_of(data).tolist() == [0, 1, 2]
     np.testing.assert_array_equal(data.groups, np.repeat([0, 1, 2], [6, 5, 4]))
     np.testing.assert_array_equal(data.rows_of_misses, np.arange(15))
     one = Stacked((InstrumentStation(data.parts[0].select(np.arange(0))), data.stations[1]))
-    assert one.first_channels() == [0, 0] and one.groups.tolist() == [0] * 5
+    assert one.channels_of(one).tolist() == [0] and one.groups.tolist() == [0] * 5
 
 
 def test_unknowns_of_each_station_are_told_apart(ur5: Arm) -> None:
@@ -229,7 +231,7 @@ def test_rows_at_the_ends_of_stations_are_selected_from_their_own(ur5: Arm) -> N
 
 
 def test_stations_are_weighed_relative_to_the_first_over_what_they_weighed(ur5: Arm) -> None:
-    data = three_stations(ur5).weighed([2.0, 3.0, 5.0])
+    data = three_stations(ur5).weighed(np.array([2.0, 3.0, 5.0]))
     assert [station.scale for station in data.stations] == [1.0, 2.25, 2.5]
     model = ArmModel.of(ur5.nominal)
     by_arm, by_own = InstrumentStation(data.parts[1], 2, scale=2.0).jacobian(model, data.parts[1].start(model))

@@ -9,20 +9,23 @@ import pytest
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rotation_matrix
 from pickenv.arm.effects.effect import GRAVITY
 from pickenv.base import InputError
-from pickenv.calibration import Measurements, identify, link_model, random_joints, simulated_tracker
-from pickenv.calibration.model.arm_model import (
+from pickenv.calibration import (
     ArmModel,
     BendingTerm,
     ComplianceTerm,
     Conditions,
     GravityTerm,
     LeadTerm,
+    Measurements,
     PeriodicTerm,
     ThermalTerm,
-    specification,
-    term_from,
+    identify,
+    link_model,
+    random_joints,
+    simulated_tracker,
     with_terms,
 )
+from pickenv.calibration.model.arm_model import specification, term_from
 
 ALL = tuple(range(6))
 

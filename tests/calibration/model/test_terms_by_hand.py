@@ -7,15 +7,15 @@ import pytest
 
 from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rotation_matrix
 from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
-from pickenv.calibration import random_joints
-from pickenv.calibration.identification.term_choice import plain_term
-from pickenv.calibration.model.arm_model import (
+from pickenv.calibration import (
     BendingTerm,
     ComplianceTerm,
     Conditions,
     GravityTerm,
     LeadTerm,
     ThermalTerm,
+    plain_term,
+    random_joints,
 )
 
 

@@ -151,7 +151,7 @@ def test_a_term_without_torques_load_or_moments_is_refused_in_a_sentence(data):
     with pytest.raises(InputError, match="give a torque column or a load"):
         ArmModel.of(ARM.nominal, (ComplianceTerm((0,), None),)).pose(measurements.joints)
     blank = Measurements(measurements.joints, measurements.position, None, ARM.nominal.prismatic)
-    with pytest.raises(InputError, match=r"compliance needs the joints' measured torques; .*--terms gravity"):
+    with pytest.raises(InputError, match=r"compliance needs the joints' measured torques; .*terms='gravity'"):
         terms_of("compliance", ARM, identify(complete_model(ARM.nominal), ARM.nominal, blank, max_iterations=2), blank)
 
 

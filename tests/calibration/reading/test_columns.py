@@ -1,16 +1,16 @@
 """Foreign files, read through a description of their columns."""
 
 import csv
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from pickenv import calibration
 from pickenv.arm import load_arm
-from pickenv.base import InputError
+from pickenv.base import InputError, shipped_in
 from pickenv.calibration import Measurements, load_description, random_joints, read_measurements
-from pickenv.calibration.reading.csv_table import CONVENTIONS
-from pickenv.calibration.reading.description import shipped_descriptions
 
 JOINTS = 'joints.columns = ["A1", "A2", "A3", "A4", "A5", "A6"]\njoints.unit = "deg"\n'
 HEADER = ["A1", "A2", "A3", "A4", "A5", "A6", "X", "Y", "Z"]
@@ -138,14 +138,18 @@ REFEREE = {
 }
 
 
-def test_every_convention_has_a_referee():
-    assert set(REFEREE) == set(CONVENTIONS)
+def test_every_convention_has_a_referee(read, table):
+    """The refusal of another names them all."""
+    rotation = 'rotation = { columns = ["X", "Y", "Z"], convention = "other", unit = "deg" }\n'
+    with pytest.raises(InputError, match="give one of") as refusal:
+        read(JOINTS + POSITION + rotation, text_of(table))
+    assert set(REFEREE) == set(str(refusal.value).partition("give one of ")[2].split(", "))
 
 
 @pytest.mark.parametrize("unit", ["deg", "rad"])
-@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("convention", REFEREE)
 def test_attitude_conventions(read, table, convention, unit):
-    angles = CONVENTIONS[convention][0] == "angle"
+    angles = "quaternion" not in convention
     values = np.random.default_rng(3).normal(size=(10, 3 if angles else 4))
     values = values if angles else values / np.linalg.norm(values, axis=1, keepdims=True)
     names = ["r1", "r2", "r3", "r4"][: values.shape[1]]
@@ -160,8 +164,9 @@ def test_attitude_conventions(read, table, convention, unit):
 
 
 def test_shipped_descriptions_are_sound():
-    assert {"ur5_jacobi2025", "wam_jacobi2025"} <= set(shipped_descriptions())
-    for name in shipped_descriptions():
+    names = shipped_in(Path(calibration.__file__).parent / "reading" / "descriptions")
+    assert {"ur5_jacobi2025", "wam_jacobi2025"} <= set(names)
+    for name in names:
         description = load_description(name)
         counts = {"position": {3}, "reflectors": {3, 6, 9, 12}, "wire": {1}, "sockets": {0, 1}, "pixels": {0, 2}}
         assert len(description.position) in counts[description.kind]

@@ -8,10 +8,16 @@ import pytest
 
 from pickenv.arm import Arm, Geometry, Plant, forward, rotation_matrix
 from pickenv.base import InputError
-from pickenv.calibration import Measurements, align, complete_model, frames_model, identify
-from pickenv.calibration.model.observations import blocked_split
-from pickenv.calibration.residuals.gate import gate_residuals
-from pickenv.calibration.residuals.residual_models import Fitter
+from pickenv.calibration import (
+    Fitter,
+    Measurements,
+    align,
+    blocked_split,
+    complete_model,
+    frames_model,
+    gate_residuals,
+    identify,
+)
 
 
 class Nearest:
@@ -75,8 +81,8 @@ def test_noise_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
 
 def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(1)
-    joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (200, 6))
-    error = 1e-3 * np.sin(joints) + 1e-5 * rng.normal(size=(200, 6))
+    joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (120, 6))
+    error = 1e-3 * np.sin(joints) + 1e-5 * rng.normal(size=(120, 6))
     gate = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf", "gp"))
     assert gate.selected == "gp"
     chosen = next(verdict for verdict in gate.verdicts if verdict.model == "gp")
@@ -193,7 +199,7 @@ def test_equal_generators_give_equal_verdicts(qiao: Arm, displaced: Displaced) -
     joints = np.random.default_rng(7).uniform(qiao.nominal.lower, qiao.nominal.upper, (100, 6))
     data = displaced(joints, 1e-3 * np.sin(joints))
     first, second = (
-        gate_residuals(data, lambda _: qiao.nominal, np.random.default_rng(1), models=("rbf", "gp")) for _ in range(2)
+        gate_residuals(data, lambda _: qiao.nominal, np.random.default_rng(1), models=("rbf",)) for _ in range(2)
     )
     assert first == second
 

@@ -5,10 +5,7 @@ import pytest
 
 from pickenv.arm import Geometry, Pose, displace_pose, forward
 from pickenv.base import InputError
-from pickenv.calibration import Measurements
-from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.observations import blocked_split
-from pickenv.calibration.residuals.gate import GateReport, GateVerdict, gate_residuals
+from pickenv.calibration import Conditions, GateReport, GateVerdict, Measurements, blocked_split, gate_residuals
 
 ROWS = 100
 

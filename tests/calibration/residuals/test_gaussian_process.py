@@ -16,7 +16,6 @@ from pickenv.calibration.residuals.gaussian_process import (
     AMPLITUDES,
     GaussianProcess,
     GaussianProcessSettings,
-    fit_gaussian_process,
     negative_log_likelihood,
 )
 from pickenv.calibration.residuals.residual_models import joint_inputs
@@ -77,7 +76,7 @@ def likelihoods(process: GaussianProcess, arm: Arm) -> np.ndarray:
 
 
 def fitted(arm: Arm, **changes: int) -> GaussianProcess:
-    return fit_gaussian_process(arm.inputs, arm.targets, np.random.default_rng(0), replace(SETTINGS, **changes))
+    return GaussianProcess.fit(arm.inputs, arm.targets, np.random.default_rng(0), replace(SETTINGS, **changes))
 
 
 def referees(arm: Arm, restarts: int) -> list[GaussianProcessRegressor]:
@@ -97,7 +96,7 @@ def test_the_gaussian_process_is_the_textbooks() -> None:
     rng = np.random.default_rng(0)
     inputs = rng.normal(size=(80, 3))
     target = np.sin(inputs[:, 0]) + 0.3 * inputs[:, 1] + 0.1 * rng.normal(size=80)
-    ours = fit_gaussian_process(inputs, target[:, None], rng)
+    ours = GaussianProcess.fit(inputs, target[:, None], rng)
     scaled = standardised(target)
     kernel = ConstantKernel(ours.amplitude[0] ** 2) * RBF(ours.length_scales[0]) + WhiteKernel(ours.noise[0] ** 2)
     theirs = GaussianProcessRegressor(kernel, optimizer=None, alpha=1e-10).fit(inputs, scaled)
@@ -119,7 +118,7 @@ def test_the_gaussian_process_is_the_textbooks() -> None:
 def test_the_knowledge_of_the_process_ends_where_its_rows_end() -> None:
     """Standard deviations: next to nothing at a row without noise, the whole prior far from all rows."""
     inputs = np.random.default_rng(0).uniform(-1.0, 1.0, (100, 2))
-    process = fit_gaussian_process(inputs, np.sin(inputs), np.random.default_rng(0))
+    process = GaussianProcess.fit(inputs, np.sin(inputs), np.random.default_rng(0))
     np.testing.assert_allclose(process.predict_std([1e6, 1e6]), process.amplitude * process.output_std)
     assert np.all(process.predict_std(inputs) < 0.01 * process.output_std)
 

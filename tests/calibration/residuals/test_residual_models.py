@@ -10,10 +10,21 @@ import pytest
 from pickenv.arm import Plant
 from pickenv.base import InputError
 from pickenv.base.registry import get, names
-from pickenv.calibration import Bpnn, BpnnSettings, identify, link_model, random_joints, simulated_tracker, train_bpnn
+from pickenv.calibration import (
+    Bpnn,
+    BpnnSettings,
+    Fitter,
+    LearntResidual,
+    fit_residual,
+    identify,
+    link_model,
+    random_joints,
+    simulated_tracker,
+    train_bpnn,
+)
 from pickenv.calibration.residuals import bpnn
-from pickenv.calibration.residuals.gaussian_process import Fitter, fit_gaussian_process, fit_rbf, k_means
-from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, joint_inputs
+from pickenv.calibration.residuals.gaussian_process import GaussianProcess, Rbf, k_means
+from pickenv.calibration.residuals.residual_models import joint_inputs
 
 PRISMATIC = (False, True, False)
 QUICK: dict[str, Fitter] = {name: get("residual", name).fit for name in names("residual")}
@@ -168,7 +179,7 @@ def test_bad_input_is_refused() -> None:
         fit_residual("magic", joints, field(joints), PRISMATIC, rng)
     with pytest.raises(InputError, match="not all finite"):
         fit_residual("gp", joints, field(joints) * np.nan, PRISMATIC, rng)
-    for fitter in (fit_rbf, fit_gaussian_process):
+    for fitter in (Rbf.fit, GaussianProcess.fit):
         with pytest.raises(InputError, match="9 poses are too few"):
             fitter(joints[:9], field(joints[:9]), rng)
     model = fit_residual("rbf", joints, field(joints), PRISMATIC, rng)
