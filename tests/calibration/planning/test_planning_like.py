@@ -244,10 +244,10 @@ def test_the_predicted_error_is_that_of_all_rows_together(ur5: Arm) -> None:
         traces = np.trace(np.linalg.solve(without + np.swapaxes(each, 1, 2) @ each, weight), axis1=1, axis2=2)
         traces[rest] = np.inf
         assert traces[plan.chosen[place]] <= traces.min() * (1.0 + 1e-5)
-    errors = [point.error for point in plan.curve]
-    assert [point.poses for point in plan.curve] == [7, 15, 30, 60, 120]
-    assert errors[1:] == sorted(errors[1:], reverse=True) and errors[1] > errors[-1]
-    assert plan.curve[1].error == plan.predicted_error
+    sizes, errors, _ = zip(*plan.curve, strict=True)
+    assert sizes == (7, 15, 30, 60, 120)
+    assert list(errors[1:]) == sorted(errors[1:], reverse=True) and errors[1] > errors[-1]
+    assert plan.curve[1][1] == plan.predicted_error
 
 
 def test_faults_of_a_first_measurement_are_named(ur5: Arm) -> None:
