@@ -5,13 +5,12 @@ from .assessment.metrics import (
     paper_eta as paper_eta,
 )
 from .compensation.compensator import Compensator as Compensator
-from .delivery.export import Delivery as Delivery, Order as Order, export as export, write_onnx as write_onnx
+from .delivery.document import Document as Document, Order as Order, provenance as provenance
+from .delivery.export import Delivery as Delivery, export as export
 from .delivery.joint_offsets import (
     joint_offsets as joint_offsets,
     read_lerobot as read_lerobot,
-    read_ros2_offsets as read_ros2_offsets,
 )
-from .delivery.onto_files import write_arm_toml as write_arm_toml, write_arm_urdf as write_arm_urdf
 from .identification.extended_kalman_filter import (
     continue_filter as continue_filter,
     filter_measurements as filter_measurements,

@@ -100,21 +100,21 @@ class Workspace:
     @property
     def reservation(self) -> str | None:
         """What stands against using the calibration there, in a sentence; None where nothing does."""
-        here = self.declared
-        if here.calibrated < HARDLY * self.remains:
+        over = self.declared
+        if over.calibrated < HARDLY * self.remains:
             return None
         remedy = "measure poses there (`pickenv plan-poses`), or declare where the arm will work with --workspace"
         if self.thin:
             remedy = f"move {', '.join(self.thin)} further, or declare where the arm will work with --workspace"
-        if here.narrowed < LITTLE:
+        if over.narrowed < LITTLE:
             return (
-                f"over {here.region} the rows tell hardly more than the drawing ({figure(here.calibrated * 1e3)} mm "
-                f"expected, {figure(here.expected * 1e3)} mm before measuring); {remedy}"
+                f"over {over.region} the rows tell hardly more than the drawing ({figure(over.calibrated * 1e3)} mm "
+                f"expected, {figure(over.expected * 1e3)} mm before measuring); {remedy}"
             )
-        if here.better < SURE:
+        if over.better < SURE:
             return (
-                f"over {here.region} the calibrated arm ({figure(here.calibrated * 1e3)} mm expected) is better than "
-                f"the drawing ({figure(here.nominal * 1e3)} mm) for {100 * here.better:.0f} % of the arms that the "
+                f"over {over.region} the calibrated arm ({figure(over.calibrated * 1e3)} mm expected) is better than "
+                f"the drawing ({figure(over.nominal * 1e3)} mm) for {100 * over.better:.0f} % of the arms that the "
                 f"rows allow; {remedy}"
             )
         return None
@@ -162,8 +162,10 @@ def workspace_error(
     if solution.prior is None or not solution.prior.proper:
         return None
     geometry = solution.geometry
-    span = [np.ptp(np.quantile(each, [0.02, 0.98], axis=0), axis=0) for each in (rows, joints)]
-    thin = tuple(name for name, here, there in zip(geometry.joint_names, *span, strict=True) if here < 0.5 * there)
+    span = [np.ptp(np.quantile(poses, [0.02, 0.98], axis=0), axis=0) for poses in (rows, joints)]
+    thin = tuple(
+        name for name, measured, declared in zip(geometry.joint_names, *span, strict=True) if measured < 0.5 * declared
+    )
     some = rows[np.unique(np.linspace(0, len(rows) - 1, POSES).astype(int))]
     return Workspace(
         _region("the poses measured", solution, nominal, some),
@@ -177,34 +179,34 @@ def _region(region: str, solution: Identification, nominal: Geometry, joints: Ar
     """Expected errors over joints ``(M, n)``; terms stay out, for they stand on conditions that nobody knows there."""
     prior, bare = solution.prior, ArmModel.of(solution.geometry)
     assert prior is not None
-    kept = solution.identifiability.kept_names
-    places = [i for i, name in enumerate(kept) if name in bare.parameter_names]
-    columns = [bare.parameter_names.index(kept[i]) for i in places]
+    names = solution.identifiability.kept_names
+    places = [i for i, name in enumerate(names) if name in bare.parameter_names]
+    columns = [bare.parameter_names.index(names[i]) for i in places]
     jacobian = bare.jacobian(joints)[:, :3].reshape(3 * len(joints), -1)
     effects = jacobian[:, columns]
-    moved = (bare.pose(joints).position - ArmModel.of(nominal).pose(joints).position).ravel()
+    change = (bare.pose(joints).position - ArmModel.of(nominal).pose(joints).position).ravel()
     framed = dict(zip(prior.parameters.names, prior.group == FRAMES, strict=True))
     if any(framed.values()):
         frames = frames_model(solution.geometry)
         basis = np.linalg.qr(jacobian[:, frames.columns] * frames.tolerance)[0]
         effects = effects - basis @ (basis.T @ effects)
-        moved = moved - basis @ (basis.T @ moved)
+        change = change - basis @ (basis.T @ change)
     covariance = solution.covariance[np.ix_(places, places)]
     std = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(std, std))
     root = std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     draws = effects @ (root @ np.random.default_rng(0).standard_normal((len(places), DRAWS)))
-    calibrated, drawn = _rms(draws), _rms(draws + moved[:, None])
-    parts = [i for i, place in enumerate(places) if not framed.get(kept[place], True)]
+    calibrated, by_drawing = _rms(draws), _rms(draws + change[:, None])
+    parts = [i for i, place in enumerate(places) if not framed.get(names[place], True)]
     before = effects[:, parts] * solution.prior_std[solution.identifiability.kept][places][parts]
     return RegionError(
         region,
         float(np.sqrt(np.mean(calibrated**2))),
         _ends(calibrated),
-        float(np.sqrt(np.mean(drawn**2))),
-        _ends(drawn),
+        float(np.sqrt(np.mean(by_drawing**2))),
+        _ends(by_drawing),
         float(np.sqrt(np.sum(before**2) / len(joints))),
-        float(np.mean(calibrated < drawn)),
+        float(np.mean(calibrated < by_drawing)),
     )
 
 

@@ -90,15 +90,15 @@ class Completeness:
         """The test in words."""
         if self.degrees_of_freedom <= 0:
             return "there are no spare equations, so the model cannot be tested"
-        said = f"reduced chi^2 {self.reduced:.3g}, {self.degrees_of_freedom} degrees of freedom"
+        figures = f"reduced chi^2 {self.reduced:.3g}, {self.degrees_of_freedom} degrees of freedom"
         if not self.complete:
             return (
-                f"what remains is {np.sqrt(self.reduced):.2g} times the {self.noise} ({said}): effects beyond the "
+                f"what remains is {np.sqrt(self.reduced):.2g} times the {self.noise} ({figures}): effects beyond the "
                 "model are left, or that noise is too small"
             )
         if self.p_small < SIGNIFICANCE / 2:
-            return f"what remains is smaller than the {self.noise} ({said}), which is probably too large"
-        return f"what remains is the {self.noise} ({said}, p = {self.p_value:.2g}): the model is complete for it"
+            return f"what remains is smaller than the {self.noise} ({figures}), which is probably too large"
+        return f"what remains is the {self.noise} ({figures}, p = {self.p_value:.2g}): the model is complete for it"
 
 
 def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
@@ -173,10 +173,10 @@ def axis_errors(errors: Array, unit: str = "mm") -> tuple[AxisErrors, ...]:
         axes = ("r1", "r2", "r3")
     rows = []
     for axis, column in zip(axes, errors.T, strict=False):
-        shown = "deg" if axis.startswith("r") else "mm"
-        column = column * MISS_UNITS[shown]
+        unit_of_axis = "deg" if axis.startswith("r") else "mm"
+        column = column * MISS_UNITS[unit_of_axis]
         sizes = column.mean(), column.std(), np.sqrt(np.mean(column**2)), np.abs(column).max()
-        rows.append(AxisErrors(axis, shown, *map(float, sizes)))
+        rows.append(AxisErrors(axis, unit_of_axis, *map(float, sizes)))
     return tuple(rows)
 
 
@@ -266,7 +266,7 @@ def grade_quality(
     """
     count, called = rows or (len(after), "rows")
     bare = geometric or found
-    seen = observability_of(bare.identifiability, bare.poses)
+    observed = observability_of(bare.identifiability, bare.poses)
     test = completeness(found, noise)
     pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
     unlearnt = after if parametric is None else parametric
@@ -279,14 +279,14 @@ def grade_quality(
             f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f}): read them together, the predicted pose is not "
             "affected"
         )
-    told = before is not None and _told(before, after, workspace, blocks, count)
+    certain = before is not None and _told(before, after, workspace, blocks, count)
     because = "" if before is None else _cause(found, before, after, unlearnt, unit)
-    gain = () if told else no_gain(before, after, blocks, unit, count, called, because)
-    if told and before is not None and workspace is not None and _undecided(before, after, blocks):
-        here = workspace.measured
+    gain = () if certain else no_gain(before, after, blocks, unit, count, called, because)
+    if certain and before is not None and workspace is not None and _undecided(before, after, blocks):
+        errors = workspace.measured
         beyond.append(
             f"on {count} held-out {called} scatter ({_rms(after, unit):#.4g} {unit} RMS) hides what all rows together "
-            f"say: geometry errs by {here.calibrated * 1e3:#.3g} mm there, and by {here.nominal * 1e3:#.3g} mm as "
+            f"say: geometry errs by {errors.calibrated * 1e3:#.3g} mm there, and by {errors.nominal * 1e3:#.3g} mm as "
             "drawn; measure more, or with less noise, to see it"
         )
     texts: dict[Weight, list[str]] = {
@@ -296,7 +296,7 @@ def grade_quality(
     }
     for weight, text in said:
         texts[weight].append(text)
-    findings = [Finding(weight, text) for weight, each in texts.items() for text in each]
+    findings = [Finding(weight, text) for weight, sentences in texts.items() for text in sentences]
     weights = {finding.weight for finding in findings}
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
     reason = findings[0].text
@@ -307,7 +307,7 @@ def grade_quality(
         grade=grade,
         reason=reason,
         findings=tuple(findings),
-        observability=seen,
+        observability=observed,
         completeness=test,
         pairs=pairs,
         workspace=workspace,
@@ -396,11 +396,11 @@ def _cautions(
 ) -> Iterator[str]:
     if workspace is not None and workspace.reservation is not None:
         yield workspace.reservation
-    there, here = _rms(after, unit), _rms(trained, unit)
-    if there > OPTIMISTIC * here:
+    tested, fitted = _rms(after, unit), _rms(trained, unit)
+    if tested > OPTIMISTIC * fitted:
         yield (
-            f"held-out errors ({there:#.4g} {unit} RMS) are {there / here:.1f} times as large as on the training rows: "
-            "measure more poses, or poses like those that will be used"
+            f"held-out errors ({tested:#.4g} {unit} RMS) are {tested / fitted:.1f} times as large as on the training "
+            "rows: measure more poses, or poses like those that will be used"
         )
     free = found.prior is None or not found.prior.proper
     if free and found.degrees_of_freedom < found.identifiability.rank:

@@ -101,10 +101,10 @@ class TruncatedSolver:
             columns: Of a J that has moved a little since it was factorised: iterations then end where J^T of this one
                 sends nothing of what remains, though the factors are the old ones.
         """
-        wanted = [_dot(column, right) for column in columns or self.columns]
-        solution = _without(self._direction, self._solve(_without(self._direction, wanted)))
+        projected = [_dot(column, right) for column in columns or self.columns]
+        solution = _without(self._direction, self._solve(_without(self._direction, projected)))
         if self._inverses is not None:
-            exact = self._m.einsum("kij,kj->ik", self._inverses, self._in_doubt(wanted))
+            exact = self._m.einsum("kij,kj->ik", self._inverses, self._in_doubt(projected))
             for value, right_one in zip(solution, exact, strict=True):
                 value[self.doubtful] = right_one
         return solution
@@ -267,9 +267,9 @@ class Compensator:
         split_joints(self.nominal.joints, joints)  # checks the number of joints
         if not math.isfinite(joints.sum()):  # the cheapest question; no joints are so large that they overflow
             *row, joint = np.argwhere(~np.isfinite(joints))[0].tolist()
-            where = f" of row {', '.join(map(str, row))}" if row else ""
+            place = f" of row {', '.join(map(str, row))}" if row else ""
             name, value = self.nominal.joint_names[joint], joints[(*row, joint)]
-            raise InputError(f"the target of {name}{where} is {value}; give finite joint targets, rad or m")
+            raise InputError(f"the target of {name}{place} is {value}; give finite joint targets, rad or m")
         return joints
 
     def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
@@ -287,9 +287,9 @@ class Compensator:
 
         trace, limits = Trace(), zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
         corrections = self._corrected(SYMBOLS, trace.inputs("targets", self.nominal.joints))
-        kept = [clipped(SYMBOLS, q, *limit) for q, limit in zip(corrections, limits, strict=True)]
+        outputs = [clipped(SYMBOLS, q, *limit) for q, limit in zip(corrections, limits, strict=True)]
         doubts = reduce(or_, trace.exceptions, False)
-        code = Compiled(trace, [Outputs("commands", kept), Outputs("doubts", [doubts], FLAG)], count)
+        code = Compiled(trace, [Outputs("commands", outputs), Outputs("doubts", [doubts], FLAG)], count)
 
         def run(joints: ArrayLike) -> Array:
             joints = self.checked(joints)
@@ -357,15 +357,15 @@ def corrected(
         iterations: See `Compensator`.
         residual: Learnt residual of joints, six components (m, rad), or None.
     """
-    believed, identified = chains
+    nominal_chain, identified = chains
     limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
-    command, wanted, learnt, solve, best = target, tool_frame(m, believed, target), None, None, None
+    command, goal, learnt, solve, best = target, tool_frame(m, nominal_chain, target), None, None, None
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
         columns = [_weighed(nominal, column) for column in jacobian_columns(nominal, links, tool)]
         solve = solve or _solver(m, columns)
-        error = _weighed(nominal, frame_error(m, tool, wanted, small_rotation))
+        error = _weighed(nominal, frame_error(m, tool, goal, small_rotation))
         if residual is not None:
             if learnt is None:
                 learnt = _weighed(nominal, residual(_moved(m, command, solve(error, columns), limits)))
@@ -375,7 +375,7 @@ def corrected(
     if best is None:
         return target
     tool = tool_frame(m, identified, command)
-    error = _weighed(nominal, frame_error(m, tool, wanted, small_rotation))
+    error = _weighed(nominal, frame_error(m, tool, goal, small_rotation))
     return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt))).joints
 
 
@@ -410,7 +410,7 @@ def _nearer(m: ModuleType, one: _Expected | None, other: _Expected) -> _Expected
 
 def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:
     """What is left of a pose error when the residual is expected beside it."""
-    return [left - expected for left, expected in zip(error, learnt, strict=True)]
+    return [part - expected for part, expected in zip(error, learnt, strict=True)]
 
 
 def _moved(

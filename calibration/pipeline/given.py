@@ -75,11 +75,11 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     options = {"--frames known": choices.frames == "known", f"--residual {choices.residual}": learnt and not tracked}
     if choices.lens is not None and train.kind != "pixels":
         raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
-    one, several = (" of one station", " of several") if tracked else ("", "")
-    for option, wanted in options.items():
-        if wanted:
+    single, several = (" of one station", " of several") if tracked else ("", "")
+    for option, asked_for in options.items():
+        if asked_for:
             raise InputError(
-                f"{option} is for poses and positions{one}, but {train.source} holds {train.kind}{several}; "
+                f"{option} is for poses and positions{single}, but {train.source} holds {train.kind}{several}; "
                 "leave it out"
             )
 
@@ -96,8 +96,8 @@ STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": (
 
 def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
     """The arm; one that only carries poses where they are finished."""
-    described = [load_description(each) for each in _each(columns)]
-    if any(each.views is not None and each.views.poses for each in described):
+    described = [load_description(description) for description in _each(columns)]
+    if any(description.views is not None and description.views.poses for description in described):
         if arm is not None:
             raise InputError("finished poses have no joints to calibrate; leave the arm out, or describe its [joints]")
         return pose_carrier()
@@ -138,16 +138,16 @@ def given_rows(
         for item in items:
             _refuse_no_numbers(arm, item)
         return _joined(arm, items, stations, known, like), None
-    given = _each(columns)
-    if len(given) > 1 and len(given) != len(items):
+    descriptions = _each(columns)
+    if len(descriptions) > 1 and len(descriptions) != len(items):
         raise InputError(
-            f"{len(given)} column descriptions are given for {len(items)} files; give one, or one per file"
+            f"{len(descriptions)} column descriptions are given for {len(items)} files; give one, or one per file"
         )
     sets: list[tuple[list[Any], str | Path | None]]
-    if len(given) > 1:
-        sets = [([file], each) for file, each in zip(items, given, strict=True)]
+    if len(descriptions) > 1:
+        sets = [([file], layout_of_file) for file, layout_of_file in zip(items, descriptions, strict=True)]
     else:
-        layout = given[0] if given else None
+        layout = descriptions[0] if descriptions else None
         sets = [(items, layout)] if stations is None else [([file], layout) for file in items]
     readings = [read_observations(files, arm.nominal, layout) for files, layout in sets]
     rows = [reading.observations for reading in readings]
@@ -263,9 +263,9 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
     if not hasattr(data, "joints"):
         kinds = ", ".join(names("observation"))
         raise InputError(f"{type(data).__name__} are no measurements; give files, or observations ({kinds})")
-    shape, wanted = data.joints.shape, arm.nominal.joints
-    if shape != (len(data.joints), wanted):
-        raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {wanted} joints")
+    shape, joint_count = data.joints.shape, arm.nominal.joints
+    if shape != (len(data.joints), joint_count):
+        raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {joint_count} joints")
     named_values = {name: getattr(data, name, None) for name in ("joints", "position", "rotation", "length")}
     for name, values in {**named_values, "what was read": data.readings()}.items():
         if values is not None and not np.isfinite(values).all():

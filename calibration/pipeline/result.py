@@ -233,11 +233,11 @@ class Result:
         """What is known about base and tool, and the error in the robot's own base frame, in a sentence."""
         if self.base_frame is not None:
             return self.base_frame.sentences()
-        known = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
+        words = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
         if self.own_mean_ci95 is None:
-            return known + f"{figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
+            return words + f"{figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
         low, high = self.own_mean_ci95
-        return known + (
+        return words + (
             f"{figure(low)} to {figure(high)} mm (95 % interval; the lower end without the instrument's noise)"
         )
 
@@ -249,10 +249,10 @@ class Result:
         blocks.append(self._parameters())
         if self.left_out:
             places = tuple((item.text(),) for item in self.left_out)
-            kept = any(item.kept for item in self.left_out)
+            any_kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
-            what = self.held_out.rows.capitalize()
-            blocks.append(Block(f"{what} far off, and kept" if kept else f"{what} left out", (), places, note))
+            title = self.held_out.rows.capitalize()
+            blocks.append(Block(f"{title} far off, and kept" if any_kept else f"{title} left out", (), places, note))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
@@ -332,19 +332,19 @@ class Result:
 
         ``narrowed`` is how much narrower it is known than before measuring, 0 to 1; None where nothing was expected.
         """
-        found, model = self.fit.identification, self.fit.calibration.model
-        moved = ArmModel.of(self.fit.calibration.nominal, model.terms).difference(model)
-        change = dict(zip(model.parameter_names, moved, strict=True)) | found.unknowns
-        rows, seen = [], found.identifiability
-        columns = zip(seen.names, found.standard_deviation, found.prior_std, found.narrowed, strict=True)
+        solution, model = self.fit.identification, self.fit.calibration.model
+        changes = ArmModel.of(self.fit.calibration.nominal, model.terms).difference(model)
+        change = dict(zip(model.parameter_names, changes, strict=True)) | solution.unknowns
+        rows, identified = [], solution.identifiability
+        columns = zip(identified.names, solution.standard_deviation, solution.prior_std, solution.narrowed, strict=True)
         for name, std, before, narrowed in columns:
-            if name not in seen.kept_names:
+            if name not in identified.kept_names:
                 continue
             unit, scale = unit_of(name, model.geometry.parameter_names)
             row = {"name": name, "unit": unit, "change": float(change[name] * scale), "std": float(std * scale)}
-            known = np.isfinite(before)
-            row["prior_std"] = float(before * scale) if known else None
-            row["narrowed"] = float(narrowed) if known else None
+            proper = np.isfinite(before)
+            row["prior_std"] = float(before * scale) if proper else None
+            row["narrowed"] = float(narrowed) if proper else None
             rows.append(row)
         return rows
 
@@ -355,9 +355,9 @@ class Result:
     def _parameters(self) -> Block:
         every, rows = self.plain_parameters(), []
         for row in every:
-            told = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
+            share = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
             if has_moved(row):
-                rows.append((row["name"], figure(row["change"]), figure(row["std"]), row["unit"], told))
+                rows.append((row["name"], figure(row["change"]), figure(row["std"]), row["unit"], share))
         heads = ("parameter", "change", "± 1 sigma", "unit", "told by the rows")
         note = f"those of {len(every)} that moved by more than {SIGMAS:g} sigma; {self.prior_text}"
         return Block("Parameters", heads, tuple(rows), note)
@@ -376,16 +376,19 @@ class Result:
         rows = [("without", figure(first.geometric_blocked_rms * 1e3), "")]
         for v in gate.verdicts:
             rows.append((v.model, "-" if v.blocked_rms is None else figure(v.blocked_rms * 1e3), v.reason))
-        chosen = f"'{gate.selected}' is used" if gate.selected else "none is used"
+        verdict = f"'{gate.selected}' is used" if gate.selected else "none is used"
         header = ("model", "blocked hold-out, RMS (mm)", "verdict")
-        return Block("Learnt residual models", header, tuple(rows), f"{chosen}; judged within the training rows")
+        return Block("Learnt residual models", header, tuple(rows), f"{verdict}; judged within the training rows")
 
     def _facts(self) -> Block:
-        found = self.geometric.identification
+        solution = self.geometric.identification
         rows = [
             ("measured", self.train.kind),
             ("condition number of the geometry", figure(self.quality.observability.condition)),
-            ("least squares", f"{len(found.residual_rms) - 1} iterations, {figure(1e3 * found.solve_seconds)} ms"),
+            (
+                "least squares",
+                f"{len(solution.residual_rms) - 1} iterations, {figure(1e3 * solution.solve_seconds)} ms",
+            ),
         ]
         if self.floor is not None:
             rows.append(("noise floor of a position", self.floor.text()))
@@ -393,8 +396,8 @@ class Result:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
-        found = self.geometric.identification
-        prior = found.prior
+        solution = self.geometric.identification
+        prior = solution.prior
         nominal, geometric, best = self.position[NOMINAL], self.position[GEOMETRIC], self.best
         unit = self.miss_unit
         held_out: dict[str, Any] = {
@@ -417,25 +420,25 @@ class Result:
             "verdict": self.quality.as_dict(),
             "arm": self.arm.name,
             "unit": self.unit,
-            "kind": found.kind,
+            "kind": solution.kind,
             "frames": "known" if self.known_frames else "fitted",
             "within95": self.uncertainty.within95_record(),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
             "stations": self.set_ups,
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
             "left_out_rows": [vars(item) for item in self.left_out],
-            "parameters": len(found.identifiability.names),
-            "rank": found.identifiability.rank,
-            "parameters_told": found.spent,
+            "parameters": len(solution.identifiability.names),
+            "rank": solution.identifiability.rank,
+            "parameters_told": solution.spent,
             "changes": self.parameters(),
-            "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
+            "dropped": {item.name: item.absorbed_by for item in solution.identifiability.dropped},
             "workspace": None if self.quality.workspace is None else self.quality.workspace.as_dict(),
             "prior": None if prior is None else {"source": prior.source, "scales": dict(prior.scales)},
             "condition": self.quality.observability.condition,
             "converged": self.fit.identification.converged,
-            "solve_seconds": found.solve_seconds,
-            "unknowns_mm": unknowns_in("mm", found.unknowns),
-            "directions": unknowns_in("1", found.unknowns),
+            "solve_seconds": solution.solve_seconds,
+            "unknowns_mm": unknowns_in("mm", solution.unknowns),
+            "directions": unknowns_in("1", solution.unknowns),
             "held_out": held_out,
             "noise_floor_mm": None if self.floor is None else self.floor.as_dict(),
             "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
@@ -487,8 +490,8 @@ def assess(
     after = list(held_out.errors.values())[-1]
     before = None if arm.name == CARRIER else held_out.errors[NOMINAL]
     if train.poses is not None:
-        said = "stated noise" if train.poses.std_stated else "noise assumed, since none is stated,"
-        noise = f"{said} of {train.poses.position_std * 1e3:.4g} mm"
+        words = "stated noise" if train.poses.std_stated else "noise assumed, since none is stated,"
+        noise = f"{words} of {train.poses.position_std * 1e3:.4g} mm"
     else:
         stated = bool(train.stations) and all(getattr(part, "std_stated", False) for part in train.parts)
         noise = "stated noise" if stated else "noise stated or assumed"
@@ -498,13 +501,13 @@ def assess(
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None:
-        left, tracked = after, tracked_rows(fit.identification, test) is not None
+        remaining, tracked = after, tracked_rows(fit.identification, test) is not None
         if not tracked:  # then the misses are not one per row: any may go with any pose
-            drawn = np.random.default_rng(0).integers(0, len(after), len(test.joints))
-            left = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[drawn]
+            places = np.random.default_rng(0).integers(0, len(after), len(test.joints))
+            remaining = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[places]
         if train.miss_unit != "mm":
-            left = np.full_like(left, np.nan)
-        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
+            remaining = np.full_like(remaining, np.nan)
+        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, remaining, tracked)
     pixels = None
     if train.views is not None:
         pixels = pixel_figures(bare, train.views, test.views, held_out)

@@ -170,8 +170,8 @@ def calibrate(
     arm = given_arm(arm, columns)
     if split not in SPLITS:
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
-    known = choices.frames == "known"
-    train, floor = given_rows(arm, data, columns, stations, known=known)
+    known_frames = choices.frames == "known"
+    train, floor = given_rows(arm, data, columns, stations, known=known_frames)
     rng = rng or np.random.default_rng(choices.seed)
     if choices.lens is not None and train.views is not None:
         train = with_lens(train.views, choices.lens)
@@ -189,7 +189,7 @@ def calibrate(
         result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
     else:
         like = None if choices.refit else train
-        held_out, _ = given_rows(arm, test, columns, stations, known=known or bool(choices.refit), like=like)
+        held_out, _ = given_rows(arm, test, columns, stations, known=known_frames or bool(choices.refit), like=like)
         refuse_trained(train, held_out)
         judge = _judged_elsewhere if choices.refit else _judged_once
         result = judge(Draft(arm, choices, train, held_out, rng, progress))
@@ -230,29 +230,31 @@ def _judged_by_blocks(draft: Draft) -> Result:
     never among them, for to choose among residual models anew for every block takes ten times as long.
     """
     checked = _check(draft)
-    whole = _through(STAGES[1:], checked)
+    complete = _through(STAGES[1:], checked)
     if len(checked.train.joints) < 2:
         raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give --test")
     folds = _folds(checked.train)
-    chosen = [_chosen(checked, np.sort(np.concatenate([held for _, held in folds[1 - i :: 2]]))) for i in range(2)]
+    residuals = [
+        _chosen(checked, np.sort(np.concatenate([rows_out for _, rows_out in folds[1 - i :: 2]]))) for i in range(2)
+    ]
     seeds = np.random.SeedSequence(draft.choices.seed).spawn(len(folds))
     parts = []
-    for number, ((rows, held), seed) in enumerate(zip(folds, seeds, strict=True)):
-        here, there = checked.train.select(rows), checked.train.select(held)
-        fold = replace(checked, train=here, test=there, rng=np.random.default_rng(seed), progress=None)
+    for number, ((rows, rows_out), seed) in enumerate(zip(folds, seeds, strict=True)):
+        training, testing = checked.train.select(rows), checked.train.select(rows_out)
+        fold = replace(checked, train=training, test=testing, rng=np.random.default_rng(seed), progress=None)
         try:
             fold = _through((_align, _identify, _add_terms), fold)
             if fold.choices.learn_from is not None:
                 fold = _learn(fold)
-            elif (residual := chosen[number % 2]) is not None and fold.tracked is not None:
+            elif (residual := residuals[number % 2]) is not None and fold.tracked is not None:
                 fold = _with_residual(fold, residual, fold.tracked, None)
         except InputError as error:
             raise InputError(f"without block {number + 1} of {len(folds)}: {error}") from None
-        parts.append(held_out_of(fold.fits, there))
+        parts.append(held_out_of(fold.fits, testing))
         if draft.progress is not None:
             draft.progress("judging blocks", number + 1, len(folds))
-    judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
-    return _assessed(judged, by_station(pooled(list(whole.fits), parts), checked.train, folds))
+    final = replace(complete, test=checked.train.select(np.concatenate([rows_out for _, rows_out in folds])))
+    return _assessed(final, by_station(pooled(list(complete.fits), parts), checked.train, folds))
 
 
 def _judged_elsewhere(draft: Draft) -> Result:
@@ -263,9 +265,9 @@ def _judged_elsewhere(draft: Draft) -> Result:
         raise InputError(f"--refit is for poses and positions, but {test.source} holds {test.kind}; leave it out")
     choices = draft.choices
     near, left_out = near_rows(draft.best[1].calibration, test.poses, choices.refit, choices.refit_rows)
-    held_out, rest = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
-    judged = replace(draft, test=near.select(rest), left_out=(*draft.left_out, *left_out))
-    return _assessed(judged, held_out)
+    held_out, others = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
+    final = replace(draft, test=near.select(others), left_out=(*draft.left_out, *left_out))
+    return _assessed(final, held_out)
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
@@ -281,10 +283,10 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
     if choices.residual == "none" or choices.learn_from is not None:
         return None
     try:
-        found = _through(STAGES[1:], replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
+        trial = _through(STAGES[1:], replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
     except InputError:
         return None
-    learnt = found.best[1].calibration.learnt
+    learnt = trial.best[1].calibration.learnt
     return None if learnt is None else learnt.kind
 
 
@@ -313,8 +315,8 @@ def _check(draft: Draft) -> Draft:
     else:
         refuse_options(train, choices)
         train, left_out = without_blind_views(train)
-    known = choices.frames == "known"
-    train, test, far = checked_rows(draft.arm, train, test, known=known, robust=choices.robust)
+    known_frames = choices.frames == "known"
+    train, test, far = checked_rows(draft.arm, train, test, known=known_frames, robust=choices.robust)
     return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
 
 
@@ -325,12 +327,12 @@ def _align(draft: Draft) -> Draft:
 
 def _identify(draft: Draft) -> Draft:
     """The geometry, from what was expected of it and what the rows say."""
-    choices, known = draft.choices, draft.aligned is None
+    choices, known_frames = draft.choices, draft.aligned is None
     start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
     model = prior_model(
         draft.arm.name,
         start,
-        known=known,
+        known=known_frames,
         fit=choices.fit,
         tolerances=choices.tolerances or draft.arm.tolerance_class,
         scale=choices.prior_scale,
@@ -341,7 +343,7 @@ def _identify(draft: Draft) -> Draft:
 def _add_terms(draft: Draft) -> Draft:
     """As many of the wanted terms, in their order, as converge; "auto" chooses them within the training rows."""
     (name, geometric), choice = draft.best, None
-    bare, known = geometric.identification, draft.aligned is None
+    bare, known_frames = geometric.identification, draft.aligned is None
     if draft.choices.terms != "auto":
         terms = terms_of(draft.choices.terms, draft.arm, bare, draft.train)
     else:
@@ -349,12 +351,12 @@ def _add_terms(draft: Draft) -> Draft:
             choice = choose_terms(draft.arm, bare, draft.train)
         terms = () if choice is None else choice.terms
     while terms:
-        found = identify_terms(terms, bare, draft.train, known)
-        if found.converged:
+        solution = identify_terms(terms, bare, draft.train, known_frames)
+        if solution.converged:
             kinds = [kind_of_term(term) for term in terms]
             record = {**geometric.calibration.record, "terms": sorted(kinds)}
-            calibration = replace(geometric.calibration, model=found.arm_model, record=record)
-            draft = draft.with_fit(f"{name}+{'+'.join(kinds)}", Fit(calibration, found, geometric.aligned))
+            calibration = replace(geometric.calibration, model=solution.arm_model, record=record)
+            draft = draft.with_fit(f"{name}+{'+'.join(kinds)}", Fit(calibration, solution, geometric.aligned))
             break
         terms = terms[:-1]
     return replace(draft, term_choice=choice)
@@ -381,28 +383,28 @@ def _learn(draft: Draft) -> Draft:
 
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     name, best = draft.best
-    told = None if draft.progress is None else partial(draft.progress, "training network")
-    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, told))
+    report = None if draft.progress is None else partial(draft.progress, "training network")
+    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, report))
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
     data = train.select(equally_spaced(len(train), GATE_ROWS))
     name, best = draft.best
-    expected, whole = best.identification.prior, best.identification.arm_model
+    expected, fitted = best.identification.prior, best.identification.arm_model
     assert expected is not None
 
     def refit(rows: Measurements) -> ArmModel:
         """Fit the arm to some of the rows; what these scatter by, the fit to all of them says."""
         none, unused = np.zeros(0), np.zeros(rows.rows_per_pose * len(rows))
-        return solve(expected, rows, noise_of(rows, whole, none, unused)).arm_model
+        return solve(expected, rows, noise_of(rows, fitted, none, unused)).arm_model
 
-    told = None
+    report = None
     if draft.progress is not None:
-        rms = 1e3 * position_rms(train.misses(whole, np.zeros(0)))
-        told = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
+        rms = 1e3 * position_rms(train.misses(fitted, np.zeros(0)))
+        report = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
-    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=told)
+    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=report)
 
 
 STAGES: tuple[Callable[[Draft], Draft], ...] = (_check, _align, _identify, _add_terms, _learn)

@@ -170,7 +170,8 @@ def readings_at(first: FirstRows, joints: Array) -> Observations:
     if rows.views is None:
         return rows
     margin = WARY * float(np.sqrt(np.mean(data.pixel_errors(first.model, first.unknowns) ** 2)))
-    return replace(rows.views, seen=rows.views.visible(first.model, first.unknowns, margin))
+    visible: Observations = replace(rows.views, seen=rows.views.visible(first.model, first.unknowns, margin))
+    return visible
 
 
 LEAST_CANDIDATES = 3

@@ -33,7 +33,7 @@ SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "effect": tuple(
             f"pickenv.arm.effects.{name}" for name in ("structure", "hysteresis", "drives", "ground", "residual_field")
         ),
-        "exporter": ("pickenv.calibration.delivery.export",),
+        "exporter": tuple(f"pickenv.calibration.delivery.{name}" for name in ("onto_files", "joint_offsets", "export")),
         "gripper": ("pickenv.orchard.gripper",),
         "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
         "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),

@@ -162,11 +162,11 @@ def test_without_a_file_the_frames_are_the_tables(made, tmp_path):
     ("words", "said"),
     [
         ({"kind": "dxf"}, "there is no exporter 'dxf'; give one of toml, urdf"),
-        ({}, "does not tell what to write; give --as one of"),
-        ({"kind": "lerobot"}, "give --onto the one that lerobot-calibrate wrote"),
-        ({"kind": "table", "sample": 2}, "--sample goes with a new MJCF"),
-        ({"kind": "table", "onto": "robot.urdf"}, "is written anew; leave --onto out"),
-        ({"kind": "table", "counts_per_turn": 4096}, "belong to --as offsets"),
+        ({}, "does not tell what to write; give `kind`, one of"),
+        ({"kind": "lerobot"}, "give `onto`, the one that lerobot-calibrate wrote"),
+        ({"kind": "table", "sample": 2}, "`sample` goes with a new MJCF"),
+        ({"kind": "table", "onto": "robot.urdf"}, "is written anew; leave `onto` out"),
+        ({"kind": "table", "counts_per_turn": 4096}, "belong to `kind='offsets'`"),
         ({"onto": "robot.stl"}, "does not tell what to write"),
         ({"kind": "transforms", "onto": "k.yaml"}, "has no named frames"),
         ({"kind": "onnx"}, "no learnt residual"),
@@ -183,7 +183,7 @@ def test_what_cannot_be_written_is_one_sentence(made, tmp_path, words, said):
 def test_an_arm_file_needs_the_arms_speeds(made, tmp_path, so101):
     own = load_arm(so101 / "so101_new_calib.urdf")
     calibration = replace(made(own, np.random.default_rng(0)), arm_name="mine")
-    with pytest.raises(InputError, match="tells joint speeds too; give --arm the file of 'mine'"):
+    with pytest.raises(InputError, match="tells joint speeds too; give `arm`, the file of 'mine'"):
         export(calibration, tmp_path / "a.toml")
     again = load_arm(export(calibration, tmp_path / "a.toml", arm=own).path)
     np.testing.assert_allclose(again.speed, own.speed)
