@@ -17,7 +17,6 @@ import numpy as np
 
 from pickenv.arm import Arm, Array, Plant, draw_plants, load_tolerances
 from pickenv.base import Ends, folded, require, screen_width
-from pickenv.calibration.assessment.expected_errors import workspace_error
 from pickenv.calibration.assessment.instrument import (
     BaseFrameError,
     base_frame_error,
@@ -28,7 +27,7 @@ from pickenv.calibration.assessment.instrument import (
     set_ups_of,
 )
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
-from pickenv.calibration.assessment.quality import Quality, grade_quality
+from pickenv.calibration.assessment.quality import Quality, grade_quality, workspace_error
 from pickenv.calibration.assessment.screen import (
     OWN,
     UNBOUNDED,

@@ -8,7 +8,7 @@ import pytest
 from pickenv.arm import Plant, draw_plants, forward, load_arm, load_tolerances, plant_at, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration import random_joints, simulated_tracker
-from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.prior import prior_model
 from pickenv.calibration.pipeline.given import workspace_joints

@@ -9,10 +9,11 @@ from scipy import stats
 
 from pickenv.arm import forward, parameter_jacobian
 from pickenv.calibration import Identifiability, Measurements, frames_model, identify, link_model, random_joints
-from pickenv.calibration.assessment.expected_errors import RegionError, Workspace
 from pickenv.calibration.assessment.instrument import base_frame_error, said_against
 from pickenv.calibration.assessment.quality import (
     Completeness,
+    RegionError,
+    Workspace,
     base_combinations,
     correlated_pairs,
     grade_quality,

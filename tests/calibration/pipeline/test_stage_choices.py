@@ -7,7 +7,7 @@ import pytest
 
 from pickenv.base import InputError
 from pickenv.calibration import Choices, random_joints, simulated_tracker
-from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import GravityTerm, PeriodicTerm

@@ -13,7 +13,7 @@ import pickenv
 from pickenv.arm import Arm, displace_pose, forward, load_arm
 from pickenv.base import InputError
 from pickenv.calibration import Choices, Measurements, plan_poses, random_joints
-from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.noise import stated_noise
 from pickenv.calibration.model.prior import PriorModel, prior_model

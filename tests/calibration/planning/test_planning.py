@@ -20,7 +20,7 @@ from pickenv.calibration import (
     random_joints,
     simulated_tracker,
 )
-from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.least_squares import observability, observability_of
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ErrorModel
