@@ -87,7 +87,7 @@ class BaseFrameError:
         if self.tracked and self.moved < NEAR:
             text += (
                 f"; the fitted frames move the tool by {self.moved * 1e3:#.3g} mm: if the instrument is registered to "
-                "the base and sees the controller's own tool, calibrate with --frames known"
+                "the base and sees the controller's own tool, calibrate with `frames='known'`"
             )
         return text
 
@@ -176,7 +176,7 @@ def said_of_instruments(
             yield (
                 "caution",
                 f"the lens as given leaves {stated:.3g} px per coordinate, a fitted one {fitted:.3g} px: give "
-                "--lens free, or calibrate the camera anew",
+                "`lens='free'`, or calibrate the camera anew",
             )
     if data.miss_unit == "deg":
         yield (
@@ -228,7 +228,7 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
         }
         cells = [frames.get(name, "") for name in OWN]
         rows.append((str(set_up["number"]), ", ".join(set_up["files"]), str(set_up["rows"]), *cells))
-    note = "as the rows tell" if asked is None else f"as asked by --stations {asked}"
+    note = "as the rows tell" if asked is None else f"as asked by `stations='{asked}'`"
     heads = ("set-up", "files", "rows fitted", "its own base, away by", "its own tool, away by")
     return Block("Set-ups", heads, tuple(rows), f"{note}; base2_x and the like are parameters of set-up 2")
 
@@ -253,7 +253,7 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Ite
         )
     ]
     if unused:
-        yield "note", f"nothing that was fitted depends on what was recorded of {' and '.join(unused)} (see --terms)"
+        yield "note", f"nothing that was fitted depends on what was recorded of {' and '.join(unused)} (see `terms`)"
 
 
 # What stands against what was said before measuring: another arm, frames that are not known, a region of its own.
@@ -311,7 +311,7 @@ def _link(found: Identification, prior: PriorModel) -> Iterator[str]:
         size = f"{np.degrees(change[worst]):.3g} deg" if is_angle(name) else f"{change[worst] * 1e3:.3g} mm"
         yield (
             f"{name} lies {size} from its drawing, {sizes[worst]:.0f} times what parts of {prior.source} differ by: "
-            "these rows may be of another arm than the one named; check the arm, or name its class with --tolerances"
+            "these rows may be of another arm than the one named; check the arm, or name its class with `tolerances`"
         )
 
 
@@ -329,7 +329,7 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
         yield (
             f"the {which} is said to be known, but by these rows it is off by {np.linalg.norm(shift[:3]) * 1e3:.3g} mm "
             f"and {np.degrees(np.linalg.norm(shift[3:])):.2g} deg, more than arms of {prior.source} can be; give "
-            "--frames fitted, or correct it in the arm's file"
+            "`frames='fitted'`, or correct it in the arm's file"
         )
 
 

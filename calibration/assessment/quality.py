@@ -273,9 +273,9 @@ class Workspace:
         over = self.declared
         if over.calibrated < HARDLY * self.remains:
             return None
-        remedy = "measure poses there (`pickenv plan-poses`), or declare where the arm will work with --workspace"
+        remedy = "measure poses there (`pickenv plan-poses`), or declare where the arm will work with `workspace`"
         if self.thin:
-            remedy = f"move {', '.join(self.thin)} further, or declare where the arm will work with --workspace"
+            remedy = f"move {', '.join(self.thin)} further, or declare where the arm will work with `workspace`"
         if over.narrowed < LITTLE:
             return (
                 f"over {over.region} the rows tell hardly more than the drawing ({figure(over.calibrated * 1e3)} mm "
@@ -545,7 +545,7 @@ def no_gain(
     """
     if count < ENOUGH:
         few = f"1 {called[:-1]} was" if count == 1 else f"{count} {called} were"
-        yield f"only {few} held out, which judges nothing; measure more, or give others with --test"
+        yield f"only {few} held out, which judges nothing; measure more, or give others as `test`"
     if before is None or count < ENOUGH:
         return
     was, now = _rms(before, unit), _rms(after, unit)
@@ -574,9 +574,9 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
     """Why a calibration gains nothing, and what to do."""
     was, now, plain = (_rms(errors, unit) for errors in (before, after, unlearnt))
     if found.arm_model.terms and plain > was:
-        return "the further terms do not carry over to rows held out; give --terms none"
+        return "the further terms do not carry over to rows held out; give `terms='none'`"
     if plain < was <= now:
-        return "what was learnt does not carry over to rows held out; give --residual none"
+        return "what was learnt does not carry over to rows held out; give `residual='none'`"
     if found.degrees_of_freedom < 2 * found.spent:
         return "the rows are too few to say more than the drawing; measure more"
     if now < ALIKE * was:

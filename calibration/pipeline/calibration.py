@@ -453,7 +453,7 @@ class Calibration:
             sentences[FITTED_FRAMES] = (
                 "base and tool of this calibration were fitted, so what the arm does in its own base frame, where the "
                 f"fruit stand, is not known{size}; measure with the instrument registered to the base and calibrate "
-                "with --frames known"
+                "with `frames='known'`"
             )
         return sentences
 

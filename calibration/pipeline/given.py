@@ -72,9 +72,12 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     """Refuse what is there for poses and positions only."""
     learnt = choices.residual not in ("auto", "none")
     tracked = all(part.poses is not None for part in train.parts)
-    options = {"--frames known": choices.frames == "known", f"--residual {choices.residual}": learnt and not tracked}
+    options = {
+        "`frames='known'`": choices.frames == "known",
+        f"`residual='{choices.residual}'`": learnt and not tracked,
+    }
     if choices.lens is not None and train.kind != "pixels":
-        raise InputError(f"--lens is for pictures, but {train.source} holds {train.kind}; leave it out")
+        raise InputError(f"`lens` is for pictures, but {train.source} holds {train.kind}; leave it out")
     single, several = (" of one station", " of several") if tracked else ("", "")
     for option, asked_for in options.items():
         if asked_for:
@@ -102,7 +105,7 @@ def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
             raise InputError("finished poses have no joints to calibrate; leave the arm out, or describe its [joints]")
         return pose_carrier()
     if arm is None:
-        raise InputError("no arm is given; name one, or its file (--arm)")
+        raise InputError("no arm is given; name one, or its file, as `arm`")
     return load_arm(arm) if isinstance(arm, str | Path) else arm
 
 

@@ -176,12 +176,12 @@ def calibrate(
     if choices.lens is not None and train.views is not None:
         train = with_lens(train.views, choices.lens)
     if choices.refit and test is None:
-        raise InputError("--refit is for rows of another station; give them with --test")
+        raise InputError("`refit` is for rows of another station; give them as `test`")
     few = test is None and test_rows is None and train.poses is not None
     few = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
-            raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
+            raise InputError("`test_rows` is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
     elif test is None:
         rows = choose(train, test_rows, np.random.default_rng(choices.seed))
@@ -232,7 +232,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
     checked = _check(draft)
     complete = _through(STAGES[1:], checked)
     if len(checked.train.joints) < 2:
-        raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give --test")
+        raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give `test`")
     folds = _folds(checked.train)
     residuals = [
         _chosen(checked, np.sort(np.concatenate([rows_out for _, rows_out in folds[1 - i :: 2]]))) for i in range(2)
@@ -262,7 +262,7 @@ def _judged_elsewhere(draft: Draft) -> Result:
     test = draft.test
     draft = _through(STAGES, replace(draft, test=draft.train.select(np.arange(0))))
     if test.poses is None:
-        raise InputError(f"--refit is for poses and positions, but {test.source} holds {test.kind}; leave it out")
+        raise InputError(f"`refit` is for poses and positions, but {test.source} holds {test.kind}; leave it out")
     choices = draft.choices
     near, left_out = near_rows(draft.best[1].calibration, test.poses, choices.refit, choices.refit_rows)
     held_out, others = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
@@ -309,7 +309,7 @@ def _check(draft: Draft) -> Draft:
         if choices.frames is None and stated != others:
             raise InputError(
                 f"{train.source} says that base and tool are {stated}, {test.source} that they are {others}; give "
-                "--frames"
+                "`frames`"
             )
         choices = replace(choices, frames=choices.frames or stated)
     else:

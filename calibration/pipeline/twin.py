@@ -287,7 +287,7 @@ def _process(
     if rows is None and learnt is not None:
         raise InputError(
             f"the residual model '{learnt.kind}' of the calibration does not know how sure it is; give the rows that "
-            "it was fitted to (--rows), or calibrate with --residual gp"
+            "it was fitted to (`rows`), or calibrate with `residual='gp'`"
         )
     if rows is None:
         joints = calibration.identified.joints

@@ -87,7 +87,7 @@ def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...]
     """
     if text is None:
         if rows is not None:
-            raise InputError(f"--refit-rows {rows} is for --refit; say which frames: --refit base,tool")
+            raise InputError(f"`refit_rows={rows}` is for `refit`; say which frames: `refit='base,tool'`")
         return (), REFIT_ROWS
     frames = tuple(part.strip() for part in text.split(","))
     if not set(frames) <= set(OWN) or len(set(frames)) != len(frames):
@@ -499,7 +499,7 @@ def _verdict(found: Verification, cause: Callable[[], Cause]) -> tuple[Status, s
         return "still good", f"{sizes}, and {figure(theirs)} mm with the nominal arm{place}"
     why = "unknown" if since is not None else cause()
     if why == "frames":
-        return "another station", f"{sizes}, and base and tool elsewhere explain it; give --refit base,tool"
+        return "another station", f"{sizes}, and base and tool elsewhere explain it; give `refit='base,tool'`"
     if why == "elsewhere":
         worse = f", worse than the nominal arm's {figure(theirs)} mm" if found.no_gain is not None else ""
         return "outside what was measured", (

@@ -54,7 +54,7 @@ def test_rows_all_over_tell_all_and_rows_in_a_corner_say_so():
 
 def test_little_told_is_a_reservation_with_a_remedy():
     *_, workspace = judged(2, 0.001, count=2)
-    assert "over the joint limits" in workspace.reservation and "--workspace" in workspace.reservation
+    assert "over the joint limits" in workspace.reservation and "`workspace`" in workspace.reservation
     assert UR5.joint_names[0] in workspace.reservation
 
 

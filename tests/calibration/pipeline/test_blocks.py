@@ -131,7 +131,7 @@ def test_other_kinds_of_measurement_are_judged_in_blocks_too(qiao):
 
 
 def test_what_cannot_be_blocked_is_refused(dynamic, data):
-    with pytest.raises(InputError, match="--test-rows is for the random split"):
+    with pytest.raises(InputError, match="`test_rows` is for the random split"):
         calibrate(dynamic.arm, data, split="blocked", test_rows=20, choices=PLAIN)
 
 

@@ -141,8 +141,8 @@ def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynam
     stages.refuse_options(Wires(), Choices())
     stages.refuse_options(Wires(), Choices(residual="none", frames="fitted"))
     for choices, option in (
-        (Choices(frames="known"), "--frames known is"),
-        (Choices(residual="gp"), "--residual gp is"),
+        (Choices(frames="known"), "`frames='known'` is"),
+        (Choices(residual="gp"), "`residual='gp'` is"),
     ):
         with pytest.raises(InputError, match=f"^{option} for poses and positions, but wires.csv holds distance"):
             stages.refuse_options(Wires(), choices)

@@ -126,7 +126,7 @@ def test_at_another_station_the_frames_are_found_from_a_few_rows(
     calibration = calibrate(ur5, seen(true, 1, rows=150, poses=poses), choices=PLAIN).calibration
     data = seen(true, 10 + seed, THERE, OTHER_TARGET, poses=poses)
     raw = verify(calibration, data)
-    assert raw.status == "another station" and "--refit base,tool" in raw.reason
+    assert raw.status == "another station" and "`refit='base,tool'`" in raw.reason
     found = verify(calibration, data, ("base", "tool"), 8)
     assert found.status == "still good" and found.rows == 112 and found.refitted == 8
     assert found.calibrated.rms == pytest.approx(found.expected, rel=0.4)
@@ -244,7 +244,7 @@ def test_calibrate_judges_by_another_station(ur5: Arm, true: Geometry) -> None:
     found = calibrate(ur5, train, test=test, choices=replace(PLAIN, refit=("base", "tool"), refit_rows=8))
     assert len(found.test.joints) == 112 and "base and tool found from 8 others of the same station" in found.report()
     assert found.position["geometric"].rms < 0.3 < 5 * found.position["geometric"].rms < found.position["nominal"].rms
-    with pytest.raises(InputError, match="give them with --test"):
+    with pytest.raises(InputError, match="give them as `test`"):
         calibrate(ur5, train, choices=replace(PLAIN, refit=("base",)))
 
 
@@ -269,7 +269,7 @@ def test_bad_wishes_are_refused(result: Result, true: Geometry) -> None:
     assert frames_and_rows("base, tool", 9) == (("base", "tool"), 9)
     assert frames_and_rows(None, None)[0] == ()
     assert frames_and_rows("tool", None) == (("tool",), 6)
-    with pytest.raises(InputError, match="--refit-rows 8 is for --refit; say which frames"):
+    with pytest.raises(InputError, match="`refit_rows=8` is for `refit`; say which frames"):
         frames_and_rows(None, 8)
     with pytest.raises(InputError, match="found from 5 of 120 rows; give 6 rows or more"):
         verify(result.calibration, seen(true, 2), ("base", "tool"), 5)
