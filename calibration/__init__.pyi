@@ -4,7 +4,7 @@ from .assessment.metrics import (
     held_out_r2 as held_out_r2,
     paper_eta as paper_eta,
 )
-from .compensation.compensator import Compensator as Compensator
+from .compensation.compensator import Compensator as Compensator, aimed as aimed, taught as taught
 from .delivery.document import Document as Document, Order as Order, provenance as provenance
 from .delivery.export import Delivery as Delivery, export as export
 from .delivery.joint_offsets import (
@@ -26,7 +26,20 @@ from .identification.least_squares import (
     identify as identify,
 )
 from .identification.robust import align as align
-from .model.arm_model import complete_model as complete_model, frames_model as frames_model, link_model as link_model
+from .model.arm_model import (
+    ArmModel as ArmModel,
+    BendingTerm as BendingTerm,
+    ComplianceTerm as ComplianceTerm,
+    Conditions as Conditions,
+    ErrorModel as ErrorModel,
+    GravityTerm as GravityTerm,
+    LeadTerm as LeadTerm,
+    PeriodicTerm as PeriodicTerm,
+    ThermalTerm as ThermalTerm,
+    complete_model as complete_model,
+    frames_model as frames_model,
+    link_model as link_model,
+)
 from .model.kinds import (
     DistanceObservations as DistanceObservations,
     ReflectorObservations as ReflectorObservations,
@@ -40,18 +53,36 @@ from .model.measurements import (
     simulated_tracker as simulated_tracker,
 )
 from .model.observations import Observations as Observations
+from .model.prior import prior_model as prior_model
 from .pipeline.apply import apply_calibration as apply_calibration
-from .pipeline.calibration import Calibration as Calibration
-from .pipeline.fitting import Fit as Fit, fit as fit
-from .pipeline.given import Choices as Choices
-from .pipeline.result import Result as Result, assess as assess
-from .pipeline.stages import calibrate as calibrate
+from .pipeline.calibration import Calibration as Calibration, uncertainty_from as uncertainty_from
+from .pipeline.fitting import (
+    GEOMETRIC as GEOMETRIC,
+    NOMINAL as NOMINAL,
+    Fit as Fit,
+    fit as fit,
+    fit_remainder as fit_remainder,
+    lens_of as lens_of,
+)
+from .pipeline.result import Result as Result, assess as assess, workspace_joints as workspace_joints
+from .pipeline.stages import (
+    Choices as Choices,
+    calibrate as calibrate,
+    given_arm as given_arm,
+    given_rows as given_rows,
+    pool_of as pool_of,
+)
 from .pipeline.twin import twin as twin
+from .pipeline.verification import frames_and_rows as frames_and_rows, verify as verify
+from .planning.like import plan_like as plan_like
 from .planning.plan import plan_poses as plan_poses
 from .reading.description import load_description as load_description
 from .reading.read import (
+    Targets as Targets,
+    joints_of as joints_of,
     read_measurements as read_measurements,
     read_observations as read_observations,
     read_targets as read_targets,
 )
 from .residuals.bpnn import Bpnn as Bpnn, BpnnSettings as BpnnSettings, train_bpnn as train_bpnn
+from .residuals.residual_models import fit_residual as fit_residual

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Array, Plant, draw_plants, load_tolerances
-from pickenv.base import Ends, folded, require, screen_width
+from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_tolerances
+from pickenv.base import Ends, InputError, folded, require, screen_width
 from pickenv.calibration.assessment.instrument import (
     BaseFrameError,
     base_frame_error,
@@ -52,7 +52,8 @@ from pickenv.calibration.identification.diagnosis import (
 from pickenv.calibration.identification.robust import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel
-from pickenv.calibration.model.observations import MISS_UNITS, Observations
+from pickenv.calibration.model.measurements import joint_columns, random_joints
+from pickenv.calibration.model.observations import MISS_UNITS, Observations, equally_spaced
 from pickenv.calibration.pipeline.calibration import (
     MEASURED_REGION,
     Calibration,
@@ -73,9 +74,8 @@ from pickenv.calibration.pipeline.fitting import (
     what_is_left,
     without_residual,
 )
-from pickenv.calibration.pipeline.given import workspace_joints
 from pickenv.calibration.pipeline.twin import SCATTER, scatter_of, twin
-from pickenv.calibration.reading.read import NoiseFloor
+from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_targets
 from pickenv.calibration.residuals.gate import GateReport, position_rms
 
 SIGMAS = 2.0
@@ -446,6 +446,64 @@ class Result:
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
             **({} if self.pixels is None else self.pixels.as_dict()),
         }
+
+
+WORKSPACE_POSES, TRIALS = 400, 200_000
+"""Joint vectors that stand for a workspace, and how many are drawn at most to find those that lie in a box."""
+
+
+def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, Array]:
+    """What a workspace is called, and joints ``(M, n)`` all over it; the same every time.
+
+    Args:
+        text: A file of targets (joints or tool poses in our own columns); or ranges joined by commas, of joints in deg
+            or mm (``q1=-90:90``) and of the tool's position in the controller's base frame in mm (``x=300:900``); what
+            is not named is within the joint limits. All of these when None.
+        geometry: The nominal arm.
+
+    Raises:
+        InputError: If a range cannot be read, or the arm reaches nothing in it.
+    """
+    rng = np.random.default_rng(0)
+    if text is None:
+        return "the joint limits", random_joints(geometry, WORKSPACE_POSES, rng)
+    if "=" not in str(text):
+        joints = joints_of(read_targets(text, geometry), geometry)
+        return f"the targets of {text}", joints[equally_spaced(len(joints), WORKSPACE_POSES)]
+    lower, upper = geometry.lower.copy(), geometry.upper.copy()
+    box = np.array([[-np.inf, np.inf]] * 3)
+    names = [name.split("_")[0] for name in joint_columns(geometry.prismatic)]
+    for part in str(text).split(","):
+        name, _, ends = part.strip().partition("=")
+        try:
+            low, high = (float(end) for end in ends.split(":"))
+        except ValueError:
+            raise InputError(
+                f"workspace '{part.strip()}' is no range; write q1=-90:90 (deg or mm) or x=300:900 (mm)"
+            ) from None
+        if not low < high:
+            raise InputError(f"workspace '{part.strip()}' is empty; give the lower end first")
+        if name in names:
+            joint = names.index(name)
+            unit = 1e-3 if geometry.prismatic[joint] else np.radians(1.0)
+            lower[joint], upper[joint] = max(low * unit, lower[joint]), min(high * unit, upper[joint])
+            if not lower[joint] < upper[joint]:
+                raise InputError(f"workspace '{part.strip()}' lies outside the limits of {geometry.joint_names[joint]}")
+        elif name in ("x", "y", "z"):
+            box["xyz".index(name)] = low * 1e-3, high * 1e-3
+        else:
+            raise InputError(
+                f"workspace '{part.strip()}' names no joint or axis; give some of {', '.join([*names, 'x', 'y', 'z'])}"
+            )
+    joints = rng.uniform(lower, upper, (TRIALS if np.isfinite(box).any() else WORKSPACE_POSES, geometry.joints))
+    if np.isfinite(box).any():
+        place = forward(geometry, joints).position
+        joints = joints[((place >= box[:, 0]) & (place <= box[:, 1])).all(axis=1)][:WORKSPACE_POSES]
+        if len(joints) < 10:
+            raise InputError(
+                f"the arm reaches hardly anything within workspace '{text}'; check its axes, in mm from the base"
+            )
+    return f"workspace {text}", joints
 
 
 # A calibration judged on rows that it never saw: everything that a result says is worked out here.

@@ -7,11 +7,9 @@ import pytest
 
 from pickenv.arm import Plant, draw_plants, forward, load_arm, load_tolerances, plant_at, rotation_matrix
 from pickenv.base import InputError
-from pickenv.calibration import random_joints, simulated_tracker
+from pickenv.calibration import prior_model, random_joints, simulated_tracker, workspace_joints
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.prior import prior_model
-from pickenv.calibration.pipeline.given import workspace_joints
 
 ARM = load_arm("ur5")
 UR5 = ARM.nominal

@@ -8,7 +8,16 @@ import pytest
 from scipy import stats
 
 from pickenv.arm import forward, parameter_jacobian
-from pickenv.calibration import Identifiability, Measurements, frames_model, identify, link_model, random_joints
+from pickenv.calibration import (
+    Identifiability,
+    Measurements,
+    ThermalTerm,
+    frames_model,
+    identify,
+    link_model,
+    prior_model,
+    random_joints,
+)
 from pickenv.calibration.assessment.instrument import base_frame_error, said_against
 from pickenv.calibration.assessment.quality import (
     Completeness,
@@ -21,8 +30,7 @@ from pickenv.calibration.assessment.quality import (
 from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
 from pickenv.calibration.identification.least_squares import Dropped
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ThermalTerm
-from pickenv.calibration.model.prior import FRAMES, MADE, ZEROS, prior_model
+from pickenv.calibration.model.prior import FRAMES, MADE, ZEROS
 
 JUST = 1e-9
 

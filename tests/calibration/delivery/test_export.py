@@ -10,18 +10,20 @@ from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.arm.files.arm_file import ARMS
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
     BpnnSettings,
     Calibration,
+    Conditions,
+    ThermalTerm,
     export,
     fit,
+    fit_residual,
     provenance,
     random_joints,
     simulated_tracker,
     train_bpnn,
 )
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm
 from pickenv.calibration.pipeline.calibration import Remainder
-from pickenv.calibration.residuals.residual_models import fit_residual
 
 
 @pytest.fixture(scope="module")

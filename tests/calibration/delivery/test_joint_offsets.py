@@ -15,6 +15,7 @@ from scipy.stats import qmc
 from pickenv.arm import Pose, forward, load_arm, pose_error
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
     Calibration,
     Measurements,
     export,
@@ -23,7 +24,6 @@ from pickenv.calibration import (
     random_joints,
     read_lerobot,
 )
-from pickenv.calibration.model.arm_model import ArmModel
 
 LEROBOT = """{
     "shoulder_pan": {

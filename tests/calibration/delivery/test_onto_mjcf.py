@@ -11,9 +11,8 @@ import pytest
 from pickenv.arm import Pose, forward, load_arm
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import InputError
-from pickenv.calibration import export, random_joints
+from pickenv.calibration import ArmModel, export, random_joints
 from pickenv.calibration.delivery.corrected_chain import refuse_lost_files
-from pickenv.calibration.model.arm_model import ArmModel
 
 MODEL = """<mujoco model="arm">
   <compiler angle="degree" eulerseq="zyx"/> <!-- pos="1 2 3" in a comment -->

@@ -19,18 +19,21 @@ from pickenv.arm import (
 )
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
     Compensator,
+    Conditions,
+    Targets,
+    ThermalTerm,
     apply_calibration,
     assess,
     fit,
+    joints_of,
     random_joints,
     read_targets,
     simulated_tracker,
+    uncertainty_from,
 )
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm
 from pickenv.calibration.pipeline.apply import _carried, toward
-from pickenv.calibration.pipeline.calibration import uncertainty_from
-from pickenv.calibration.reading.read import Targets, joints_of
 
 
 @pytest.fixture(scope="module")

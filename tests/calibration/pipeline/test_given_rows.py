@@ -10,10 +10,9 @@ import pytest
 
 from pickenv.arm import Arm, forward, load_arm
 from pickenv.base import InputError
-from pickenv.calibration import DistanceObservations, Measurements, random_joints
+from pickenv.calibration import DistanceObservations, Measurements, given_arm, given_rows, pool_of, random_joints
 from pickenv.calibration.model.arm_model import CARRIER
 from pickenv.calibration.model.measurements import Stacked
-from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of
 
 NAMES = [f"A{k}" for k in range(1, 7)]
 JOINTS = f'joints.columns = {NAMES}\njoints.unit = "deg"\n'.replace("'", '"')

@@ -10,6 +10,7 @@ import pytest
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
     Choices,
     DistanceObservations,
     Result,
@@ -18,13 +19,12 @@ from pickenv.calibration import (
     calibrate,
     complete_model,
     frames_model,
+    given_rows,
     identify,
     random_joints,
 )
 from pickenv.calibration.assessment.instrument import said_of_instruments, with_zeros_fitted
 from pickenv.calibration.identification.robust import rough_start, stations_of
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.pipeline.given import given_rows
 from tests.calibration.simulated_instruments import (
     ANGLE_STD,
     HERE,

@@ -25,14 +25,19 @@ from pickenv.arm.effects.hysteresis import StickBand
 from pickenv.arm.kinematics.geometry import Coupling
 from pickenv.arm.plant.tolerances import it_tolerance
 from pickenv.base import InputError, write_container
-from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker, twin
-from pickenv.calibration.model.arm_model import (
+from pickenv.calibration import (
     BendingTerm,
+    Choices,
     ComplianceTerm,
     GravityTerm,
     LeadTerm,
+    Measurements,
     PeriodicTerm,
     ThermalTerm,
+    calibrate,
+    random_joints,
+    simulated_tracker,
+    twin,
 )
 from pickenv.calibration.pipeline.twin import SMOOTH, Scatter, repeated_std, scatter_of
 from pickenv.calibration.residuals.gaussian_process import feature_process

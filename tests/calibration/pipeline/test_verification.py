@@ -13,23 +13,25 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Geometry, Plant, Pose, forward, inverse, load_arm, rotation_matrix, rotation_vector
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
     Choices,
     DistanceObservations,
     Measurements,
     Result,
     calibrate,
     error_statistics,
+    frames_and_rows,
+    given_rows,
     random_joints,
     read_observations,
     simulated_tracker,
+    verify,
 )
 from pickenv.calibration.assessment.metrics import block_interval
 from pickenv.calibration.assessment.screen import figure
-from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import Stacked
 from pickenv.calibration.pipeline.calibration import MEASURED_REGION
-from pickenv.calibration.pipeline.given import given_rows
-from pickenv.calibration.pipeline.verification import Verification, _starts, frames_and_rows, restationed, verify
+from pickenv.calibration.pipeline.verification import Verification, _starts, restationed
 from pickenv.cli import app
 
 PLAIN = Choices(terms="none", residual="none")

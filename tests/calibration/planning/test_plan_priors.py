@@ -12,12 +12,12 @@ from typer.testing import CliRunner
 import pickenv
 from pickenv.arm import Arm, displace_pose, forward, load_arm
 from pickenv.base import InputError
-from pickenv.calibration import Choices, Measurements, plan_poses, random_joints
+from pickenv.calibration import Choices, Measurements, plan_like, plan_poses, prior_model, random_joints
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.noise import stated_noise
-from pickenv.calibration.model.prior import PriorModel, prior_model
-from pickenv.calibration.planning.like import first_rows, plan_like
+from pickenv.calibration.model.prior import PriorModel
+from pickenv.calibration.planning.like import first_rows
 from pickenv.calibration.planning.plan import PosePlan
 from pickenv.cli import app
 from tests.calibration.simulated_instruments import KINDS

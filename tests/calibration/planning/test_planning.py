@@ -12,20 +12,21 @@ from typer.testing import CliRunner
 from pickenv.arm import Plant, Pose, displace_pose, draw_plants, forward, load_arm, load_tolerances, plant_at
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ErrorModel,
     Measurements,
     complete_model,
     identify,
     link_model,
     plan_poses,
+    prior_model,
     random_joints,
     simulated_tracker,
 )
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.least_squares import observability, observability_of
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ErrorModel
 from pickenv.calibration.model.noise import stated_noise
-from pickenv.calibration.model.prior import MADE, prior_model
+from pickenv.calibration.model.prior import MADE
 from pickenv.calibration.planning.plan import (
     candidate_joints,
     design_of,
