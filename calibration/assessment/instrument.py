@@ -1,4 +1,4 @@
-"""What a verdict says of the instruments: numbers of theirs that the rows contradict, and lengths that nobody measured.
+"""The verdict on the instruments: numbers of theirs that the rows contradict, and lengths that nobody measured.
 
 A wire whose zero is off by millimetres leaves small misses all the same, for anchor and links take it up; the arm is
 then wrong where nobody looks. So what is said to be known is tried as an unknown once the arm is fitted.
@@ -41,7 +41,7 @@ DRAWS = 400
 """Bases and tools drawn."""
 
 SCALES = (0.2, 1.0)
-"""How far base and tool may lie from where the controller has them, one standard deviation per axis, in units of 1 mm
+"""Distances of base and tool from where the controller has them, one standard deviation per axis, in units of 1 mm
 and 1 mrad: nobody knows it better, so every size between counts alike (on a logarithmic scale)."""
 
 NEAR = 0.05
@@ -144,7 +144,7 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
 def said_of_instruments(
     model: ErrorModel, found: Identification, data: Observations
 ) -> Iterator[tuple[Literal["fail", "caution"], str]]:
-    """What a reader must know of them, by weight.
+    """Findings on the instruments, by weight.
 
     Args:
         model: What was identified, without further terms.
@@ -285,7 +285,7 @@ POSES = 200
 
 
 def said_against(found: Identification, data: Observations) -> Iterator[tuple[Literal["caution"], str]]:
-    """What a reader must know of it, as cautions.
+    """Cautions on the statements that the rows contradict.
 
     Args:
         found: The identification of the geometry.
@@ -316,7 +316,7 @@ def _link(found: Identification, prior: PriorModel) -> Iterator[str]:
 
 
 def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str]:
-    """How the arm was moved as a whole, by base or tool, against how arms of the class are."""
+    """A caution where the arm was moved as a whole, by base or tool, more than arms of the class are."""
     geometry, links = found.geometry, prior.group != TERMS
     columns = prior.parameters.columns[links]
     joints = random_joints(geometry, POSES, np.random.default_rng(0))

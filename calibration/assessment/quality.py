@@ -49,7 +49,7 @@ ALIKE = 1.2
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 MANY_NOISES = 20.0
-"""What remains may be so many times the stated noise before something else than noise must be at work."""
+"""Residuals above this many times the stated noise show that something else than noise is at work."""
 
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
@@ -120,7 +120,7 @@ def correlated_pairs(found: Identification, limit: float = CORRELATED) -> tuple[
 
 
 def base_combinations(found: Identifiability) -> dict[str, str]:
-    """What each kept parameter really stands for, as text: its own deviation and those of the dropped ones it absorbs.
+    """The combination that each kept parameter stands for: its own deviation and those of dropped ones that it absorbs.
 
     Coefficients between lengths and angles are in mm/deg or deg/mm; shares below `SMALL_SHARE` are left out.
     """
@@ -229,7 +229,7 @@ class RegionError:
 
     @property
     def narrowed(self) -> float:
-        """How much less is expected than before measuring, 0 to 1."""
+        """The share by which less is expected than before measuring, 0 to 1."""
         return float(np.clip(1.0 - self.calibrated / max(self.expected, 1e-300), 0.0, 1.0))
 
     @property
@@ -269,7 +269,7 @@ class Workspace:
 
     @property
     def reservation(self) -> str | None:
-        """What stands against using the calibration there, in a sentence; None where nothing does."""
+        """A sentence against using the calibration there; None where nothing stands against it."""
         over = self.declared
         if over.calibrated < HARDLY * self.remains:
             return None
@@ -532,7 +532,7 @@ def no_gain(
     called: str,
     because: str = "",
 ) -> Iterator[str]:
-    """Why held-out rows do not show that the calibrated arm is better than the nominal one, if they do not.
+    """Reasons why held-out rows do not show that the calibrated arm is better than the nominal one.
 
     Args:
         before: Errors of the nominal arm ``(M, 3 or more)``, m or rad; None where there is none.
@@ -571,7 +571,7 @@ def _told(
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:
-    """Why a calibration gains nothing, and what to do."""
+    """The reason why a calibration gains nothing, and what to do."""
     was, now, plain = (_rms(errors, unit) for errors in (before, after, unlearnt))
     if found.arm_model.terms and plain > was:
         return "the further terms do not carry over to rows held out; give `terms='none'`"

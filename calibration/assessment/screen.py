@@ -1,4 +1,4 @@
-"""How results are put on screens: four significant digits, units, and tables of text that terminal and page share."""
+"""Results on screens: four significant digits, units, and tables of text that terminal and page share."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ OWN = (
     "they belong to this unit and this session: another robot of the same model, or this one after a repair or in "
     "another set-up, needs its own"
 )
-"""What a reader must know of them: on a measured arm those of one session made another session worse."""
+"""A warning: on a measured arm those of one session made another session worse."""
 
 
 def harmonic_rows(found: Identification) -> list[dict[str, Any]]:

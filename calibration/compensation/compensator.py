@@ -41,10 +41,10 @@ RIDGE = 16.0
 """Added to the diagonal of J^T J so that it can be factorised where it is singular: roundings of its trace."""
 
 SETTLED = 1e-4
-"""How much the direction that may be cut off can still turn in the last iteration, as 1 - cosine."""
+"""Largest turn, in the last iteration, of the direction that may be cut off, as 1 - cosine."""
 
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
-"""Where the search for it starts: close to no direction that symmetry makes likely."""
+"""Start of the search for it: close to no direction that symmetry makes likely."""
 
 Columns = Sequence[Sequence[Scalar]]
 """n columns of J, each six components ``(...)``; plain zeros cost nothing."""
@@ -210,11 +210,11 @@ BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
 
 NEGLIGIBLE = 1e-6
-"""What a correction may be expected to lose, m or rad: what single precision rounds where nothing is to be gained."""
+"""Loss that may be expected of a correction, m or rad: single precision rounds so much where nothing is gained."""
 
 
 class ResidualModel(Protocol):
-    """What a learnt residual must offer."""
+    """A learnt residual, as a compensator needs it."""
 
     def predict(self, joints: ArrayLike) -> Array:
         """Pose residual ``(..., 6)`` (m, rad, world axes) at joints ``(..., n)``."""
@@ -303,7 +303,7 @@ class Compensator:
         return run
 
     def predict(self, joints: ArrayLike) -> Pose:
-        """Where the real tool is expected at joint commands ``(..., n)``: identified pose plus residual."""
+        """The expected pose of the real tool at joint commands ``(..., n)``: identified pose plus residual."""
         pose = forward(self.identified, joints)
         return pose if self.residual is None else displace_pose(pose, self.residual.predict(joints))
 
@@ -393,7 +393,7 @@ class _Expected(NamedTuple):
 
 
 def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> _Expected:
-    """What the model expects at joints, from the six components of its pose error there."""
+    """The expectation of the model at joints, from the six components of its pose error there."""
     return _Expected(joints, m.sqrt(sum((part * part for part in error[1:]), error[0] * error[0])))
 
 
@@ -409,7 +409,7 @@ def _nearer(m: ModuleType, one: _Expected | None, other: _Expected) -> _Expected
 
 
 def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:
-    """What is left of a pose error when the residual is expected beside it."""
+    """A pose error less the residual that is expected beside it."""
     return [part - expected for part, expected in zip(error, learnt, strict=True)]
 
 
@@ -424,7 +424,7 @@ Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
 
 
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
-    """What turns pose errors into the joint steps that remove them, for a Jacobian with these columns or like it."""
+    """The function from pose errors to the joint steps that remove them, for a Jacobian of such columns or like it."""
     if m is not math:
         return TruncatedSolver(columns, m).solve
     inverse = truncated_inverse(np.array(columns).T)

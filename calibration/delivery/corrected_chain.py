@@ -1,4 +1,4 @@
-"""Where the joints of a file's chain stand once its arm is calibrated; joints read and links are shaped as before.
+"""Places of the joints of a file's chain once its arm is calibrated; joints read and links are shaped as before.
 
 N_i and C_i are link frames of the table before and after calibration, D_i the frame of the file's joint i, all where
 the file's joints are zero. K_i = N_i^-1 D_i is constant. The corrected joint stands at C_i K_i, and its origin is that
@@ -56,7 +56,7 @@ POSES = 12
 
 @dataclass(frozen=True, eq=False)
 class SameChain:
-    """How an arm's table and a file tell of one chain.
+    """The relation of an arm's table to a file of the same chain.
 
     Attributes:
         root: Pose of the table's world frame in the file's root.
@@ -105,7 +105,7 @@ def link_frames(geometry: Geometry, joints: Array) -> list[Pose]:
 
 
 def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameChain:
-    """How ``file`` tells of the same chain as ``arm``.
+    """The relation of ``file`` to ``arm``, which is the same chain.
 
     Args:
         arm: The arm as it was before its calibration.
@@ -175,7 +175,7 @@ def _fits(
 
 
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
-    """Where the first axes agree: as the frames are, then with all axes laid upon all, then the first upon the first.
+    """Roots with which the first axes agree: as the frames are, then all axes laid upon all, then first upon first.
 
     About the first axis the second then says where; along it the first axis that is not parallel. Of an arm that begins
     with a slide joints read alike.
@@ -198,7 +198,7 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
 
 
 def _height(axes: list[_Axis]) -> float:
-    """How far along the first axis, from its point, the chain leaves it; 0 where it does not, or where a slide does.
+    """The place on the first axis, from its point, where the chain leaves it; 0 if it does not, or if a slide does.
 
     It leaves at the common normal of the last axis that is parallel to it and the next one, whatever the joints read.
     """
@@ -234,7 +234,7 @@ def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
 
 
 def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
-    """How far the joint of ``last`` brings ``here`` to ``wanted``; 0 where it cannot tell."""
+    """The value of the joint of ``last`` that brings ``here`` to ``wanted``; 0 where it cannot tell."""
     if last.slides:
         if wanted.slides:
             return 0.0
@@ -262,7 +262,7 @@ def _along(axis: _Axis, value: float) -> Pose:
 
 
 def _apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: Array) -> tuple[float, float]:
-    """How far K_i = N_i^-1 G^-1 U_i changes over poses, m and rad, N_i of the table and U_i of the file."""
+    """The change of K_i = N_i^-1 G^-1 U_i over poses, m and rad, N_i of the table and U_i of the file."""
     fractions = np.mod(GOLDEN * np.arange(1, POSES * file.joints + 1).reshape(POSES, -1), 1.0) - 0.5
     joints = np.where(file.prismatic, 1.0, np.pi) * np.vstack([np.zeros(file.joints), fractions])
     most = np.zeros(2)
@@ -388,7 +388,7 @@ class Correction:
 
 
 def correction(calibration: Calibration, own: JointRow, path: Path, frame: str = "") -> Correction:
-    """Where the joints of a robot's own file stand after calibration.
+    """The places of the joints of a robot's own file after calibration.
 
     A link that a joint moves has its frame on that joint's axis. Where such a link is the tip, what of the tool lies
     beside the axis is a frame of its own, fixed to the tip.

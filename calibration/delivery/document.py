@@ -33,7 +33,7 @@ class Document:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """What an exporter is asked for beside the calibration.
+    """An order to an exporter, beside the calibration.
 
     Attributes:
         out: The file to write.
@@ -70,7 +70,7 @@ class Order:
 
 
 def provenance(calibration: Calibration) -> tuple[str, ...]:
-    """Where a corrected arm comes from, one fact per line."""
+    """The origin of a corrected arm, one fact per line."""
     record = calibration.record
     lines = [
         f"Arm '{calibration.arm_name}' as calibrated by pickenv; do not edit, calibrate again.",
@@ -110,7 +110,7 @@ ATTRIBUTE = re.compile(rb"""\s+([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 @dataclass(frozen=True)
 class StartTag:
-    """Where an element starts in a text.
+    """The start of an element in a text.
 
     Attributes:
         name: Of the element.
@@ -164,7 +164,7 @@ def start_tags(data: bytes) -> list[StartTag]:
 
 
 def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, int, int]], int]:
-    """Where each attribute of a tag starts, its value starts and ends; and where the last one ends."""
+    """Starts of each attribute of a tag and of its value, and the value's end; and the end of the last one."""
     after = tag.start + 1 + len(tag.name.encode())
     spans: dict[str, tuple[int, int, int]] = {}
     while (match := ATTRIBUTE.match(data, after)) is not None:
@@ -174,7 +174,7 @@ def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, in
 
 
 def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> list[Edit]:
-    """What gives attributes of a tag new values; one that it lacks is added behind its others."""
+    """Edits that give attributes of a tag new values; one that it lacks is added behind its others."""
     spans, after = attribute_spans(data, tag)
     new = "".join(f' {name}="{value}"' for name, value in values.items() if name not in spans)
     edits = [Edit(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]
@@ -182,13 +182,13 @@ def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> li
 
 
 def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
-    """What puts an element right behind a start tag, on a line as the next one has it."""
+    """An edit that puts an element right behind a start tag, on a line as the next one has it."""
     after = data[tag.end :]
     return Edit(tag.end, tag.end, after[: len(after) - len(after.lstrip())] + element.encode())
 
 
 def inserted_before(data: bytes, tag: StartTag, *elements: str) -> Edit:
-    """What puts elements before a start tag, on lines as its own."""
+    """An edit that puts elements before a start tag, on lines as its own."""
     before = data[: tag.start]
     gap = before[len(before.rstrip()) :]
     return Edit(tag.start, tag.start, b"".join(element.encode() + gap for element in elements))

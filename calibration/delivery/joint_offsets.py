@@ -54,7 +54,7 @@ SPREAD = 256
 
 @dataclass(frozen=True, eq=False)
 class JointOffsets:
-    """What each joint's reading lacks: the arm stands at reading plus offset.
+    """Offsets of the joints' readings: the arm stands at reading plus offset.
 
     Attributes:
         names: Of the joints.
@@ -81,7 +81,7 @@ class JointOffsets:
     region: str
 
     def note(self) -> str:
-        """What offsets do and what they leave out, for people."""
+        """A sentence on what offsets do and leave out."""
         turn = "" if self.left_turn is None else f" and {np.degrees(self.left_turn):.3g} deg"
         free = np.array(self.names)[~self.told]
         untold = f"; of {', '.join(free)} these data tell none" if len(free) else ""

@@ -45,13 +45,13 @@ NEARBY, SPACING = 0.3, 1.5
 those measured lie from their neighbours."""
 
 VAGUE = 2.0
-"""Where parameters tell the pose so many times worse than at 95 of 100 rows fitted, nothing like it was measured."""
+"""Poses that parameters tell so many times worse than 95 of 100 rows fitted are unlike what was measured."""
 
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `region_of`."""
 
 WITHIN = ("position_within95", "attitude_within95")
-"""What holds 95 of 100 errors: positions first."""
+"""Entries for the bounds of 95 of 100 errors: positions first."""
 
 ANCHORS = 400
 """Poses at most that stand for where an arm was measured."""
@@ -61,7 +61,7 @@ SHARE = 0.95
 
 @dataclass(frozen=True)
 class Within95:
-    """How far errors go beyond their expected size.
+    """The factor from the expected size of errors to the bound of 95 of 100.
 
     Attributes:
         factor: 95 of 100 errors are smaller than this many times their expected root mean square.
@@ -120,7 +120,7 @@ class PoseUncertainty:
     def within95(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
     ) -> tuple[Array | None, Array | None]:
-        """What holds 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, at joints ``(..., n)``.
+        """Bounds of 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, at joints ``(..., n)``.
 
         None where too few held-out errors show it.
         """
@@ -132,7 +132,7 @@ class PoseUncertainty:
         )
 
     def block(self, model: ArmModel, joints: Array, conditions: Conditions) -> Block:
-        """How far errors go at these poses, and whether held-out ones did, for screens."""
+        """A table of the bounds of errors at these poses, and whether held-out ones kept them."""
         radii, rows = self.within95(model, joints, conditions), []
         for quantity, radius, coverage, scale, unit in (
             ("position", radii[0], self.position_within95, 1e3, "mm"),
@@ -245,7 +245,7 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
 
 
 def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
-    """Where an arm was measured, for a calibration's record: some rows' joints, how far apart, how well told there.
+    """The region that was measured, for a record: some rows' joints, how far apart, how well told there.
 
     Args:
         sure: Uncertainty of the arm.
@@ -264,7 +264,7 @@ def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dic
 
 
 def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:
-    """Which rows ``(N,)`` lie where an arm was measured: others were near, and the parameters tell the pose.
+    """A mask of the rows ``(N,)`` that lie where an arm was measured: others are near, and parameters tell the pose.
 
     Args:
         record: The calibration's; None is returned where it does not say.
@@ -314,7 +314,7 @@ GEOMETRIES = ("arm", "nominal", "identified")
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """What the true pose differs from the identified geometry by: parametric terms plus the learnt residual.
+    """The difference of the true pose from the identified geometry: parametric terms plus the learnt residual.
 
     Attributes:
         model: Gives the terms.
@@ -345,7 +345,7 @@ class Remainder:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a calibration found for one arm.
+    """The calibration of one arm.
 
     Attributes:
         arm_name: Name of the arm.
@@ -434,13 +434,13 @@ class Calibration:
 
     @property
     def caution(self) -> str | None:
-        """What its rows do not tell of the workspace it was made for, in a sentence; None where they tell it."""
+        """A sentence on what its rows do not tell of the workspace it was made for; None where they tell it."""
         workspace = self.record.get("workspace")
         sentence = workspace.get("reservation") if isinstance(workspace, Mapping) else None
         return None if sentence is None else str(sentence)
 
     def reservations(self) -> dict[str, str]:
-        """What stands against using it, by name, each a sentence that says what to do; empty where nothing does."""
+        """Reservations against using it, by name, each a sentence that says what to do."""
         sentences = {}
         verdict = self.record.get("verdict")
         if isinstance(verdict, Mapping) and verdict.get("grade") == "do not use":

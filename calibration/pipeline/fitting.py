@@ -237,7 +237,7 @@ class HeldOut:
     pixels: tuple[Array, ...] = ()
 
     def text(self, rows: int, fitted: int) -> str:
-        """How these rows were held out, in words.
+        """A sentence on the way in which these rows were held out.
 
         Args:
             rows: Number of rows judged.
@@ -256,18 +256,18 @@ class HeldOut:
 
     @property
     def rows(self) -> str:
-        """What rows are called: "views" of pictures."""
+        """The word for rows: "views" of pictures."""
         return "views" if self.pixels else "rows"
 
     @property
     def no_interval(self) -> str:
-        """Why there is no interval, in words; empty where there is one."""
+        """The reason why there is no interval; empty where there is one."""
         least, units = (LEAST_ROWS, "rows") if self.blocks is None else (LEAST, "blocks")
         return "" if self._values >= least else f"no interval: {self._values} {units} are fewer than {least}"
 
     @property
     def _values(self) -> int:
-        """How many independent values an interval has."""
+        """The number of independent values of an interval."""
         return len(self.parametric) if self.blocks is None else len(np.unique(self.blocks))
 
     def _reason(self) -> str:
@@ -380,7 +380,7 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """What an identified arm leaves of data, likewise."""
+    """The errors that an identified arm leaves of data, likewise."""
     tracked = tracked_rows(found, data)
     if tracked is None:
         return data.misses(found.arm_model, unknowns_of(found, data))

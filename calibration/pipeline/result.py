@@ -144,7 +144,7 @@ class Result:
 
     @property
     def miss_unit(self) -> str:
-        """What held-out errors are shown in: "mm", or "deg" where only directions were measured."""
+        """The unit of held-out errors on screens: "mm", or "deg" where only directions were measured."""
         return self.train.miss_unit
 
     @property
@@ -229,7 +229,7 @@ class Result:
 
     @property
     def frames_text(self) -> str:
-        """What is known about base and tool, and the error in the robot's own base frame, in a sentence."""
+        """A sentence on base and tool, and on the error in the robot's own base frame."""
         if self.base_frame is not None:
             return self.base_frame.sentences()
         words = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
@@ -241,7 +241,7 @@ class Result:
         )
 
     def blocks(self) -> tuple[Block, ...]:
-        """What both the terminal and the page show, in order, after verdict and frames."""
+        """The tables that both the terminal and the page show, in order, after verdict and frames."""
         over = self.quality.workspace
         blocks = [self._errors(), set_up_block(self.set_ups, self.stations)]
         blocks += [] if over is None else [over.block()]
@@ -363,7 +363,7 @@ class Result:
 
     @property
     def prior_text(self) -> str:
-        """What was expected of the parameters before measuring, in words."""
+        """The expectation of the parameters before measuring, in words."""
         prior = self.geometric.identification.prior
         if prior is None or not prior.proper:
             return "nothing was expected of them beforehand"
@@ -453,7 +453,7 @@ WORKSPACE_POSES, TRIALS = 400, 200_000
 
 
 def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, Array]:
-    """What a workspace is called, and joints ``(M, n)`` all over it; the same every time.
+    """The name of a workspace, and joints ``(M, n)`` all over it; the same every time.
 
     Args:
         text: A file of targets (joints or tool poses in our own columns); or ranges joined by commas, of joints in deg

@@ -67,7 +67,7 @@ from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require
 
 @dataclass(frozen=True)
 class Choices:
-    """What to do beyond geometry.
+    """The options of a calibration beyond its geometry.
 
     Attributes:
         terms: "auto", or names of terms joined by "+", or "none".
@@ -134,7 +134,7 @@ Columns = str | Path | Sequence[str | Path] | None
 """Description of the files' columns, by name or path; several for one per file."""
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
-"""What stations can have of their own, as it is written."""
+"""Frames that stations can have of their own, as they are written."""
 
 
 def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:

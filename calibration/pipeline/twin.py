@@ -47,7 +47,7 @@ SCATTER = "scatter"
 
 @dataclass(frozen=True)
 class Scatter:
-    """What of a measurement's scatter is the instrument's, per coordinate.
+    """The instrument's share of a measurement's scatter, per coordinate.
 
     Attributes:
         position_std: Of a position, m.
@@ -185,7 +185,7 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
-    """What the coefficients of a plant stand for, and the terms' coefficients as those ``(k, t)``."""
+    """The layout of a plant's coefficients, and the terms' coefficients as those ``(k, t)``."""
     kinds: dict[str, list[Any]] = {"leads": [], "harmonics": [], "moments": [], "boom": []}
     rows: dict[str, list[Array]] = {kind: [] for kind in kinds}
     sizes = [len(term.names(geometry)) for term in terms]
@@ -252,7 +252,7 @@ def _moments(
 
 
 def _missing(calibration: Calibration) -> list[str]:
-    """What stays out of the plant, in words."""
+    """Sentences on the parts that stay out of the plant."""
     sentences = []
     kinds = [type(term).__name__ for term in calibration.model.terms]
     if "ThermalTerm" in kinds:

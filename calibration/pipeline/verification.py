@@ -257,7 +257,7 @@ Status = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """What new rows say of a calibration.
+    """The verdict of new rows on a calibration.
 
     Attributes:
         status: The verdict.
@@ -325,7 +325,7 @@ class Verification:
         return "\n".join([f"verdict: {self.status.upper()}: {self.reason}", *(block.text() for block in blocks)])
 
     def _moved(self, name: str) -> tuple[str, str]:
-        """How far a frame has moved and turned, as far as the rows tell."""
+        """Sizes of a frame's shift and turn, as far as the rows tell."""
         shift, turn = self.moved[name]
         sizes = (figure(shift * 1e3), figure(float(np.degrees(turn))))
         cells = []
@@ -449,7 +449,7 @@ def _cause(
     inside: NDArray[np.bool_] | None,
     refit: Collection[str],
 ) -> Cause:
-    """What explains that errors are larger than promised: frames that moved, a region not measured, joints' zeros."""
+    """The cause of errors larger than promised: frames that moved, a region not measured, joints' zeros."""
     most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
     far = size > ELSEWHERE * most / GROWN
     if far and not refit and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:

@@ -59,7 +59,7 @@ FOCUS = 1.5
 
 @dataclass(frozen=True, eq=False)
 class FirstRows:
-    """What a first measurement tells about the instrument.
+    """The instrument as a first measurement tells it.
 
     Attributes:
         data: Its rows.
@@ -156,7 +156,7 @@ def _short_of(first: FirstRows, joints: Array) -> Array:
 
 
 def _shown(first: FirstRows, joints: Array) -> NDArray[np.bool_]:
-    """Which views ``(N,)`` would show enough of the board, about as far off as in the first ones."""
+    """A mask of the views ``(N,)`` that would show enough of the board, about as far off as in the first ones."""
     views = readings_at(first, joints).views
     depth, first_depth = (part.in_camera(first.model)[..., 2].mean(axis=1) for part in (views, first.data.views))
     good = (depth > first_depth.min() / FOCUS) & (depth < first_depth.max() * FOCUS)
@@ -259,7 +259,7 @@ def plan_like(
 
 
 def _design(geometry: Geometry, first: FirstRows, joints: Array, prior: PriorModel | None) -> Design:
-    """What each candidate tells, and what the first rows and priors tell: of all parameters, or of a base set."""
+    """The design of the candidates beside first rows and priors: of all parameters, or of a base set."""
     data, count = first.data, len(first.data.unknowns())
     if prior is not None and not data.framed:
         prior = prior.without_base()

@@ -1,4 +1,4 @@
-"""Where to measure: few poses of many candidates that tell the most about the parameters, ordered for short travel.
+"""Poses to measure: few of many candidates that tell the most about the parameters, ordered for short travel.
 
 D-optimal sets (largest determinant of the information matrix: best O1), or the least predicted error at given test
 poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). Where parameters have priors, poses are chosen
@@ -86,7 +86,7 @@ def exchange(
 
 
 def gains(rows: Array, information: Array, weight: Array | None) -> Array:
-    """What each candidate ``(N, r, p)`` would add: log det(I + J M^-1 J^T), or the fall of trace(W M^-1).
+    """The gain of each candidate ``(N, r, p)``: log det(I + J M^-1 J^T), or the fall of trace(W M^-1).
 
     The second is trace((I + J M^-1 J^T)^-1 J M^-1 W M^-1 J^T), by Woodbury's identity.
     """
@@ -177,7 +177,7 @@ DRAWS = 20
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What a candidate pose can tell.
+    """Candidate poses with the information that each can give.
 
     Attributes:
         joints: Candidates ``(N, n)``, rad or m.
@@ -276,7 +276,7 @@ class PosePlan:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """What is planned for: the instrument's own unknowns, then the arm's."""
+        """The parameters planned for: the instrument's own unknowns, then the arm's."""
         return (*self.design.names, *self.design.model.names)
 
     def as_dict(self) -> dict[str, Any]:
@@ -371,7 +371,7 @@ def design_of(
     position_std: float = POSITION_STD,
     attitude_std: float = ATTITUDE_STD,
 ) -> Design:
-    """What each candidate tells about the parameters: all of them where these have priors, else a base set.
+    """The design of the candidates for the parameters: all of them where these have priors, else a base set.
 
     The base set is chosen by pivoted QR: within a group of parameters that cannot be told apart, the one with the
     largest effect stays. A D-optimal set is the same for every choice; its condition number is not.
