@@ -503,8 +503,8 @@ def _check(draft: Draft) -> Draft:
             f"{train.source} holds {train.kind}, but {test.source}, to judge by, {test.kind}; give rows of one kind"
         )
     left_out: tuple[LeftOut, ...] = ()
-    if isinstance(train, Measurements) and isinstance(test, Measurements):
-        stated, others = train.frames, test.frames
+    if train.poses is not None and test.poses is not None:
+        stated, others = train.poses.frames, test.poses.frames
         if choices.frames is None and stated != others:
             raise InputError(
                 f"{train.source} says that base and tool are {stated}, {test.source} that they are {others}; give "

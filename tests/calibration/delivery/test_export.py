@@ -1,13 +1,14 @@
 """Other programs get the same arm and the same residual: TOML and URDF by kinematics, ONNX by its own run time."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+import pickenv
 from pickenv.arm import Pose, forward, load_arm, rotation_matrix
-from pickenv.arm.files.arm_file import ARMS
 from pickenv.base import InputError
 from pickenv.calibration import (
     ArmModel,
@@ -23,7 +24,6 @@ from pickenv.calibration import (
     simulated_tracker,
     train_bpnn,
 )
-from pickenv.calibration.pipeline.calibration import Remainder
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +162,9 @@ def test_what_has_no_onnx_form_is_refused(calibration, dynamic, tmp_path):
 
 def test_a_joints_table_is_that_of_the_link_that_moves_just_as_it_does(calibration, tmp_path):
     """Of two links that one joint moves the second has ratio 1, so the first follows it, by half."""
-    parts = (ARMS / "qiao2026.toml").read_text(encoding="utf-8").split("[[joints]]")
+    parts = (
+        (Path(pickenv.__file__).parent / "arm/files/arms/qiao2026.toml").read_text(encoding="utf-8").split("[[joints]]")
+    )
     kept = [line for line in parts[2].splitlines() if not line.startswith(("lower", "upper", "speed"))]
     parts[2] = "\n".join(kept) + "\nfollows = 3\nratio = 0.5\n\n"
     (tmp_path / "coupled.toml").write_text("[[joints]]".join(parts), encoding="utf-8")
@@ -179,7 +181,7 @@ def test_a_joints_table_is_that_of_the_link_that_moves_just_as_it_does(calibrati
 
 
 @pytest.mark.parametrize("knows", [False, True])
-def test_what_remains_is_terms_and_learnt_residual_each_with_its_own_conditions(qiao, knows):
+def test_what_remains_is_terms_and_learnt_residual_each_with_its_own_conditions(calibration, qiao, knows):
     """A residual that was learnt without temperatures is not given the one that the terms need."""
     rng = np.random.default_rng(0)
     joints, warmth = random_joints(qiao.nominal, 40, rng), rng.uniform(0.0, 10.0, (40, 1))
@@ -189,9 +191,10 @@ def test_what_remains_is_terms_and_learnt_residual_each_with_its_own_conditions(
     change = np.zeros(len(model.parameter_names))
     change[-1] = 23e-6
     model, later = model.displaced(change), random_joints(qiao.nominal, 6, rng)
-    found = Remainder(model, learnt, Conditions(temperature=np.array([8.0]))).predict(later.reshape(2, 3, 6))
+    warm, known_arm = Conditions(temperature=np.array([8.0])), replace(calibration, model=model, learnt=learnt)
+    found = known_arm.compensator(conditions=warm, fast=False).residual.predict(later.reshape(2, 3, 6))
     expected = model.displacement(later, Conditions(temperature=np.full(6, 8.0)))
     expected[:, :3] += learnt.predict(later, np.full((6, 1), 8.0) if knows else None)
     np.testing.assert_allclose(found.reshape(6, 6), expected, atol=1e-15)
-    plain = Remainder(ArmModel.of(qiao.nominal), None, Conditions())
-    np.testing.assert_array_equal(plain.predict(later), np.zeros((6, 6)))
+    plain = replace(calibration, model=ArmModel.of(qiao.nominal), learnt=None)
+    assert plain.compensator().residual is None

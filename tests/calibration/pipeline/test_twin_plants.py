@@ -324,7 +324,7 @@ def test_what_cannot_become_a_plant_is_refused_in_a_sentence():
     with pytest.raises(InputError, match="belongs to arm 'qiao2026' with another geometry than 'ur5'"):
         twin(found, UR5)
     network = replace(learnt_by_hand(QIAO, rng), kind="bpnn", model=object())
-    with pytest.raises(InputError, match=r"'bpnn' of the calibration does not know how sure it is; .*--rows"):
+    with pytest.raises(InputError, match=r"'bpnn' of the calibration does not know how sure it is; .*`rows`"):
         twin(replace(found, learnt=network), QIAO)
     with pytest.raises(InputError, match="how surely its parameters are known"):
         twin(replace(found, record={}), QIAO)
