@@ -7,10 +7,7 @@ from .assessment.metrics import (
 from .compensation.compensator import Compensator as Compensator, aimed as aimed, taught as taught
 from .delivery.document import Document as Document, Order as Order, provenance as provenance
 from .delivery.export import Delivery as Delivery, export as export
-from .delivery.joint_offsets import (
-    joint_offsets as joint_offsets,
-    read_lerobot as read_lerobot,
-)
+from .delivery.joint_offsets import joint_offsets as joint_offsets
 from .identification.extended_kalman_filter import (
     continue_filter as continue_filter,
     filter_measurements as filter_measurements,

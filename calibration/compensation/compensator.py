@@ -427,11 +427,6 @@ def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
     """The function from pose errors to the joint steps that remove them, for a Jacobian of such columns or like it."""
     if m is not math:
         return TruncatedSolver(columns, m).solve
-    inverse = truncated_inverse(np.array(columns).T)
-    return partial(_truncated_step, inverse @ inverse.T)
-
-
-def _truncated_step(inverse: Array, error: Sequence[float], columns: Sequence[Sequence[float]]) -> list[float]:
-    """`TruncatedSolver.solve` for one pose, given the truncated inverse of J^T J."""
-    step: list[float] = (inverse @ (np.array(columns) @ error)).tolist()
-    return step
+    root = truncated_inverse(np.array(columns).T)
+    inverse = root @ root.T  # of J^T J
+    return lambda error, columns: (inverse @ (np.array(columns) @ error)).tolist()

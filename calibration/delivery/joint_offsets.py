@@ -205,29 +205,8 @@ LARGEST_HOMING = 2047
 FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
-@dataclass(frozen=True)
-class LerobotMotor:
-    """One motor of a LeRobot calibration, in counts."""
-
-    id: int
-    drive_mode: int
-    homing_offset: int
-    range_min: int
-    range_max: int
-
-    def limits(self) -> tuple[float, float]:
-        """Smallest and largest reading, rad: half the range to either side of its middle."""
-        half = (self.range_max - self.range_min) / COUNTS * np.pi
-        return -half, half
-
-
-def read_lerobot(path: str | Path) -> dict[str, LerobotMotor]:
-    """The motors of a LeRobot calibration file, by name.
-
-    Raises:
-        InputError: If it is none, or of the old form.
-    """
-    path = Path(path)
+def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
+    """The motors of a LeRobot calibration file, by name: what `FIELDS` says, in counts."""
     text = read_text(path, "a LeRobot calibration (.json)")
     motors: Any = parsed(lambda: json.loads(text), path, "JSON")
     if isinstance(motors, dict) and isinstance(motors.get("homing_offset"), list):
@@ -237,7 +216,6 @@ def read_lerobot(path: str | Path) -> dict[str, LerobotMotor]:
         )
     if not isinstance(motors, dict) or not motors:
         raise InputError(f"{path} names no motors; give the calibration that lerobot-calibrate writes")
-    servos = {}
     for name, motor in motors.items():
         for field in FIELDS:
             if not isinstance(motor, dict) or type(motor.get(field)) is not int:
@@ -245,8 +223,7 @@ def read_lerobot(path: str | Path) -> dict[str, LerobotMotor]:
                     f"{path}: motor '{shortened(name)}' has no whole number '{field}'; give the calibration that "
                     "lerobot-calibrate writes"
                 )
-        servos[name] = LerobotMotor(**{field: motor[field] for field in FIELDS})
-    return servos
+    return motors
 
 
 @register("exporter", "lerobot")
@@ -261,7 +238,7 @@ def lerobot_document(calibration: Calibration, order: Order) -> Document:
         raise InputError(
             "a LeRobot file keeps ids and ranges of your motors; give `onto`, the one that lerobot-calibrate wrote"
         )
-    shift, servos = joint_offsets(calibration), read_lerobot(path)
+    shift, servos = joint_offsets(calibration), _lerobot_motors(path)
     data = path.read_bytes()
     roundings, counts = [0.0], [0]
     for name, slides, offset in zip(shift.names, shift.slides, shift.offsets, strict=True):
@@ -270,11 +247,11 @@ def lerobot_document(calibration: Calibration, order: Order) -> Document:
             raise InputError(
                 f"{path} has no motor '{shortened(name)}', only {listed(servos)}; name the arm's joints as the motors"
             )
-        if slides or servo.drive_mode:
+        if slides or servo["drive_mode"]:
             why = "slides" if slides else "has drive_mode 1, which LeRobot reads in one of two ways"
             raise InputError(f"joint '{shortened(name)}' {why}; its homing offset cannot be written")
         exact = float(offset) * COUNTS / (2.0 * np.pi)
-        homing = servo.homing_offset - round(exact)
+        homing = servo["homing_offset"] - round(exact)
         if abs(homing) > LARGEST_HOMING:
             raise InputError(
                 f"joint '{shortened(name)}' would need a homing offset of {homing} counts, but the servo keeps "

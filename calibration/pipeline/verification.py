@@ -157,8 +157,7 @@ def restationed(
 def own_frames_model(geometry: Geometry, own: Collection[str]) -> ErrorModel:
     """Base, tool or both."""
     frames = frames_model(geometry)
-    columns = [i for i, name in enumerate(frames.names) if name.startswith(tuple(own))]
-    return ErrorModel(frames.columns[columns], tuple(frames.names[i] for i in columns), frames.tolerance[columns])
+    return frames.some(np.array([name.startswith(tuple(own)) for name in frames.names]))
 
 
 def expected_square(data: Measurements) -> float:
