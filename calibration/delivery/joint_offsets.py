@@ -112,22 +112,20 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
         raise InputError(
             f"offsets cannot follow this calibration's terms: {error}; calibrate with `terms='none'`"
         ) from error
-    model = frames_model(calibration.arm)
     fitted = calibration.record.get("frames") == "fitted"
+    columns = frames_model(calibration.arm).columns[: None if fitted else 0]
     rows = slice(0, 3 if calibration.record.get("kind") == "position" else 6)
     nominal = calibration.nominal
     offsets = np.zeros(nominal.joints)
     without = np.linalg.norm(pose_error(forward(nominal, joints), target)[:, :3], axis=1).mean()
     for _ in range(STEPS):
         missed = pose_error(forward(nominal, joints + offsets), target)[:, rows].ravel()
-        effect = _flat(joint_jacobian(nominal, joints + offsets)[:, rows])
-        frames = _flat(parameter_jacobian(nominal, joints + offsets)[:, rows, model.columns]) if fitted else None
-        way = _offsets_of(effect, frames)
+        way, effect, frames = _way(nominal, joints + offsets, rows, columns)
         step = way @ missed
         offsets = offsets + step
-        if frames is not None:
+        if fitted:
             delta = np.zeros(len(nominal.parameter_names))
-            delta[model.columns] = np.linalg.lstsq(frames, missed - effect @ step, rcond=LOST)[0]
+            delta[columns] = np.linalg.lstsq(frames, missed - effect @ step, rcond=LOST)[0]
             nominal = nominal.displaced(delta)
     errors = pose_error(forward(nominal, joints + offsets), target)
     return JointOffsets(
@@ -135,7 +133,7 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
         calibration.arm.prismatic,
         offsets,
         np.asarray(way.any(axis=1)),
-        _deviation(calibration, joints, rows, fitted),
+        _deviation(calibration, joints, rows, columns),
         float(without),
         float(np.linalg.norm(errors[:, :3], axis=1).mean()),
         None if rows.stop == 3 else float(np.linalg.norm(errors[:, 3:], axis=1).mean()),
@@ -144,34 +142,34 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
     )
 
 
-def _flat(jacobian: Array) -> Array:
-    return jacobian.reshape(-1, jacobian.shape[-1])
+def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """The matrix from pose differences to offsets; effects on these of offsets, and of frames (columns).
 
-
-def _offsets_of(effect: Array, frames: Array | None) -> Array:
-    """The matrix from pose differences to offsets: what frames can do as well is theirs."""
-    if frames is not None:
-        parts = np.linalg.svd(frames, full_matrices=False)
-        basis = parts.U[:, np.flatnonzero(LOST * parts.S[0] < parts.S)]
-        effect = effect - basis @ (basis.T @ effect)
-    size = np.linalg.norm(effect, axis=0)
+    What frames can do as well is theirs.
+    """
+    count = len(joints) * rows.stop
+    effect = joint_jacobian(nominal, joints)[:, rows].reshape(count, -1)
+    frames = parameter_jacobian(nominal, joints)[:, rows, columns].reshape(count, len(columns))
+    parts = np.linalg.svd(frames, full_matrices=False)
+    basis = parts.U[:, LOST * parts.S.max(initial=0.0) < parts.S]
+    beyond = effect - basis @ (basis.T @ effect)
+    size = np.linalg.norm(beyond, axis=0)
     large = size > LOST * size.max()
-    inverse = np.zeros(effect.T.shape)
-    inverse[large] = np.linalg.pinv(effect[:, large], rcond=LOST)
-    return inverse
+    way = np.zeros(beyond.T.shape)
+    way[large] = np.linalg.pinv(beyond[:, large], rcond=LOST)
+    return way, effect, frames
 
 
-def _deviation(calibration: Calibration, joints: Array, rows: slice, fitted: bool) -> Array:
+def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: NDArray[np.int64]) -> Array:
     """Standard deviations of the offsets, from those of the identified parameters."""
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(calibration.arm.joints, np.nan)
-    nominal, model = calibration.nominal, frames_model(calibration.arm)
-    jacobian = parameter_jacobian(nominal, joints)[:, rows]
+    nominal = calibration.nominal
     places = [i for i, name in enumerate(sure.names) if name in nominal.parameter_names]
-    columns = [nominal.parameter_names.index(sure.names[i]) for i in places]
-    frames = _flat(jacobian[..., model.columns]) if fitted else None
-    way = _offsets_of(_flat(joint_jacobian(nominal, joints)[:, rows]), frames) @ _flat(jacobian[..., columns])
+    identified = [nominal.parameter_names.index(sure.names[i]) for i in places]
+    way, *_ = _way(nominal, joints, rows, columns)
+    way = way @ parameter_jacobian(nominal, joints)[:, rows, identified].reshape(way.shape[1], -1)
     covariance = sure.covariance[np.ix_(places, places)]
     variance = np.einsum("ij,jk,ik->i", way, covariance, way)
     return np.where(way.any(axis=1), np.sqrt(variance), np.nan)

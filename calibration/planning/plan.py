@@ -287,13 +287,9 @@ class PosePlan:
             "candidates": len(self.candidates),
             "kind": self.design.kind,
             "parameters": list(self.parameters),
-            "criterion": self.criterion,
-            "where": self.where,
-            "travel_seconds": self.travel_seconds,
-            "random_travel_seconds": self.random_travel_seconds,
-            "passes": self.passes,
-            "seconds": self.seconds,
         }
+        for name in ("criterion", "where", "travel_seconds", "random_travel_seconds", "passes", "seconds"):
+            figures[name] = getattr(self, name)
         if self.model is not None:
             arm = None if self.arm is None else self.arm.as_dict()
             figures |= {"arm": arm, "model": self.model.as_dict()}
