@@ -469,8 +469,8 @@ def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Po
         attitude: Name of the attitude's.
         words: Writes the attitude.
     """
-    moved, turned = is_moved(old, new)
-    return ({place: numbers_text(new.position)} if moved else {}) | ({attitude: words(new)} if turned else {})
+    shifted, turned = is_moved(old, new)
+    return ({place: numbers_text(new.position)} if shifted else {}) | ({attitude: words(new)} if turned else {})
 
 
 def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: SameChain) -> list[str]:

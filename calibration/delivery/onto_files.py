@@ -392,8 +392,8 @@ def kinematics_yaml_document(calibration: Calibration, order: Order) -> Document
     data = path.read_bytes()
     edits: list[Edit] = []
     for link, joint, origin in zip(UR_LINKS, row.joints, new.origins, strict=True):
-        moved = is_moved(joint.origin, origin)
-        values = {key: value for key, value in _ur_values(origin).items() if moved[key not in LENGTHS]}
+        changes = is_moved(joint.origin, origin)
+        values = {key: value for key, value in _ur_values(origin).items() if changes[key not in LENGTHS]}
         edits += _edits(data, link, values, path)
     return Document(edited(data, edits), (*new.notes, "the hash is the robot's own and stays"))
 

@@ -470,31 +470,24 @@ def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, 
     if "=" not in str(text):
         joints = joints_of(read_targets(text, geometry), geometry)
         return f"the targets of {text}", joints[equally_spaced(len(joints), WORKSPACE_POSES)]
-    lower, upper = geometry.lower.copy(), geometry.upper.copy()
-    box = np.array([[-np.inf, np.inf]] * 3)
-    names = [name.split("_")[0] for name in joint_columns(geometry.prismatic)]
-    for part in str(text).split(","):
-        name, _, ends = part.strip().partition("=")
+    axes = [*(name.split("_")[0] for name in joint_columns(geometry.prismatic)), "x", "y", "z"]
+    units = [1e-3 if slides else np.radians(1.0) for slides in (*geometry.prismatic, True, True, True)]
+    bounds = np.array([*zip(geometry.lower, geometry.upper, strict=True), *[(-np.inf, np.inf)] * 3])
+    for part in map(str.strip, str(text).split(",")):
+        name, _, ends = part.partition("=")
         try:
             low, high = (float(end) for end in ends.split(":"))
         except ValueError:
-            raise InputError(
-                f"workspace '{part.strip()}' is no range; write q1=-90:90 (deg or mm) or x=300:900 (mm)"
-            ) from None
+            raise InputError(f"workspace '{part}' is no range; write q1=-90:90 (deg or mm) or x=300:900 (mm)") from None
         if not low < high:
-            raise InputError(f"workspace '{part.strip()}' is empty; give the lower end first")
-        if name in names:
-            joint = names.index(name)
-            unit = 1e-3 if geometry.prismatic[joint] else np.radians(1.0)
-            lower[joint], upper[joint] = max(low * unit, lower[joint]), min(high * unit, upper[joint])
-            if not lower[joint] < upper[joint]:
-                raise InputError(f"workspace '{part.strip()}' lies outside the limits of {geometry.joint_names[joint]}")
-        elif name in ("x", "y", "z"):
-            box["xyz".index(name)] = low * 1e-3, high * 1e-3
-        else:
-            raise InputError(
-                f"workspace '{part.strip()}' names no joint or axis; give some of {', '.join([*names, 'x', 'y', 'z'])}"
-            )
+            raise InputError(f"workspace '{part}' is empty; give the lower end first")
+        if name not in axes:
+            raise InputError(f"workspace '{part}' names no joint or axis; give some of {', '.join(axes)}")
+        i = axes.index(name)
+        bounds[i] = max(low * units[i], bounds[i, 0]), min(high * units[i], bounds[i, 1])
+        if not bounds[i, 0] < bounds[i, 1]:
+            raise InputError(f"workspace '{part}' lies outside the limits of {[*geometry.joint_names, *'xyz'][i]}")
+    (lower, upper), box = bounds[:-3].T, bounds[-3:]
     joints = rng.uniform(lower, upper, (TRIALS if np.isfinite(box).any() else WORKSPACE_POSES, geometry.joints))
     if np.isfinite(box).any():
         place = forward(geometry, joints).position
@@ -572,39 +565,40 @@ def assess(
     remains = position_rms(after) if train.miss_unit == "mm" else 0.0
     over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name, remains)
     model = fitted_model(arm.name, bare.calibration.nominal, aligned is None)
-    return Result(
-        arm=arm,
-        fit=fit,
-        geometric=bare,
-        train=train,
-        test=test,
-        held_out=held_out,
-        quality=grade_quality(
-            fit.identification,
-            what_is_left(unlearnt, train),
-            before,
-            after,
-            over,
-            geometric=bare.identification,
-            parametric=held_out.parametric,
-            blocks=test.rows_of_misses if held_out.blocks is None else held_out.blocks,
-            noise=noise,
-            said=(
-                *said_against(bare.identification, train),
-                *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
-                *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
-                *said_of_files(left_out, (train, test)),
-                *said_of_stations(bare.identification, train),
-                *said_of_instruments(model, bare.identification, train),
-                *said_of_conditions(fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train),
-            ),
-            unit=train.miss_unit,
-            rows=(len(test.joints), held_out.rows),
+    quality = grade_quality(
+        fit.identification,
+        what_is_left(unlearnt, train),
+        before,
+        after,
+        over,
+        geometric=bare.identification,
+        parametric=held_out.parametric,
+        blocks=rows_of if held_out.blocks is None else held_out.blocks,
+        noise=noise,
+        said=(
+            *said_against(bare.identification, train),
+            *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
+            *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
+            *said_of_files(left_out, (train, test)),
+            *said_of_stations(bare.identification, train),
+            *said_of_instruments(model, bare.identification, train),
+            *said_of_conditions(fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train),
         ),
-        uncertainty=uncertainty,
-        base_frame=base_frame,
-        terms=terms,
-        gate=gate,
+        unit=train.miss_unit,
+        rows=(len(test.joints), held_out.rows),
+    )
+    return Result(
+        arm,
+        fit,
+        bare,
+        train,
+        test,
+        held_out,
+        quality,
+        uncertainty,
+        base_frame,
+        terms,
+        gate,
         left_out=left_out,
         pixels=pixels,
     )

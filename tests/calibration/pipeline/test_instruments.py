@@ -323,7 +323,7 @@ def test_a_draw_wire_as_published_finds_the_arm(arm: Arm, seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_without_its_zero_the_verdict_on_a_draw_wire_is_do_not_use(arm: Arm, seed: int) -> None:
     _, data, _ = published_wire(arm, seed)
-    result = judged_by_blocks(arm, replace(data, zero_std=0.0))
+    result = calibrate(arm, replace(data, zero_std=0.0), choices=PLAIN)
     assert result.quality.grade == "do not use"
     assert 'say zero = "fitted" in [wire]' in result.quality.reason
 
