@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Array, Geometry
+from pickenv.arm import Arm, Geometry
 from pickenv.base import InputError, register, require, write_whole
 from pickenv.base.registry import get, names
 from pickenv.calibration.delivery.document import Document, Order, provenance
@@ -52,7 +52,6 @@ def onnx_document(calibration: Calibration, _: Order) -> Document:
 
 def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words: tuple[str, ...]) -> Any:
     """Joints to inputs (sine and cosine where they turn far), both standardisations, then the layers."""
-    import onnx
     from onnx import TensorProto, helper, numpy_helper
 
     constants: list[Any] = []
@@ -74,10 +73,14 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
     if len(turning):
         turned = node("Gather", ["joints", constant("turning", turning)], "turning_joints", axis=1)
         parts += [node("Sin", [turned], "sine"), node("Cos", [turned], "cosine")]
-    arguments = [helper.make_tensor_value_info("joints", TensorProto.DOUBLE, ["N", geometry.joints])]
+    widths = {"joints": geometry.joints}
     if inputs.conditions:
         parts.append("conditions")
-        arguments.append(helper.make_tensor_value_info("conditions", TensorProto.DOUBLE, ["N", inputs.conditions]))
+        widths["conditions"] = inputs.conditions
+    widths["residual"] = len(network.output_mean)
+    *arguments, result = (
+        helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width]) for name, width in widths.items()
+    )
     value = node("Concat", parts, "inputs", axis=1)
     for stage, mean, std in (
         ("of_training", inputs.mean, inputs.std),
@@ -85,26 +88,19 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
     ):
         centred = node("Sub", [value, constant(f"mean_{stage}", mean)], f"centred_{stage}")
         value = node("Div", [centred, constant(f"std_{stage}", std)], f"scaled_{stage}")
-    layers: list[tuple[Array, Array]] = list(zip(network.weights, network.biases, strict=True))
-    for i, (weight, bias) in enumerate(layers):
+    for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        if i:
+            value = node("Relu", [value], f"active{i - 1}")
         product = node("MatMul", [value, constant(f"weight{i}", np.ascontiguousarray(weight.T))], f"product{i}")
         value = node("Add", [product, constant(f"bias{i}", bias)], f"layer{i}")
-        if i < len(layers) - 1:
-            value = node("Relu", [value], f"active{i}")
     scaled = node("Mul", [value, constant("output_std", network.output_std)], "spread")
     node("Add", [scaled, constant("output_mean", network.output_mean)], "residual")
-    result = helper.make_tensor_value_info("residual", TensorProto.DOUBLE, ["N", len(network.output_mean)])
     graph = helper.make_graph(nodes, "learnt_residual", arguments, [result], constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="pickenv")
     model.ir_version = 8
     model.doc_string = "\n".join(words)
-    names = ", ".join(geometry.joint_names)
-    units = {
-        "joints": f"rad or m, in the order {names}",
-        "residual": "true minus identified pose: m, rotation vector rad",
-    }
-    helper.set_model_props(model, units)
-    assert isinstance(model, onnx.ModelProto)
+    joints = f"rad or m, in the order {', '.join(geometry.joint_names)}"
+    helper.set_model_props(model, {"joints": joints, "residual": "true minus identified pose: m, rotation vector rad"})
     return model
 
 
