@@ -192,27 +192,24 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
     up = (0.0, 0.0, 1.0)
     for number, term in enumerate(terms):
         unit = np.eye(sum(sizes))[sum(sizes[:number]) : sum(sizes[: number + 1])]
-        if isinstance(term, LeadTerm):
-            kinds["leads"] += term.joints
-            rows["leads"] += list(unit)
-        elif isinstance(term, PeriodicTerm):
-            kinds["harmonics"] += zip(term.joints, term.orders, strict=True)
-            rows["harmonics"] += list(unit)
-        elif isinstance(term, BendingTerm):
-            kinds["boom"] += [(term.joint, term.length)]
-            rows["boom"] += list(unit)
-        elif isinstance(term, GravityTerm | ComplianceTerm):
-            moments, weights, up = _moments(term, geometry)
-            kinds["moments"] += moments
-            rows["moments"] += list(weights @ unit)
+        entries: Sequence[Any]
+        match term:
+            case LeadTerm():
+                kind, entries = "leads", term.joints
+            case PeriodicTerm():
+                kind, entries = "harmonics", list(zip(term.joints, term.orders, strict=True))
+            case BendingTerm():
+                kind, entries = "boom", [(term.joint, term.length)]
+            case GravityTerm() | ComplianceTerm():
+                kind, (entries, weights, up) = "moments", _moments(term, geometry)
+                unit = weights @ unit
+            case _:
+                continue
+        kinds[kind] += entries
+        rows[kind] += list(unit)
     every = [row for kind in kinds for row in rows[kind]]
-    layout = Layout(
-        tuple(kinds["leads"]),
-        tuple(kinds["harmonics"]),
-        tuple(kinds["moments"]),
-        up,
-        kinds["boom"][0] if kinds["boom"] else None,
-    )
+    leads, harmonics, moments, boom = map(tuple, kinds.values())
+    layout = Layout(leads, harmonics, moments, up, next(iter(boom), None))
     return layout, np.array(every).reshape(len(every), sum(sizes))
 
 

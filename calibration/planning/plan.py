@@ -301,9 +301,9 @@ class PosePlan:
         if self.lines is not None:
             figures["lines"] = self.lines.tolist()
         if self.curve:
-            keys = ("poses", "error_mm", "random_error_mm")
             figures["curve"] = [
-                dict(zip(keys, (n, *(1e3 * e for e in errors)), strict=True)) for n, *errors in self.curve
+                {"poses": n, "error_mm": error * 1e3, "random_error_mm": chance * 1e3}
+                for n, error, chance in self.curve
             ]
         return figures
 
