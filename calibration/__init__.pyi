@@ -12,14 +12,10 @@ from .camera.boards import (
     write_board as write_board,
     write_lens as write_lens,
 )
-from .compensation.compensator import Compensator as Compensator
-from .delivery.export import Delivery as Delivery, Order as Order, export as export, write_onnx as write_onnx
-from .delivery.joint_offsets import (
-    joint_offsets as joint_offsets,
-    read_lerobot as read_lerobot,
-    read_ros2_offsets as read_ros2_offsets,
-)
-from .delivery.onto_files import write_arm_toml as write_arm_toml, write_arm_urdf as write_arm_urdf
+from .compensation.compensator import Compensator as Compensator, aimed as aimed, taught as taught
+from .delivery.document import Document as Document, Order as Order, provenance as provenance
+from .delivery.export import Delivery as Delivery, export as export
+from .delivery.joint_offsets import joint_offsets as joint_offsets
 from .identification.diagnosis import checked_rows as checked_rows
 from .identification.extended_kalman_filter import (
     continue_filter as continue_filter,
@@ -83,15 +79,30 @@ from .model.observations import (
 from .model.pixels import Lens as Lens, PixelObservations as PixelObservations, projected as projected
 from .model.prior import prior_model as prior_model
 from .pipeline.apply import apply_calibration as apply_calibration
-from .pipeline.calibration import Calibration as Calibration
-from .pipeline.fitting import Fit as Fit, fit as fit
-from .pipeline.given import Choices as Choices
-from .pipeline.result import Result as Result, assess as assess
-from .pipeline.stages import calibrate as calibrate
+from .pipeline.calibration import Calibration as Calibration, uncertainty_from as uncertainty_from
+from .pipeline.fitting import (
+    GEOMETRIC as GEOMETRIC,
+    NOMINAL as NOMINAL,
+    Fit as Fit,
+    fit as fit,
+    fit_remainder as fit_remainder,
+    lens_of as lens_of,
+)
+from .pipeline.result import Result as Result, assess as assess, workspace_joints as workspace_joints
+from .pipeline.stages import (
+    Choices as Choices,
+    calibrate as calibrate,
+    given_arm as given_arm,
+    given_rows as given_rows,
+    pool_of as pool_of,
+)
 from .pipeline.twin import twin as twin
+from .pipeline.verification import frames_and_rows as frames_and_rows, verify as verify
+from .planning.like import plan_like as plan_like
 from .planning.plan import plan_poses as plan_poses
 from .reading.description import load_description as load_description
 from .reading.read import (
+    Targets as Targets,
     joints_of as joints_of,
     read_measurements as read_measurements,
     read_observations as read_observations,

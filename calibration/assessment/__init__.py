@@ -1,1 +1,1 @@
-"""How good a calibration is: error statistics, states of parameters, grades, intervals."""
+"""The quality of a calibration: error statistics, states of parameters, grades, intervals."""

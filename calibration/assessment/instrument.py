@@ -1,4 +1,4 @@
-"""What a verdict says of the instruments: numbers of theirs that the rows contradict, and lengths that nobody measured.
+"""The verdict on the instruments: numbers of theirs that the rows contradict, and lengths that nobody measured.
 
 A wire whose zero is off by millimetres leaves small misses all the same, for anchor and links take it up; the arm is
 then wrong where nobody looks. So what is said to be known is tried as an unknown once the arm is fitted.
@@ -41,7 +41,7 @@ DRAWS = 400
 """Bases and tools drawn."""
 
 SCALES = (0.2, 1.0)
-"""How far base and tool may lie from where the controller has them, one standard deviation per axis, in units of 1 mm
+"""Distances of base and tool from where the controller has them, one standard deviation per axis, in units of 1 mm
 and 1 mrad: nobody knows it better, so every size between counts alike (on a logarithmic scale)."""
 
 NEAR = 0.05
@@ -87,7 +87,7 @@ class BaseFrameError:
         if self.tracked and self.moved < NEAR:
             text += (
                 f"; the fitted frames move the tool by {self.moved * 1e3:#.3g} mm: if the instrument is registered to "
-                "the base and sees the controller's own tool, calibrate with --frames known"
+                "the base and sees the controller's own tool, calibrate with `frames='known'`"
             )
         return text
 
@@ -112,8 +112,8 @@ def base_frame_error(
     draws = sizes * rng.normal(size=(DRAWS, len(model.columns))) * model.tolerance
     missed = np.einsum("nip,dp->dni", jacobian, draws) + left[:, :3]
     low, high = np.percentile(np.linalg.norm(missed, axis=2).mean(axis=1), [2.5, 97.5])
-    moved = np.linalg.norm(forward(nominal, joints).position - forward(fitted, joints).position, axis=1).mean()
-    return BaseFrameError(float(low), float(high), float(moved), tracked)
+    shift = np.linalg.norm(forward(nominal, joints).position - forward(fitted, joints).position, axis=1).mean()
+    return BaseFrameError(float(low), float(high), float(shift), tracked)
 
 
 CONTRADICTED = 5.0
@@ -136,27 +136,27 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
     ):
         yield "zero", data, replace(data, zero_std=np.inf)
     for i, station in enumerate(data.stations):
-        for name, part, other in with_zeros_fitted(station.data):
-            stations = (*data.stations[:i], replace(station, data=other), *data.stations[i + 1 :])
+        for name, part, free in with_zeros_fitted(station.data):
+            stations = (*data.stations[:i], replace(station, data=free), *data.stations[i + 1 :])
             yield name + station.suffix, part, Stacked(stations)
 
 
 def said_of_instruments(
     model: ErrorModel, found: Identification, data: Observations
 ) -> Iterator[tuple[Literal["fail", "caution"], str]]:
-    """What a reader must know of them, by weight.
+    """Findings on the instruments, by weight.
 
     Args:
         model: What was identified, without further terms.
         found: The identification.
         data: What it was made from.
     """
-    for name, wire, other in with_zeros_fitted(data):
-        freed = identify(model, found.arm_model, [other])
-        kept = freed.identifiability.kept_names
-        if name not in kept:
+    for name, wire, free in with_zeros_fitted(data):
+        freed = identify(model, found.arm_model, [free])
+        names = freed.identifiability.kept_names
+        if name not in names:
             continue
-        value, std = freed.unknowns[name], float(np.sqrt(freed.covariance[kept.index(name), kept.index(name)]))
+        value, std = freed.unknowns[name], float(np.sqrt(freed.covariance[names.index(name), names.index(name)]))
         less = 1.0 - np.sqrt(freed.chi_square / max(found.chi_square, 1e-300))
         if abs(value - wire.zero) > CONTRADICTED * std and less > MATTERS:
             yield (
@@ -166,17 +166,17 @@ def said_of_instruments(
                 '"fitted" in [wire]',
             )
     if data.views is not None and not data.views.lens_std.any():
-        other = with_lens(data.views, "free")
-        freed = identify(model, found.arm_model, [other])
-        given, fitted = (
+        free = with_lens(data.views, "free")
+        freed = identify(model, found.arm_model, [free])
+        stated, fitted = (
             np.sqrt(np.mean(views.pixel_errors(fit.arm_model, np.array(list(fit.unknowns.values()))) ** 2))
-            for views, fit in ((data.views, found), (other, freed))
+            for views, fit in ((data.views, found), (free, freed))
         )
-        if freed.converged and fitted < (1.0 - LENS_MATTERS) * given:
+        if freed.converged and fitted < (1.0 - LENS_MATTERS) * stated:
             yield (
                 "caution",
-                f"the lens as given leaves {given:.3g} px per coordinate, a fitted one {fitted:.3g} px: give "
-                "--lens free, or calibrate the camera anew",
+                f"the lens as given leaves {stated:.3g} px per coordinate, a fitted one {fitted:.3g} px: give "
+                "`lens='free'`, or calibrate the camera anew",
             )
     if data.miss_unit == "deg":
         yield (
@@ -201,14 +201,14 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
     rows: list[dict[str, Any]] = []
     for station in data.stations or (InstrumentStation(data),):
         unknowns = np.array([found.unknowns[name] for name in station.unknowns()])
-        there = station.seen(found.arm_model, unknowns)[0].geometry
-        moved = {name: apart(getattr(found.geometry, name), getattr(there, name)) for name in station.frames}
+        frame = station.seen(found.arm_model, unknowns)[0].geometry
+        shifts = {name: apart(getattr(found.geometry, name), getattr(frame, name)) for name in station.frames}
         origins = origins_of(station.data)
         row: dict[str, Any] = {
             "number": station.number,
             "files": [origins.files[i] for i in np.unique(origins.file).tolist()],
             "rows": len(station.data.joints),
-            "own": {name: {"mm": m * 1e3, "deg": float(np.degrees(angle))} for name, (m, angle) in moved.items()},
+            "own": {name: {"mm": m * 1e3, "deg": float(np.degrees(angle))} for name, (m, angle) in shifts.items()},
         }
         rows.append(row)
     return rows if sum(len(row["files"]) for row in rows) > 1 else []
@@ -222,11 +222,13 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
         asked: What each file was said to have of its own; None where the rows told it.
     """
     rows = []
-    for each in set_ups:
-        own = {name: f"{figure(moved['mm'])} mm, {figure(moved['deg'])} deg" for name, moved in each["own"].items()}
-        cells = [own.get(name, "") for name in OWN]
-        rows.append((str(each["number"]), ", ".join(each["files"]), str(each["rows"]), *cells))
-    note = "as the rows tell" if asked is None else f"as asked by --stations {asked}"
+    for set_up in set_ups:
+        frames = {
+            name: f"{figure(shift['mm'])} mm, {figure(shift['deg'])} deg" for name, shift in set_up["own"].items()
+        }
+        cells = [frames.get(name, "") for name in OWN]
+        rows.append((str(set_up["number"]), ", ".join(set_up["files"]), str(set_up["rows"]), *cells))
+    note = "as the rows tell" if asked is None else f"as asked by `stations='{asked}'`"
     heads = ("set-up", "files", "rows fitted", "its own base, away by", "its own tool, away by")
     return Block("Set-ups", heads, tuple(rows), f"{note}; base2_x and the like are parameters of set-up 2")
 
@@ -239,11 +241,11 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Ite
         learnt: Whether a learnt residual takes payload and temperature.
         data: Rows that it was fitted to.
     """
-    known = {name: values for name, values in vars(data.conditions).items() if values is not None and len(values)}
-    before = model.pose(data.joints, data.conditions) if known else None
+    recorded = {name: values for name, values in vars(data.conditions).items() if values is not None and len(values)}
+    before = model.pose(data.joints, data.conditions) if recorded else None
     unused = [
         name
-        for name, values in known.items()
+        for name, values in recorded.items()
         if not (learnt and name != "torque")
         and before is not None
         and np.array_equal(
@@ -251,7 +253,7 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Ite
         )
     ]
     if unused:
-        yield "note", f"nothing that was fitted depends on what was recorded of {' and '.join(unused)} (see --terms)"
+        yield "note", f"nothing that was fitted depends on what was recorded of {' and '.join(unused)} (see `terms`)"
 
 
 # What stands against what was said before measuring: another arm, frames that are not known, a region of its own.
@@ -283,7 +285,7 @@ POSES = 200
 
 
 def said_against(found: Identification, data: Observations) -> Iterator[tuple[Literal["caution"], str]]:
-    """What a reader must know of it, as cautions.
+    """Cautions on the statements that the rows contradict.
 
     Args:
         found: The identification of the geometry.
@@ -299,35 +301,35 @@ def said_against(found: Identification, data: Observations) -> Iterator[tuple[Li
 
 def _link(found: Identification, prior: PriorModel) -> Iterator[str]:
     names, change = prior.parameters.names, prior.start.difference(found.arm_model)[prior.parameters.columns]
-    known = dict(zip(found.identifiability.names, np.nan_to_num(found.standard_deviation), strict=True))
-    least = np.abs(change) - SURE_BY * np.array([known[name] for name in names])
+    std = dict(zip(found.identifiability.names, np.nan_to_num(found.standard_deviation), strict=True))
+    least = np.abs(change) - SURE_BY * np.array([std[name] for name in names])
     links = np.array([not name.startswith(("base_", "tool_")) for name in names])
     sizes = np.where(links & np.isin(prior.group, (LENGTHS, ANGLES)), least / prior.std, 0.0)
     worst = int(np.argmax(sizes))
     if sizes[worst] > PART_OFF:
         name = names[worst]
-        shown = f"{np.degrees(change[worst]):.3g} deg" if is_angle(name) else f"{change[worst] * 1e3:.3g} mm"
+        size = f"{np.degrees(change[worst]):.3g} deg" if is_angle(name) else f"{change[worst] * 1e3:.3g} mm"
         yield (
-            f"{name} lies {shown} from its drawing, {sizes[worst]:.0f} times what parts of {prior.source} differ by: "
-            "these rows may be of another arm than the one named; check the arm, or name its class with --tolerances"
+            f"{name} lies {size} from its drawing, {sizes[worst]:.0f} times what parts of {prior.source} differ by: "
+            "these rows may be of another arm than the one named; check the arm, or name its class with `tolerances`"
         )
 
 
 def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str]:
-    """How the arm was moved as a whole, by base or tool, against how arms of the class are."""
+    """A caution where the arm was moved as a whole, by base or tool, more than arms of the class are."""
     geometry, links = found.geometry, prior.group != TERMS
     columns = prior.parameters.columns[links]
     joints = random_joints(geometry, POSES, np.random.default_rng(0))
     jacobian = ArmModel.of(geometry).jacobian(joints).reshape(6 * POSES, -1)
-    whole = np.linalg.pinv(jacobian[:, frame_columns(geometry, which)]) @ jacobian[:, columns]
-    moved = whole @ prior.start.difference(found.arm_model)[columns]
+    projection = np.linalg.pinv(jacobian[:, frame_columns(geometry, which)]) @ jacobian[:, columns]
+    shift = projection @ prior.start.difference(found.arm_model)[columns]
     std = np.where(prior.group == ZEROS, ZEROS_OFF, 1.0)[links] * prior.std[links]
-    covariance = (whole * std**2) @ whole.T
-    if stats.chi2.sf(moved @ np.linalg.solve(covariance, moved), len(moved)) < FRAME_OFF:
+    covariance = (projection * std**2) @ projection.T
+    if stats.chi2.sf(shift @ np.linalg.solve(covariance, shift), len(shift)) < FRAME_OFF:
         yield (
-            f"the {which} is said to be known, but by these rows it is off by {np.linalg.norm(moved[:3]) * 1e3:.3g} mm "
-            f"and {np.degrees(np.linalg.norm(moved[3:])):.2g} deg, more than arms of {prior.source} can be; give "
-            "--frames fitted, or correct it in the arm's file"
+            f"the {which} is said to be known, but by these rows it is off by {np.linalg.norm(shift[:3]) * 1e3:.3g} mm "
+            f"and {np.degrees(np.linalg.norm(shift[3:])):.2g} deg, more than arms of {prior.source} can be; give "
+            "`frames='fitted'`, or correct it in the arm's file"
         )
 
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from pickenv.arm import Array
-from pickenv.calibration.assessment.expected_errors import SURE, Workspace
+from pickenv.arm import Array, Geometry
+from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import (
     Identifiability,
     Identification,
@@ -24,7 +24,9 @@ from pickenv.calibration.identification.least_squares import (
     is_angle,
     observability_of,
 )
+from pickenv.calibration.model.arm_model import ArmModel, frames_model
 from pickenv.calibration.model.observations import MISS_UNITS
+from pickenv.calibration.model.prior import FRAMES
 
 CORRELATED = 0.9
 """Parameters whose estimates correlate more than this are hard to tell apart."""
@@ -47,7 +49,7 @@ ALIKE = 1.2
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 MANY_NOISES = 20.0
-"""What remains may be so many times the stated noise before something else than noise must be at work."""
+"""Residuals above this many times the stated noise show that something else than noise is at work."""
 
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
@@ -90,15 +92,15 @@ class Completeness:
         """The test in words."""
         if self.degrees_of_freedom <= 0:
             return "there are no spare equations, so the model cannot be tested"
-        said = f"reduced chi^2 {self.reduced:.3g}, {self.degrees_of_freedom} degrees of freedom"
+        figures = f"reduced chi^2 {self.reduced:.3g}, {self.degrees_of_freedom} degrees of freedom"
         if not self.complete:
             return (
-                f"what remains is {np.sqrt(self.reduced):.2g} times the {self.noise} ({said}): effects beyond the "
+                f"what remains is {np.sqrt(self.reduced):.2g} times the {self.noise} ({figures}): effects beyond the "
                 "model are left, or that noise is too small"
             )
         if self.p_small < SIGNIFICANCE / 2:
-            return f"what remains is smaller than the {self.noise} ({said}), which is probably too large"
-        return f"what remains is the {self.noise} ({said}, p = {self.p_value:.2g}): the model is complete for it"
+            return f"what remains is smaller than the {self.noise} ({figures}), which is probably too large"
+        return f"what remains is the {self.noise} ({figures}, p = {self.p_value:.2g}): the model is complete for it"
 
 
 def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
@@ -118,7 +120,7 @@ def correlated_pairs(found: Identification, limit: float = CORRELATED) -> tuple[
 
 
 def base_combinations(found: Identifiability) -> dict[str, str]:
-    """What each kept parameter really stands for, as text: its own deviation and those of the dropped ones it absorbs.
+    """The combination that each kept parameter stands for: its own deviation and those of dropped ones that it absorbs.
 
     Coefficients between lengths and angles are in mm/deg or deg/mm; shares below `SMALL_SHARE` are left out.
     """
@@ -173,11 +175,214 @@ def axis_errors(errors: Array, unit: str = "mm") -> tuple[AxisErrors, ...]:
         axes = ("r1", "r2", "r3")
     rows = []
     for axis, column in zip(axes, errors.T, strict=False):
-        shown = "deg" if axis.startswith("r") else "mm"
-        column = column * MISS_UNITS[shown]
+        unit_of_axis = "deg" if axis.startswith("r") else "mm"
+        column = column * MISS_UNITS[unit_of_axis]
         sizes = column.mean(), column.std(), np.sqrt(np.mean(column**2)), np.abs(column).max()
-        rows.append(AxisErrors(axis, shown, *map(float, sizes)))
+        rows.append(AxisErrors(axis, unit_of_axis, *map(float, sizes)))
     return tuple(rows)
+
+
+# How far off the arm is where it will work: expected errors over a declared workspace, of drawing and calibration. The
+# posterior says how far the parameters may be from where the fit has them; draws from it are as many arms as the rows
+# allow. Each arm's error is its distance from what the calibration, and what the drawing, says of it. Where base and
+# tool were fitted, what they could take up is no error of the arm: it is projected out. What one reach scatters by
+# comes on top. SI units inside, mm on screens.
+
+
+POSES = 400
+"""Poses at most that stand for a region."""
+
+DRAWS = 400
+"""Arms drawn from the posterior."""
+
+SURE = 0.95
+"""So many of these arms must be nearer to the calibration than to the drawing, for a gain to be certain."""
+
+HARDLY = 0.5
+"""Errors of geometry below this share of what one reach errs by hardly matter, told or not."""
+
+LITTLE = 0.2
+"""A posterior that is narrower than the prior by less than this share tells nothing new there."""
+
+
+@dataclass(frozen=True)
+class RegionError:
+    """Expected errors of an arm over one region, RMS of the tool's position, m.
+
+    Attributes:
+        region: Its name.
+        calibrated: Of the calibrated arm.
+        calibrated_ends: 95 % interval over arms that the rows allow.
+        nominal: Of the arm as drawn.
+        nominal_ends: Likewise.
+        expected: What arms of the tolerance class err by there before anything was measured.
+        better: Share of the arms that are nearer to the calibration than to the drawing.
+    """
+
+    region: str
+    calibrated: float
+    calibrated_ends: tuple[float, float]
+    nominal: float
+    nominal_ends: tuple[float, float]
+    expected: float
+    better: float
+
+    @property
+    def narrowed(self) -> float:
+        """The share by which less is expected than before measuring, 0 to 1."""
+        return float(np.clip(1.0 - self.calibrated / max(self.expected, 1e-300), 0.0, 1.0))
+
+    @property
+    def gain(self) -> float:
+        """Share of the drawing's error that the calibration takes away."""
+        return 1.0 - self.calibrated / max(self.nominal, 1e-300)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON and a calibration's record."""
+        mm = {"calibrated_rms_mm": self.calibrated, "nominal_rms_mm": self.nominal, "prior_rms_mm": self.expected}
+        ends = {"calibrated_ci95_mm": self.calibrated_ends, "nominal_ci95_mm": self.nominal_ends}
+        return {
+            "region": self.region,
+            **{name: value * 1e3 for name, value in mm.items()},
+            **{name: [value * 1e3 for value in pair] for name, pair in ends.items()},
+            "gain": self.gain,
+            "narrowed": self.narrowed,
+            "better": self.better,
+        }
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Expected errors where rows were measured, and where the arm will work.
+
+    Attributes:
+        measured: At the rows' own joints.
+        declared: Over the declared workspace.
+        thin: Names of joints whose measured range covers less than half of the declared one.
+        remains: RMS error on held-out rows, m: what one reach errs by, whatever geometry says.
+    """
+
+    measured: RegionError
+    declared: RegionError
+    thin: tuple[str, ...] = ()
+    remains: float = 0.0
+
+    @property
+    def reservation(self) -> str | None:
+        """A sentence against using the calibration there; None where nothing stands against it."""
+        over = self.declared
+        if over.calibrated < HARDLY * self.remains:
+            return None
+        remedy = "measure poses there (`pickenv plan-poses`), or declare where the arm will work with `workspace`"
+        if self.thin:
+            remedy = f"move {', '.join(self.thin)} further, or declare where the arm will work with `workspace`"
+        if over.narrowed < LITTLE:
+            return (
+                f"over {over.region} the rows tell hardly more than the drawing ({figure(over.calibrated * 1e3)} mm "
+                f"expected, {figure(over.expected * 1e3)} mm before measuring); {remedy}"
+            )
+        if over.better < SURE:
+            return (
+                f"over {over.region} the calibrated arm ({figure(over.calibrated * 1e3)} mm expected) is better than "
+                f"the drawing ({figure(over.nominal * 1e3)} mm) for {100 * over.better:.0f} % of the arms that the "
+                f"rows allow; {remedy}"
+            )
+        return None
+
+    def block(self) -> Block:
+        """For screens."""
+        rows = []
+        for region in (self.measured, self.declared):
+            sizes = (
+                f"{figure(value * 1e3)} ({figure(ends[0] * 1e3)} to {figure(ends[1] * 1e3)})"
+                for value, ends in ((region.nominal, region.nominal_ends), (region.calibrated, region.calibrated_ends))
+            )
+            rows.append((region.region, *sizes, f"{100 * region.gain:.0f} %", f"{100 * region.narrowed:.0f} %"))
+        heads = ("over", "nominal (mm)", "calibrated (mm)", "gain", "told by the rows")
+        note = "RMS of what geometry errs by, 95 % interval over the arms that the rows allow; scatter comes on top"
+        return Block("Expected errors of the tool", heads, tuple(rows), note)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON and a calibration's record."""
+        return {
+            "measured": self.measured.as_dict(),
+            "declared": self.declared.as_dict(),
+            "reservation": self.reservation,
+        }
+
+
+def workspace_error(
+    solution: Identification,
+    nominal: Geometry,
+    rows: Array,
+    joints: Array,
+    region: str = "the joint limits",
+    remains: float = 0.0,
+) -> Workspace | None:
+    """Expected errors over the rows' joints and over a workspace; the same every time.
+
+    Args:
+        solution: The fit, whose parameters have priors; else None is returned, for then the rows alone speak.
+        nominal: The drawing, with base and tool as aligned where they were fitted.
+        rows: Joints measured ``(N, n)``, rad or m.
+        joints: Joints of the workspace ``(M, n)``.
+        region: What the workspace is called.
+        remains: RMS error on held-out rows, m.
+    """
+    if solution.prior is None or not solution.prior.proper:
+        return None
+    geometry = solution.geometry
+    span = [np.ptp(np.quantile(poses, [0.02, 0.98], axis=0), axis=0) for poses in (rows, joints)]
+    thin = tuple(
+        name for name, measured, declared in zip(geometry.joint_names, *span, strict=True) if measured < 0.5 * declared
+    )
+    some = rows[np.unique(np.linspace(0, len(rows) - 1, POSES).astype(int))]
+    return Workspace(
+        _region("the poses measured", solution, nominal, some),
+        _region(region, solution, nominal, joints),
+        thin,
+        remains,
+    )
+
+
+def _region(region: str, solution: Identification, nominal: Geometry, joints: Array) -> RegionError:
+    """Expected errors over joints ``(M, n)``; terms stay out, for they stand on conditions that nobody knows there."""
+    prior, bare = solution.prior, ArmModel.of(solution.geometry)
+    assert prior is not None
+    names = solution.identifiability.kept_names
+    places = [i for i, name in enumerate(names) if name in bare.parameter_names]
+    columns = [bare.parameter_names.index(names[i]) for i in places]
+    jacobian = bare.jacobian(joints)[:, :3].reshape(3 * len(joints), -1)
+    effects = jacobian[:, columns]
+    change = (bare.pose(joints).position - ArmModel.of(nominal).pose(joints).position).ravel()
+    framed = dict(zip(prior.parameters.names, prior.group == FRAMES, strict=True))
+    if any(framed.values()):
+        frames = frames_model(solution.geometry)
+        basis = np.linalg.qr(jacobian[:, frames.columns] * frames.tolerance)[0]
+        effects = effects - basis @ (basis.T @ effects)
+        change = change - basis @ (basis.T @ change)
+    covariance = solution.covariance[np.ix_(places, places)]
+    std = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(std, std))
+    root = std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    draws = effects @ (root @ np.random.default_rng(0).standard_normal((len(places), DRAWS)))
+    calibrated, by_drawing = (np.sqrt(3.0 * np.mean(errors**2, axis=0)) for errors in (draws, draws + change[:, None]))
+    parts = [i for i, place in enumerate(places) if not framed.get(names[place], True)]
+    before = effects[:, parts] * solution.prior_std[solution.identifiability.kept][places][parts]
+    return RegionError(
+        region,
+        float(np.sqrt(np.mean(calibrated**2))),
+        _ends(calibrated),
+        float(np.sqrt(np.mean(by_drawing**2))),
+        _ends(by_drawing),
+        float(np.sqrt(np.sum(before**2) / len(joints))),
+        float(np.mean(calibrated < by_drawing)),
+    )
+
+
+def _ends(values: Array) -> tuple[float, float]:
+    low, high = np.percentile(values, [2.5, 97.5])
+    return float(low), float(high)
 
 
 @dataclass(frozen=True)
@@ -266,7 +471,7 @@ def grade_quality(
     """
     count, called = rows or (len(after), "rows")
     bare = geometric or found
-    seen = observability_of(bare.identifiability, bare.poses)
+    observed = observability_of(bare.identifiability, bare.poses)
     test = completeness(found, noise)
     pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
     unlearnt = after if parametric is None else parametric
@@ -279,14 +484,14 @@ def grade_quality(
             f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f}): read them together, the predicted pose is not "
             "affected"
         )
-    told = before is not None and _told(before, after, workspace, blocks, count)
+    certain = before is not None and _told(before, after, workspace, blocks, count)
     because = "" if before is None else _cause(found, before, after, unlearnt, unit)
-    gain = () if told else no_gain(before, after, blocks, unit, count, called, because)
-    if told and before is not None and workspace is not None and _undecided(before, after, blocks):
-        here = workspace.measured
+    gain = () if certain else no_gain(before, after, blocks, unit, count, called, because)
+    if certain and before is not None and workspace is not None and _undecided(before, after, blocks):
+        errors = workspace.measured
         beyond.append(
             f"on {count} held-out {called} scatter ({_rms(after, unit):#.4g} {unit} RMS) hides what all rows together "
-            f"say: geometry errs by {here.calibrated * 1e3:#.3g} mm there, and by {here.nominal * 1e3:#.3g} mm as "
+            f"say: geometry errs by {errors.calibrated * 1e3:#.3g} mm there, and by {errors.nominal * 1e3:#.3g} mm as "
             "drawn; measure more, or with less noise, to see it"
         )
     texts: dict[Weight, list[str]] = {
@@ -296,7 +501,7 @@ def grade_quality(
     }
     for weight, text in said:
         texts[weight].append(text)
-    findings = [Finding(weight, text) for weight, each in texts.items() for text in each]
+    findings = [Finding(weight, text) for weight, sentences in texts.items() for text in sentences]
     weights = {finding.weight for finding in findings}
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
     reason = findings[0].text
@@ -307,7 +512,7 @@ def grade_quality(
         grade=grade,
         reason=reason,
         findings=tuple(findings),
-        observability=seen,
+        observability=observed,
         completeness=test,
         pairs=pairs,
         workspace=workspace,
@@ -327,7 +532,7 @@ def no_gain(
     called: str,
     because: str = "",
 ) -> Iterator[str]:
-    """Why held-out rows do not show that the calibrated arm is better than the nominal one, if they do not.
+    """Reasons why held-out rows do not show that the calibrated arm is better than the nominal one.
 
     Args:
         before: Errors of the nominal arm ``(M, 3 or more)``, m or rad; None where there is none.
@@ -340,7 +545,7 @@ def no_gain(
     """
     if count < ENOUGH:
         few = f"1 {called[:-1]} was" if count == 1 else f"{count} {called} were"
-        yield f"only {few} held out, which judges nothing; measure more, or give others with --test"
+        yield f"only {few} held out, which judges nothing; measure more, or give others as `test`"
     if before is None or count < ENOUGH:
         return
     was, now = _rms(before, unit), _rms(after, unit)
@@ -366,12 +571,12 @@ def _told(
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:
-    """Why a calibration gains nothing, and what to do."""
+    """The reason why a calibration gains nothing, and what to do."""
     was, now, plain = (_rms(errors, unit) for errors in (before, after, unlearnt))
     if found.arm_model.terms and plain > was:
-        return "the further terms do not carry over to rows held out; give --terms none"
+        return "the further terms do not carry over to rows held out; give `terms='none'`"
     if plain < was <= now:
-        return "what was learnt does not carry over to rows held out; give --residual none"
+        return "what was learnt does not carry over to rows held out; give `residual='none'`"
     if found.degrees_of_freedom < 2 * found.spent:
         return "the rows are too few to say more than the drawing; measure more"
     if now < ALIKE * was:
@@ -396,11 +601,11 @@ def _cautions(
 ) -> Iterator[str]:
     if workspace is not None and workspace.reservation is not None:
         yield workspace.reservation
-    there, here = _rms(after, unit), _rms(trained, unit)
-    if there > OPTIMISTIC * here:
+    tested, fitted = _rms(after, unit), _rms(trained, unit)
+    if tested > OPTIMISTIC * fitted:
         yield (
-            f"held-out errors ({there:#.4g} {unit} RMS) are {there / here:.1f} times as large as on the training rows: "
-            "measure more poses, or poses like those that will be used"
+            f"held-out errors ({tested:#.4g} {unit} RMS) are {tested / fitted:.1f} times as large as on the training "
+            "rows: measure more poses, or poses like those that will be used"
         )
     free = found.prior is None or not found.prior.proper
     if free and found.degrees_of_freedom < found.identifiability.rank:

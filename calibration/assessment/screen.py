@@ -1,4 +1,4 @@
-"""How results are put on screens: four significant digits, units, and tables of text that terminal and page share."""
+"""Results on screens: four significant digits, units, and tables of text that terminal and page share."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
 def unknowns_in(unit: str, unknowns: Mapping[str, float]) -> dict[str, float]:
     """Those of the measurements' own unknowns that have this unit on screens, in it; no numbers of a lens."""
     units = {name: unit_of(name, ()) for name in unknowns if name not in LENS_NAMES}
-    return {name: unknowns[name] * scale for name, (own, scale) in units.items() if own == unit}
+    return {name: unknowns[name] * scale for name, (its_unit, scale) in units.items() if its_unit == unit}
 
 
 # The drives' harmonics as terminal, page, JSON and saved file show them: orders and amplitudes with uncertainties.
@@ -120,7 +120,7 @@ OWN = (
     "they belong to this unit and this session: another robot of the same model, or this one after a repair or in "
     "another set-up, needs its own"
 )
-"""What a reader must know of them: on a measured arm those of one session made another session worse."""
+"""A warning: on a measured arm those of one session made another session worse."""
 
 
 def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
@@ -184,13 +184,13 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
         expected = None if measured is None else term.torques(geometry, data.joints, bare)
         for joint, name in zip(term.joints, term.names(geometry), strict=True):
             c, std = float(value[name]), float(spread.get(name, np.inf))
-            told = c > TOLD * std
+            significant = c > TOLD * std
             row = {
                 "joint": joint + 1,
                 "name": geometry.joint_names[joint],
                 "unit": "N/m" if geometry.prismatic[joint] else "N*m/rad",
-                "stiffness": 1.0 / c if told else None,
-                "stiffness_std": std / c**2 if told else None,
+                "stiffness": 1.0 / c if significant else None,
+                "stiffness_std": std / c**2 if significant else None,
                 "at_least": 1.0 / (max(c, 0.0) + TOLD * std),
             }
             if measured is not None and expected is not None:
@@ -205,10 +205,10 @@ def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
     header = ("joint", "stiffness", "± 1 sigma", "unit", "torques, RMS", "of these left")
     cells = []
     for row in rows:
-        told = row["stiffness"] is not None
-        sizes = (figure(row["stiffness"]), figure(row["stiffness_std"])) if told else ("", "")
+        known_stiffness = row["stiffness"] is not None
+        sizes = (figure(row["stiffness"]), figure(row["stiffness_std"])) if known_stiffness else ("", "")
         least = f", at least {figure(row['at_least'])}" if row["at_least"] else ""
-        unit = row["unit"] if told else f"{row['unit']}; not told{least}"
+        unit = row["unit"] if known_stiffness else f"{row['unit']}; not told{least}"
         torques = [figure(row[key]) if key in row else "" for key in ("torque_rms", "torque_left_rms")]
         cells.append((f"{row['joint']} ({row['name']})", *sizes, unit, *torques))
     return Block("Stiffnesses of the joints", header, tuple(cells), NOTE)

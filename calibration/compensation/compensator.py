@@ -41,10 +41,10 @@ RIDGE = 16.0
 """Added to the diagonal of J^T J so that it can be factorised where it is singular: roundings of its trace."""
 
 SETTLED = 1e-4
-"""How much the direction that may be cut off can still turn in the last iteration, as 1 - cosine."""
+"""Largest turn, in the last iteration, of the direction that may be cut off, as 1 - cosine."""
 
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
-"""Where the search for it starts: close to no direction that symmetry makes likely."""
+"""Start of the search for it: close to no direction that symmetry makes likely."""
 
 Columns = Sequence[Sequence[Scalar]]
 """n columns of J, each six components ``(...)``; plain zeros cost nothing."""
@@ -101,10 +101,10 @@ class TruncatedSolver:
             columns: Of a J that has moved a little since it was factorised: iterations then end where J^T of this one
                 sends nothing of what remains, though the factors are the old ones.
         """
-        wanted = [_dot(column, right) for column in columns or self.columns]
-        solution = _without(self._direction, self._solve(_without(self._direction, wanted)))
+        projected = [_dot(column, right) for column in columns or self.columns]
+        solution = _without(self._direction, self._solve(_without(self._direction, projected)))
         if self._inverses is not None:
-            exact = self._m.einsum("kij,kj->ik", self._inverses, self._in_doubt(wanted))
+            exact = self._m.einsum("kij,kj->ik", self._inverses, self._in_doubt(projected))
             for value, right_one in zip(solution, exact, strict=True):
                 value[self.doubtful] = right_one
         return solution
@@ -210,11 +210,11 @@ BLOCK = 2048
 """Poses worked on together: what a core's first caches hold."""
 
 NEGLIGIBLE = 1e-6
-"""What a correction may be expected to lose, m or rad: what single precision rounds where nothing is to be gained."""
+"""Loss that may be expected of a correction, m or rad: single precision rounds so much where nothing is gained."""
 
 
 class ResidualModel(Protocol):
-    """What a learnt residual must offer."""
+    """A learnt residual, as a compensator needs it."""
 
     def predict(self, joints: ArrayLike) -> Array:
         """Pose residual ``(..., 6)`` (m, rad, world axes) at joints ``(..., n)``."""
@@ -267,9 +267,9 @@ class Compensator:
         split_joints(self.nominal.joints, joints)  # checks the number of joints
         if not math.isfinite(joints.sum()):  # the cheapest question; no joints are so large that they overflow
             *row, joint = np.argwhere(~np.isfinite(joints))[0].tolist()
-            where = f" of row {', '.join(map(str, row))}" if row else ""
+            place = f" of row {', '.join(map(str, row))}" if row else ""
             name, value = self.nominal.joint_names[joint], joints[(*row, joint)]
-            raise InputError(f"the target of {name}{where} is {value}; give finite joint targets, rad or m")
+            raise InputError(f"the target of {name}{place} is {value}; give finite joint targets, rad or m")
         return joints
 
     def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
@@ -287,9 +287,9 @@ class Compensator:
 
         trace, limits = Trace(), zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
         corrections = self._corrected(SYMBOLS, trace.inputs("targets", self.nominal.joints))
-        kept = [clipped(SYMBOLS, q, *limit) for q, limit in zip(corrections, limits, strict=True)]
+        outputs = [clipped(SYMBOLS, q, *limit) for q, limit in zip(corrections, limits, strict=True)]
         doubts = reduce(or_, trace.exceptions, False)
-        code = Compiled(trace, [Outputs("commands", kept), Outputs("doubts", [doubts], FLAG)], count)
+        code = Compiled(trace, [Outputs("commands", outputs), Outputs("doubts", [doubts], FLAG)], count)
 
         def run(joints: ArrayLike) -> Array:
             joints = self.checked(joints)
@@ -303,7 +303,7 @@ class Compensator:
         return run
 
     def predict(self, joints: ArrayLike) -> Pose:
-        """Where the real tool is expected at joint commands ``(..., n)``: identified pose plus residual."""
+        """The expected pose of the real tool at joint commands ``(..., n)``: identified pose plus residual."""
         pose = forward(self.identified, joints)
         return pose if self.residual is None else displace_pose(pose, self.residual.predict(joints))
 
@@ -357,15 +357,15 @@ def corrected(
         iterations: See `Compensator`.
         residual: Learnt residual of joints, six components (m, rad), or None.
     """
-    believed, identified = chains
+    nominal_chain, identified = chains
     limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
-    command, wanted, learnt, solve, best = target, tool_frame(m, believed, target), None, None, None
+    command, goal, learnt, solve, best = target, tool_frame(m, nominal_chain, target), None, None, None
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
         columns = [_weighed(nominal, column) for column in jacobian_columns(nominal, links, tool)]
         solve = solve or _solver(m, columns)
-        error = _weighed(nominal, frame_error(m, tool, wanted, small_rotation))
+        error = _weighed(nominal, frame_error(m, tool, goal, small_rotation))
         if residual is not None:
             if learnt is None:
                 learnt = _weighed(nominal, residual(_moved(m, command, solve(error, columns), limits)))
@@ -375,7 +375,7 @@ def corrected(
     if best is None:
         return target
     tool = tool_frame(m, identified, command)
-    error = _weighed(nominal, frame_error(m, tool, wanted, small_rotation))
+    error = _weighed(nominal, frame_error(m, tool, goal, small_rotation))
     return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt))).joints
 
 
@@ -393,7 +393,7 @@ class _Expected(NamedTuple):
 
 
 def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> _Expected:
-    """What the model expects at joints, from the six components of its pose error there."""
+    """The expectation of the model at joints, from the six components of its pose error there."""
     return _Expected(joints, m.sqrt(sum((part * part for part in error[1:]), error[0] * error[0])))
 
 
@@ -409,8 +409,8 @@ def _nearer(m: ModuleType, one: _Expected | None, other: _Expected) -> _Expected
 
 
 def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:
-    """What is left of a pose error when the residual is expected beside it."""
-    return [left - expected for left, expected in zip(error, learnt, strict=True)]
+    """A pose error less the residual that is expected beside it."""
+    return [part - expected for part, expected in zip(error, learnt, strict=True)]
 
 
 def _moved(
@@ -424,14 +424,9 @@ Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
 
 
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
-    """What turns pose errors into the joint steps that remove them, for a Jacobian with these columns or like it."""
+    """The function from pose errors to the joint steps that remove them, for a Jacobian of such columns or like it."""
     if m is not math:
         return TruncatedSolver(columns, m).solve
-    inverse = truncated_inverse(np.array(columns).T)
-    return partial(_truncated_step, inverse @ inverse.T)
-
-
-def _truncated_step(inverse: Array, error: Sequence[float], columns: Sequence[Sequence[float]]) -> list[float]:
-    """`TruncatedSolver.solve` for one pose, given the truncated inverse of J^T J."""
-    step: list[float] = (inverse @ (np.array(columns) @ error)).tolist()
-    return step
+    root = truncated_inverse(np.array(columns).T)
+    inverse = root @ root.T  # of J^T J
+    return lambda error, columns: (inverse @ (np.array(columns) @ error)).tolist()

@@ -1,4 +1,4 @@
-"""Where the joints of a file's chain stand once its arm is calibrated; joints read and links are shaped as before.
+"""Places of the joints of a file's chain once its arm is calibrated; joints read and links are shaped as before.
 
 N_i and C_i are link frames of the table before and after calibration, D_i the frame of the file's joint i, all where
 the file's joints are zero. K_i = N_i^-1 D_i is constant. The corrected joint stands at C_i K_i, and its origin is that
@@ -12,165 +12,31 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from xml.parsers import expat
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
+from pickenv.arm import (
+    Array,
+    Geometry,
+    Pose,
+    forward,
+    identity_pose,
+    rotation_matrix,
+    rotation_vector,
+)
 from pickenv.arm.files.joint_chain import ChainJoint, JointRow
+from pickenv.arm.files.xml_values import numbers_text
 from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import InputError, shortened
+from pickenv.calibration.delivery.document import left_out
 from pickenv.calibration.identification.robust import apart
 from pickenv.calibration.pipeline.calibration import Calibration
-
-# What every file that holds a corrected arm says of where it comes from, and of what it does not hold.
-
-
-@dataclass(frozen=True, eq=False)
-class Document:
-    """A file to be written.
-
-    Attributes:
-        data: Its bytes.
-        notes: What it holds of a calibration, and what it does not, a sentence each.
-    """
-
-    data: bytes
-    notes: tuple[str, ...] = ()
-
-
-def provenance(calibration: Calibration) -> tuple[str, ...]:
-    """Where a corrected arm comes from, one fact per line."""
-    record = calibration.record
-    lines = [
-        f"Arm '{calibration.arm_name}' as calibrated by pickenv; do not edit, calibrate again.",
-        f"nominal geometry: fingerprint {calibration.arm_fingerprint}",
-        f"data: {record.get('source', 'unknown')}, {record.get('poses', '?')} poses ({record.get('kind', '?')}), "
-        f"fingerprint {record.get('data_fingerprint', 'unknown')}",
-        f"identified parameters: {record.get('rank', '?')}; redundant ones keep their nominal values: "
-        + (", ".join(record.get("dropped", {})) or "none"),
-    ]
-    versions: Mapping[str, Any] = record.get("versions", {})
-    if versions:
-        lines.append("versions: " + ", ".join(f"{name} {value}" for name, value in versions.items()))
-    return (*lines, *left_out(calibration, "not in this file, because no geometry can hold it"))
-
-
-def left_out(calibration: Calibration, words: str) -> list[str]:
-    """What a calibration knows beside its geometry, which files of rigid links cannot hold, named behind ``words``."""
-    names = [type(term).__name__ for term in calibration.model.terms]
-    if calibration.learnt is not None:
-        names.append(f"learnt residual '{calibration.learnt.kind}'")
-    return [f"{words}: {', '.join(names)}"] if names else []
-
-
-# Editing XML as text: attributes of start tags are replaced, and every other byte stays as it is. Nothing is parsed
-# and written again, so comments, order, spaces, quotes and line ends are kept.
-
-
-TO_TAG_END = re.compile(rb"""(?:[^>"']|"[^"]*"|'[^']*')*>""")
-"""To the ``>`` of a tag; one within quotes is none."""
-ATTRIBUTE = re.compile(rb"""\s+([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
-
-
-@dataclass(frozen=True)
-class StartTag:
-    """Where an element starts in a text.
-
-    Attributes:
-        name: Of the element.
-        attributes: By name.
-        start: First byte, its ``<``.
-        end: The byte after its ``>``.
-        parent: Place of the element around it in `start_tags`; None for the root.
-    """
-
-    name: str
-    attributes: Mapping[str, str]
-    start: int
-    end: int
-    parent: int | None
-
-
-@dataclass(frozen=True)
-class Edit:
-    """Bytes ``start`` to ``end`` are replaced by ``new``."""
-
-    start: int
-    end: int
-    new: bytes
-
-
-def start_tags(data: bytes) -> list[StartTag]:
-    """Every element of an XML text in UTF-8, in its order.
-
-    Raises:
-        xml.parsers.expat.ExpatError: If it is no XML.
-    """
-    found: list[StartTag] = []
-    around: list[int] = []
-    parser = expat.ParserCreate("utf-8")
-
-    def start(name: str, attributes: dict[str, str]) -> None:
-        first = parser.CurrentByteIndex
-        text = TO_TAG_END.match(data, first)
-        end = len(data) if text is None else text.end()
-        found.append(StartTag(name, attributes, first, end, around[-1] if around else None))
-        around.append(len(found) - 1)
-
-    parser.StartElementHandler = start
-    parser.EndElementHandler = lambda _: around.pop()
-    parser.Parse(data, True)
-    return found
-
-
-def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, int, int]], int]:
-    """Where each attribute of a tag starts, its value starts and ends; and where the last one ends."""
-    after = tag.start + 1 + len(tag.name.encode())
-    spans: dict[str, tuple[int, int, int]] = {}
-    while (one := ATTRIBUTE.match(data, after)) is not None:
-        spans[one[1].decode()] = (one.start(1), one.start(2) + 1, one.end(2) - 1)
-        after = one.end()
-    return spans, after
-
-
-def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> list[Edit]:
-    """What gives attributes of a tag new values; one that it lacks is added behind its others."""
-    spans, after = attribute_spans(data, tag)
-    new = "".join(f' {name}="{value}"' for name, value in values.items() if name not in spans)
-    found = [Edit(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]
-    return [*found, Edit(after, after, new.encode())] if new else found
-
-
-def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
-    """What puts an element right behind a start tag, on a line as the next one has it."""
-    rest = data[tag.end :]
-    return Edit(tag.end, tag.end, rest[: len(rest) - len(rest.lstrip())] + element.encode())
-
-
-def inserted_before(data: bytes, tag: StartTag, *elements: str) -> Edit:
-    """What puts elements before a start tag, on lines as its own."""
-    before = data[: tag.start]
-    gap = before[len(before.rstrip()) :]
-    return Edit(tag.start, tag.start, b"".join(element.encode() + gap for element in elements))
-
-
-def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
-    """The text with all its edits."""
-    parts, after = [], 0
-    for edit in sorted(edits, key=lambda edit: edit.start):
-        parts += [data[after : edit.start], edit.new]
-        after = edit.end
-    return b"".join([*parts, data[after:]])
-
 
 # Whether a file's chain of joints is the arm that was calibrated, told in other frames. A vendor's file and a table
 # of DH parameters describe one arm where, joint by joint, the axes can be laid upon one another: the file's root
@@ -190,7 +56,7 @@ POSES = 12
 
 @dataclass(frozen=True, eq=False)
 class SameChain:
-    """How an arm's table and a file tell of one chain.
+    """The relation of an arm's table to a file of the same chain.
 
     Attributes:
         root: Pose of the table's world frame in the file's root.
@@ -217,6 +83,9 @@ class _Axis:
     direction: Array
     slides: bool
 
+    def turned(self, sign: float) -> _Axis:
+        return _Axis(self.point, sign * self.direction, self.slides)
+
     def moved(self, by: Pose) -> _Axis:
         return _Axis(by.position + by.rotation @ self.point, by.rotation @ self.direction, self.slides)
 
@@ -236,7 +105,7 @@ def link_frames(geometry: Geometry, joints: Array) -> list[Pose]:
 
 
 def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameChain:
-    """How ``file`` tells of the same chain as ``arm``.
+    """The relation of ``file`` to ``arm``, which is the same chain.
 
     Args:
         arm: The arm as it was before its calibration.
@@ -287,19 +156,16 @@ def _fits(
         if i == n:
             yield sign, [*zero, 0.0]
             return
-        last, here = mine[i - 1].moved(by), mine[i].moved(by)
+        last, axis = mine[i - 1].moved(by), mine[i].moved(by)
         for turn in signs:
-            wanted = _Axis(theirs[i].point, turn * theirs[i].direction, theirs[i].slides)
-            for value in (0.0, *([_value(last, here, wanted)] if free and i > 1 else [])):
+            target = theirs[i].turned(turn)
+            for value in (0.0, *([_value(last, axis, target)] if free and i > 1 else [])):
                 onwards = _along(last, value)
-                there = here.moved(onwards)
-                if there.same(wanted):
+                placed = axis.moved(onwards)
+                if placed.same(target):
                     yield from further(i + 1, behind(onwards, by), [*sign, turn], [*zero, value])
                 else:
-                    best = worst.get(i)
-                    found = there.apart(wanted)
-                    if best is None or sum(found) < sum(best):
-                        worst[i] = found
+                    worst[i] = min(worst.get(i, placed.apart(target)), placed.apart(target), key=sum)
 
     for turn in signs:
         for root in _roots(mine, theirs, turn):
@@ -309,31 +175,30 @@ def _fits(
 
 
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
-    """Where the first axes agree: as the frames are, then with all axes laid upon all, then the first upon the first.
+    """Roots with which the first axes agree: as the frames are, then all axes laid upon all, then first upon first.
 
     About the first axis the second then says where; along it the first axis that is not parallel. Of an arm that begins
     with a slide joints read alike.
     """
-    wanted = _Axis(theirs[0].point, turn * theirs[0].direction, theirs[0].slides)
-    if mine[0].same(wanted):
+    target = theirs[0].turned(turn)
+    if mine[0].same(target):
         yield identity_pose()
     if turn == 1.0:
         yield _laid(mine, theirs)
     if mine[0].slides:
         return
-    rotation, _ = Rotation.align_vectors(wanted.direction[None], mine[0].direction[None])
+    rotation, _ = Rotation.align_vectors(target.direction[None], mine[0].direction[None])
     rise = turn * _height(theirs) - _height(mine)
-    laid = Pose(wanted.point + rise * wanted.direction - rotation.as_matrix() @ mine[0].point, rotation.as_matrix())
+    laid = Pose(target.point + rise * target.direction - rotation.as_matrix() @ mine[0].point, rotation.as_matrix())
     yield laid
     if len(mine) == 1:
         return
     for second in (1.0, -1.0):
-        other = _Axis(theirs[1].point, second * theirs[1].direction, theirs[1].slides)
-        yield behind(_along(wanted, _value(wanted, mine[1].moved(laid), other)), laid)
+        yield behind(_along(target, _value(target, mine[1].moved(laid), theirs[1].turned(second))), laid)
 
 
 def _height(axes: list[_Axis]) -> float:
-    """How far along the first axis, from its point, the chain leaves it; 0 where it does not, or where a slide does.
+    """The place on the first axis, from its point, where the chain leaves it; 0 if it does not, or if a slide does.
 
     It leaves at the common normal of the last axis that is parallel to it and the next one, whatever the joints read.
     """
@@ -357,7 +222,11 @@ def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
         turn = Rotation.align_vectors([axis.direction for axis in theirs], [axis.direction for axis in mine])[0]
     rotation = turn.as_matrix()
     across = [np.eye(3) - np.outer(axis.direction, axis.direction) for axis in theirs if not axis.slides]
-    gaps = [own.point - rotation @ axis.point for axis, own in zip(mine, theirs, strict=True) if not own.slides]
+    gaps = [
+        their_axis.point - rotation @ axis.point
+        for axis, their_axis in zip(mine, theirs, strict=True)
+        if not their_axis.slides
+    ]
     if not gaps:
         return Pose(np.zeros(3), rotation)
     apart = np.concatenate([matrix @ gap for matrix, gap in zip(across, gaps, strict=True)])
@@ -365,7 +234,7 @@ def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
 
 
 def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
-    """How far the joint of ``last`` brings ``here`` to ``wanted``; 0 where it cannot tell."""
+    """The value of the joint of ``last`` that brings ``here`` to ``wanted``; 0 where it cannot tell."""
     if last.slides:
         if wanted.slides:
             return 0.0
@@ -393,12 +262,12 @@ def _along(axis: _Axis, value: float) -> Pose:
 
 
 def _apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: Array) -> tuple[float, float]:
-    """How far K_i = N_i^-1 G^-1 U_i changes over poses, m and rad, N_i of the table and U_i of the file."""
+    """The change of K_i = N_i^-1 G^-1 U_i over poses, m and rad, N_i of the table and U_i of the file."""
     fractions = np.mod(GOLDEN * np.arange(1, POSES * file.joints + 1).reshape(POSES, -1), 1.0) - 0.5
     joints = np.where(file.prismatic, 1.0, np.pi) * np.vstack([np.zeros(file.joints), fractions])
     most = np.zeros(2)
-    for table, own in zip(link_frames(arm, joints * sign + zero), link_frames(file, joints), strict=True):
-        laid = behind(inverse_pose(behind(root, table)), own)
+    for table, their_link in zip(link_frames(arm, joints * sign + zero), link_frames(file, joints), strict=True):
+        laid = behind(inverse_pose(behind(root, table)), their_link)
         turned = Rotation.from_matrix(laid.rotation @ laid.rotation[0].T).magnitude()
         most = np.maximum(most, [np.linalg.norm(laid.position - laid.position[0], axis=-1).max(), turned.max()])
     return float(most[0]), float(most[1])
@@ -409,35 +278,19 @@ PARALLEL = 1e-3
 """Axes count as parallel below this sine of the angle between them, digits that a file cut included."""
 
 
-@dataclass(frozen=True, eq=False)
-class CorrectedChain:
-    """A file's chain with the joints where calibration found them.
-
-    Attributes:
-        origins: New origin of each of the file's joints, told as `ChainJoint.origin` is.
-        hand: Pose of the calibrated tool in the tip, with the old mount of the tip.
-        mount: Pose of the tip in the last joint's frame with which the tip is the calibrated tool.
-    """
-
-    origins: tuple[Pose, ...]
-    hand: Pose
-    mount: Pose
-
-
 def corrected_chain(
-    nominal: Geometry, found: Geometry, joints: Sequence[ChainJoint], tool: Pose, same: SameChain
-) -> CorrectedChain:
-    """The corrected origins of a file's joints.
+    nominal: Geometry, identified: Geometry, joints: Sequence[ChainJoint], same: SameChain
+) -> tuple[list[Pose], Pose]:
+    """The corrected origins of a file's joints, and the pose of the calibrated tool in the last joint's frame.
 
     Args:
         nominal: The arm as it was before its calibration.
-        found: The calibrated arm, with the base as it was where an instrument's frame was fitted.
+        identified: The calibrated arm, with the base as it was where an instrument's frame was fitted.
         joints: Of the file.
-        tool: Pose of the file's tip in the frame of its last joint.
         same: How the file tells of ``nominal``.
     """
     before, after = (
-        [behind(same.root, pose) for pose in link_frames(geometry, same.zero)] for geometry in (nominal, found)
+        [behind(same.root, pose) for pose in link_frames(geometry, same.zero)] for geometry in (nominal, identified)
     )
     links = links_moved(joints)
     old = new = identity_pose()
@@ -450,20 +303,19 @@ def corrected_chain(
             laid = behind(inverse_pose(before[link]), old)
             if links.count(link) == 1:
                 laid = _laid_upon(laid, joint, float(same.sign[nominal.owners[link]]))
-            drawn, stood = stood, behind(after[link], laid)
+            drawing, stood = stood, behind(after[link], laid)
             if _slips(before, link, joint):
                 axis = stood.rotation @ joint.axis
-                stood = Pose(stood.position + axis * (axis @ (drawn.position - stood.position)), stood.rotation)
+                stood = Pose(stood.position + axis * (axis @ (drawing.position - stood.position)), stood.rotation)
         origins.append(behind(inverse_pose(new), stood))
-        moved = joint.motion(joint.offset)
-        old, new = behind(old, moved), behind(stood, moved)
-    hand = behind(after[-1], found.tool)
+        motion = joint.motion(joint.offset)
+        old, new = behind(old, motion), behind(stood, motion)
+    hand = behind(after[-1], identified.tool)
     if joints and joints[-1].ratio:
-        drawn, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
-        along = _slid_along(behind(placed, inverse_pose(behind(inverse_pose(old), drawn))), joints[-1])
+        drawing, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
+        along = _slid_along(behind(placed, inverse_pose(behind(inverse_pose(old), drawing))), joints[-1])
         origins[-1], new = behind(origins[-1], along), behind(new, along)
-    mount = behind(inverse_pose(new), hand)
-    return CorrectedChain(tuple(origins), behind(inverse_pose(tool), mount), mount)
+    return origins, behind(inverse_pose(new), hand)
 
 
 def _slid_along(moved: Pose, joint: ChainJoint) -> Pose:
@@ -481,19 +333,19 @@ def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
 
 def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:
     """The arm's link that each of a file's joints moves: slides in a row that one joint moves are one link."""
-    found: list[int | None] = []
+    links: list[int | None] = []
     row: dict[str, int] = {}
     count = 0
     for joint in joints:
         if not joint.ratio:
-            found.append(None)
+            links.append(None)
         elif joint.slides and joint.driver in row:
-            found.append(row[joint.driver])
+            links.append(row[joint.driver])
         else:
             row = {**row, joint.driver: count} if joint.slides else {}
-            found.append(count)
+            links.append(count)
             count += 1
-    return found
+    return links
 
 
 def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
@@ -516,25 +368,27 @@ NOTHING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """What a file's joints are given.
+    """New places of a file's joints and tool.
 
     Attributes:
-        chain: Where the joints stand.
-        same: How the file tells of the arm.
+        origins: New origin of each of the file's joints, told as `ChainJoint.origin` is.
+        root: Pose of the arm's base frame in the file's root.
+        hand: Pose of the calibrated tool in the tip, with the old mount of the tip.
         mount: New pose of the tip in the last joint's frame; None where it stays.
         frame: Pose in the tip of a new frame that is the calibrated tool; None where the tip is, or the file keeps it.
         notes: What the file holds, and what it does not, a sentence each.
     """
 
-    chain: CorrectedChain
-    same: SameChain
+    origins: list[Pose]
+    root: Pose
+    hand: Pose
     mount: Pose | None
     frame: Pose | None
     notes: tuple[str, ...]
 
 
 def correction(calibration: Calibration, own: JointRow, path: Path, frame: str = "") -> Correction:
-    """Where the joints of a robot's own file stand after calibration.
+    """The places of the joints of a robot's own file after calibration.
 
     A link that a joint moves has its frame on that joint's axis. Where such a link is the tip, what of the tool lies
     beside the axis is a frame of its own, fixed to the tip.
@@ -553,23 +407,24 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     same = same_chain(calibration.arm, geometry, path.name, calibration.arm_name)
-    known = calibration.record.get("frames") != "fitted"
-    chain = corrected_chain(calibration.arm, calibration.in_own_base, own.joints, own.tool, same)
+    fitted = calibration.record.get("frames") == "fitted"
+    origins, tool_mount = corrected_chain(calibration.arm, calibration.in_own_base, own.joints, same)
+    hand = behind(inverse_pose(own.tool), tool_mount)
     retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
     tool, tip = behind(same.root, forward(calibration.arm, same.zero)), forward(geometry, np.zeros(geometry.joints))
     near, turned = apart(tool, tip)
     at_tip = near <= NEAR and turned <= TURNED
-    told_there = at_tip and known and retooled
-    mount = chain.mount if told_there and own.mount is not None else None
-    beside = apart(behind(inverse_pose(tip), tool), chain.hand)
+    corrects = at_tip and retooled and not fitted
+    mount = tool_mount if corrects and own.mount is not None else None
+    beside = apart(behind(inverse_pose(tip), tool), hand)
     lies_beside = max(beside) > NOTHING
-    behind_tip = chain.hand if told_there and own.mount is None and frame and lies_beside else None
-    notes = _notes(calibration, own, chain, same)
+    behind_tip = hand if corrects and own.mount is None and frame and lies_beside else None
+    notes = _notes(calibration, own, origins, same)
     size = f"{beside[0] * 1e3:.3g} mm and {round(math.degrees(beside[1]), 6):g} deg"
-    if not known:
+    if fitted:
         notes.append(
             "base and tool were fitted: where the instrument stood and what it aimed at are no part of the robot, so "
-            "the file keeps its root and its tip; --as transforms writes both"
+            "the file keeps its root and its tip; `kind='transforms'` writes both"
         )
     elif mount is not None:
         notes.append(f"the tool's correction is in the fixed joint '{own.mount}' before the tip")
@@ -581,10 +436,10 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
     elif lies_beside:
         notes.append(
             f"of the tool's correction {size} are left out: the file's tip is not the calibrated tool on a fixed "
-            "joint; --as transforms writes them"
+            "joint; `kind='transforms'` writes them"
         )
     notes += left_out(calibration, "not in the file, because rigid links cannot hold it")
-    return Correction(chain, same, mount, behind_tip, tuple(notes))
+    return Correction(origins, same.root, hand, mount, behind_tip, tuple(notes))
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
@@ -604,11 +459,25 @@ def is_moved(old: Pose, new: Pose) -> tuple[bool, bool]:
     return position > NOTHING, turn > NOTHING
 
 
-def _notes(calibration: Calibration, own: JointRow, chain: CorrectedChain, same: SameChain) -> list[str]:
-    """What the file's joints hold, and how they read."""
+def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Pose], str]) -> dict[str, str]:
+    """New texts of the two attributes that tell a pose; of what does not change there is none.
+
+    Args:
+        old: The pose told now.
+        new: The pose to tell.
+        place: Name of the position's attribute.
+        attitude: Name of the attitude's.
+        words: Writes the attitude.
+    """
+    shifted, turned = is_moved(old, new)
+    return ({place: numbers_text(new.position)} if shifted else {}) | ({attitude: words(new)} if turned else {})
+
+
+def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: SameChain) -> list[str]:
+    """Sentences on how far the file's joints move, and how they read."""
     moves = {
         joint.name: apart(joint.origin, new)
-        for joint, new in zip(own.joints, chain.origins, strict=True)
+        for joint, new in zip(own.joints, origins, strict=True)
         if any(is_moved(joint.origin, new))
     }
     notes = []
@@ -623,12 +492,12 @@ def _notes(calibration: Calibration, own: JointRow, chain: CorrectedChain, same:
         notes.append("no joint origin differs from what the file has; nothing is changed")
     if not same.plain():
         drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
-        said = [
+        readings = [
             f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
             for name, joint, sign, zero in zip(calibration.arm.joint_names, drivers, same.sign, same.zero, strict=True)
             if sign != 1 or zero
         ]
-        notes.append(f"joints read otherwise in the file (rad, m): {', '.join(said)}; its own reading is kept")
+        notes.append(f"joints read otherwise in the file (rad, m): {', '.join(readings)}; its own reading is kept")
     return notes
 
 

@@ -5,18 +5,18 @@ What a file cannot hold of a calibration is told with it (`Delivery.notes`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Array, Geometry, load_arm, shipped_arms
+from pickenv.arm import Arm, Geometry
 from pickenv.base import InputError, register, require, write_whole
 from pickenv.base.registry import get, names
-from pickenv.calibration.delivery import onto_files
-from pickenv.calibration.delivery.corrected_chain import Document, left_out, provenance
-from pickenv.calibration.delivery.joint_offsets import dh_table, joint_offsets, offset_table, onto_lerobot, ros2_offsets
+from pickenv.calibration.delivery.document import Document, Order, provenance
+from pickenv.calibration.delivery.onto_files import mjcf_files
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import Bpnn
 from pickenv.calibration.residuals.residual_models import LearntResidual
@@ -27,8 +27,9 @@ OPSET = 17
 """ONNX operator set written; read by every onnxruntime since 2022."""
 
 
-def write_onnx(calibration: Calibration, path: str | Path) -> Path:
-    """Write the learnt network as ONNX: input ``joints`` (N, n) in rad and m, output ``residual`` (N, 6 or 3).
+@register("exporter", "onnx")
+def onnx_document(calibration: Calibration, _: Order) -> Document:
+    """The learnt network as ONNX: input ``joints`` (N, n) in rad and m, output ``residual`` (N, 6 or 3).
 
     Conditions, if it was learnt with any, are a second input ``conditions`` (N, c). Double precision, so that it equals
     `LearntResidual.predict`.
@@ -46,12 +47,11 @@ def write_onnx(calibration: Calibration, path: str | Path) -> Path:
 
     model = _onnx_model(learnt, learnt.model, calibration.identified, provenance(calibration))
     onnx.checker.check_model(model)
-    return write_whole(path, lambda temporary: temporary.write_bytes(model.SerializeToString()))
+    return Document(model.SerializeToString())
 
 
 def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words: tuple[str, ...]) -> Any:
     """Joints to inputs (sine and cosine where they turn far), both standardisations, then the layers."""
-    import onnx
     from onnx import TensorProto, helper, numpy_helper
 
     constants: list[Any] = []
@@ -73,10 +73,14 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
     if len(turning):
         turned = node("Gather", ["joints", constant("turning", turning)], "turning_joints", axis=1)
         parts += [node("Sin", [turned], "sine"), node("Cos", [turned], "cosine")]
-    given = [helper.make_tensor_value_info("joints", TensorProto.DOUBLE, ["N", geometry.joints])]
+    widths = {"joints": geometry.joints}
     if inputs.conditions:
         parts.append("conditions")
-        given.append(helper.make_tensor_value_info("conditions", TensorProto.DOUBLE, ["N", inputs.conditions]))
+        widths["conditions"] = inputs.conditions
+    widths["residual"] = len(network.output_mean)
+    *arguments, result = (
+        helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width]) for name, width in widths.items()
+    )
     value = node("Concat", parts, "inputs", axis=1)
     for stage, mean, std in (
         ("of_training", inputs.mean, inputs.std),
@@ -84,26 +88,19 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
     ):
         centred = node("Sub", [value, constant(f"mean_{stage}", mean)], f"centred_{stage}")
         value = node("Div", [centred, constant(f"std_{stage}", std)], f"scaled_{stage}")
-    layers: list[tuple[Array, Array]] = list(zip(network.weights, network.biases, strict=True))
-    for i, (weight, bias) in enumerate(layers):
+    for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
+        if i:
+            value = node("Relu", [value], f"active{i - 1}")
         product = node("MatMul", [value, constant(f"weight{i}", np.ascontiguousarray(weight.T))], f"product{i}")
         value = node("Add", [product, constant(f"bias{i}", bias)], f"layer{i}")
-        if i < len(layers) - 1:
-            value = node("Relu", [value], f"active{i}")
     scaled = node("Mul", [value, constant("output_std", network.output_std)], "spread")
     node("Add", [scaled, constant("output_mean", network.output_mean)], "residual")
-    result = helper.make_tensor_value_info("residual", TensorProto.DOUBLE, ["N", len(network.output_mean)])
-    graph = helper.make_graph(nodes, "learnt_residual", given, [result], constants)
+    graph = helper.make_graph(nodes, "learnt_residual", arguments, [result], constants)
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="pickenv")
     model.ir_version = 8
     model.doc_string = "\n".join(words)
-    names = ", ".join(geometry.joint_names)
-    units = {
-        "joints": f"rad or m, in the order {names}",
-        "residual": "true minus identified pose: m, rotation vector rad",
-    }
-    helper.set_model_props(model, units)
-    assert isinstance(model, onnx.ModelProto)
+    joints = f"rad or m, in the order {', '.join(geometry.joint_names)}"
+    helper.set_model_props(model, {"joints": joints, "residual": "true minus identified pose: m, rotation vector rad"})
     return model
 
 
@@ -135,29 +132,6 @@ class Delivery:
     beside: tuple[Path, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Order:
-    """What an exporter is asked for beside the calibration.
-
-    Attributes:
-        out: The file to write.
-        onto: The robot's own file, in which only what the calibration corrects is changed; None for a new file.
-        tip: The link named behind it.
-        arm: The arm, where it was given.
-        counts_per_turn: Encoder counts per turn, for tables of offsets.
-        sample: Arms that the data allow, written beside a new MJCF.
-        seed: Of the sample.
-    """
-
-    out: Path
-    onto: Path | None = None
-    tip: str | None = None
-    arm: Arm | None = None
-    counts_per_turn: int | None = None
-    sample: int = 0
-    seed: int = 0
-
-
 def export(
     calibration: Calibration,
     out: str | Path,
@@ -179,100 +153,34 @@ def export(
             only what the calibration corrects is changed; of "robot.urdf#link" the link is the tip.
         arm: The arm, whose speeds a new arm file or URDF tells; found by its name where it is a shipped one.
         counts_per_turn: Encoder counts per turn, for tables of offsets.
-        sample: Arms that the data allow, written beside a new MJCF (see `export_mjcf`).
+        sample: Arms that the data allow, written beside a new MJCF.
         seed: Of the sample.
 
     Raises:
         InputError: If the kind is unknown, cannot hold the calibration, or the robot's own file is another arm's.
     """
     out = Path(out)
-    own, tip = _own_file(onto)
-    if own is not None and own.exists() and not own.is_file():
-        raise InputError(f"{own} is no file on a disk; give --onto the robot's own file")
-    chosen = kind or _kind(own, out)
-    exporter = get("exporter", chosen)
-    if counts_per_turn is not None and (chosen != "offsets" or counts_per_turn < 1):
-        raise InputError("counts per turn are a whole number above zero and belong to --as offsets")
-    if own is not None and chosen in ("toml", "onnx", "table", "offsets"):
-        raise InputError(f"a file of kind '{chosen}' is written anew; leave --onto out, or give another --as")
-    if sample and (chosen != "mjcf" or own is not None):
-        raise InputError("--sample goes with a new MJCF; leave it and --onto out, or give --as mjcf")
-    made: Document | Delivery = exporter(calibration, Order(out, own, tip, arm, counts_per_turn, sample, seed))
-    if isinstance(made, Document):
-        data = made.data
-        made = Delivery(write_whole(out, lambda temporary: temporary.write_bytes(data)), made.notes)
+    robot_file, tip = _robot_file(onto)
+    if robot_file is not None and robot_file.exists() and not robot_file.is_file():
+        raise InputError(f"{robot_file} is no file on a disk; give `onto` the robot's own file")
+    kind = kind or _kind(robot_file, out)
+    exporter = get("exporter", kind)
+    if counts_per_turn is not None and (kind != "offsets" or counts_per_turn < 1):
+        raise InputError("counts per turn are a whole number above zero and belong to `kind='offsets'`")
+    if robot_file is not None and kind in ("toml", "onnx", "table", "offsets"):
+        raise InputError(f"a file of kind '{kind}' is written anew; leave `onto` out, or give another `kind`")
+    if sample and (kind != "mjcf" or robot_file is not None):
+        raise InputError("`sample` goes with a new MJCF; leave it and `onto` out, or give `kind='mjcf'`")
+    if kind == "mjcf" and robot_file is None:
+        out = mjcf_files(out, 0)[0]
+    document: Document = exporter(calibration, Order(out, robot_file, tip, arm, counts_per_turn, sample, seed))
+    for path, data in {out: document.data, **document.beside}.items():
+        write_whole(path, partial(Path.write_bytes, data=data))
     caution = () if calibration.caution is None else (f"caution: {calibration.caution}",)
-    return replace(made, notes=(*caution, *made.notes))
+    return Delivery(out, (*caution, *document.notes), tuple(document.beside))
 
 
-# The exporters: a calibration and an order make the one document, or the files that were written.
-
-
-@register("exporter", "toml")
-def _toml(calibration: Calibration, order: Order) -> Delivery:
-    path = onto_files.write_arm_toml(calibration, _arm(calibration, order.arm), order.out)
-    return Delivery(path, _without(calibration))
-
-
-@register("exporter", "urdf")
-def _urdf(calibration: Calibration, order: Order) -> Document | Delivery:
-    if order.onto is not None:
-        return onto_files.onto_urdf(calibration, order.onto, order.tip, order.out)
-    path = onto_files.write_arm_urdf(calibration, _arm(calibration, order.arm), order.out)
-    return Delivery(path, (*_without(calibration), SKELETON))
-
-
-@register("exporter", "mjcf")
-def _mjcf(calibration: Calibration, order: Order) -> Document | Delivery:
-    if order.onto is not None:
-        return onto_files.onto_mjcf(calibration, order.onto, order.tip, order.out)
-    arm = _arm(calibration, order.arm)
-    path, *beside = onto_files.export_mjcf(calibration, arm, order.out, sample=order.sample, seed=order.seed)
-    return Delivery(path, (*_without(calibration), SKELETON), tuple(beside))
-
-
-@register("exporter", "onnx")
-def _onnx(calibration: Calibration, order: Order) -> Delivery:
-    return Delivery(write_onnx(calibration, order.out), ())
-
-
-@register("exporter", "kinematics-yaml")
-def _kinematics_yaml(calibration: Calibration, order: Order) -> Document:
-    if order.onto is None:
-        return onto_files.ur_kinematics_yaml(calibration)
-    return onto_files.onto_kinematics_yaml(calibration, order.onto)
-
-
-@register("exporter", "table")
-def _table(calibration: Calibration, order: Order) -> Document:
-    return dh_table(calibration, order.out)
-
-
-@register("exporter", "offsets")
-def _offsets(calibration: Calibration, order: Order) -> Document:
-    return offset_table(calibration, joint_offsets(calibration), order.out, order.counts_per_turn)
-
-
-@register("exporter", "ros2-control")
-def _ros2_control(calibration: Calibration, order: Order) -> Document:
-    return ros2_offsets(calibration, joint_offsets(calibration), order.onto)
-
-
-@register("exporter", "lerobot")
-def _lerobot(calibration: Calibration, order: Order) -> Document:
-    if order.onto is None:
-        raise InputError(
-            "a LeRobot file keeps ids and ranges of your motors; give --onto the one that lerobot-calibrate wrote"
-        )
-    return onto_lerobot(joint_offsets(calibration), order.onto)
-
-
-@register("exporter", "transforms")
-def _transforms(calibration: Calibration, order: Order) -> Document:
-    return onto_files.static_transforms(calibration, order.onto, order.tip)
-
-
-def _own_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
+def _robot_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
     """The robot's own file and the link named behind it."""
     if onto is None:
         return None, None
@@ -280,35 +188,16 @@ def _own_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
     return (Path(path), tip or None) if mark and path else (Path(onto), None)
 
 
-def _kind(own: Path | None, out: Path) -> str:
-    endings, path = (BY_ENDING, out) if own is None else (BY_OWN_ENDING, own)
+def _kind(robot_file: Path | None, out: Path) -> str:
+    endings, path = (BY_ENDING, out) if robot_file is None else (BY_OWN_ENDING, robot_file)
     if path.suffix == ".xacro":
         raise InputError(
-            f"{path} is a xacro, which takes its numbers from elsewhere; give --onto its kinematics YAML, or the URDF "
+            f"{path} is a xacro, which takes its numbers from elsewhere; give `onto` its kinematics YAML, or the URDF "
             "that xacro makes of it"
         )
-    found = endings.get(path.suffix.lower())
-    if found is None:
+    kind = endings.get(path.suffix.lower())
+    if kind is None:
         raise InputError(
-            f"the name {path} does not tell what to write; give --as one of {', '.join(names('exporter'))}"
+            f"the name {path} does not tell what to write; give `kind`, one of {', '.join(names('exporter'))}"
         )
-    return found
-
-
-def _arm(calibration: Calibration, arm: Arm | None) -> Arm:
-    """The arm, whose joint speeds no calibration holds."""
-    if arm is None and calibration.arm_name in shipped_arms():
-        shipped = load_arm(calibration.arm_name)
-        arm = shipped if shipped.fingerprint() == calibration.arm_fingerprint else None
-    if arm is None:
-        raise InputError(f"a new arm file tells joint speeds too; give --arm the file of '{calibration.arm_name}'")
-    calibration.refuse_another(arm)
-    return arm
-
-
-SKELETON = "a skeleton without meshes or true masses, from the robot's base; --onto patches a robot's own file"
-
-
-def _without(calibration: Calibration) -> tuple[str, ...]:
-    """What a new file lacks of the calibration, a sentence each."""
-    return tuple(left_out(calibration, "not in the file, because no geometry can hold it"))
+    return kind

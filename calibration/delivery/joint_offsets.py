@@ -13,28 +13,32 @@ import csv
 import io
 import json
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
-from pickenv.arm import Array, forward, joint_jacobian, parameter_jacobian, pose_error, rotation_vector
+from pickenv.arm import Array, Geometry, forward, joint_jacobian, parameter_jacobian, pose_error, rotation_vector
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, LINK_PARAMETERS
-from pickenv.base import InputError, decimal_number, listed, one_line, read_text, shortened
+from pickenv.base import InputError, decimal_number, listed, one_line, read_text, register, shortened
 from pickenv.base.texts import parsed
-from pickenv.calibration.delivery.corrected_chain import (
+from pickenv.calibration.delivery.document import (
     Document,
     Edit,
-    StartTag,
+    Order,
     edited,
     inserted_first,
     left_out,
     provenance,
     start_tags,
+    xml_comment,
 )
+from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.model.arm_model import frames_model
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 
@@ -50,7 +54,7 @@ SPREAD = 256
 
 @dataclass(frozen=True, eq=False)
 class JointOffsets:
-    """What each joint's reading lacks: the arm stands at reading plus offset.
+    """Offsets of the joints' readings: the arm stands at reading plus offset.
 
     Attributes:
         names: Of the joints.
@@ -77,10 +81,10 @@ class JointOffsets:
     region: str
 
     def note(self) -> str:
-        """What offsets do and what they leave out, for people."""
+        """A sentence on what offsets do and leave out."""
         turn = "" if self.left_turn is None else f" and {np.degrees(self.left_turn):.3g} deg"
-        free = [name for name, told in zip(self.names, self.told, strict=True) if not told]
-        untold = f"; of {', '.join(free)} these data tell none" if free else ""
+        free = np.array(self.names)[~self.told]
+        untold = f"; of {', '.join(free)} these data tell none" if len(free) else ""
         return (
             f"joint offsets alone: over {self.poses} {self.region} the nominal arm lies {self.without * 1e3:.3g} mm "
             f"from the calibrated one, with these offsets {self.left * 1e3:.3g} mm{turn} (means); the rest of the "
@@ -106,83 +110,80 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
         target = calibration.predict(joints)
     except InputError as error:
         raise InputError(
-            f"offsets cannot follow this calibration's terms: {error}; calibrate with --terms none"
+            f"offsets cannot follow this calibration's terms: {error}; calibrate with `terms='none'`"
         ) from error
-    model = frames_model(calibration.arm)
     fitted = calibration.record.get("frames") == "fitted"
+    columns = frames_model(calibration.arm).columns[: None if fitted else 0]
     rows = slice(0, 3 if calibration.record.get("kind") == "position" else 6)
     nominal = calibration.nominal
     offsets = np.zeros(nominal.joints)
     without = np.linalg.norm(pose_error(forward(nominal, joints), target)[:, :3], axis=1).mean()
     for _ in range(STEPS):
         missed = pose_error(forward(nominal, joints + offsets), target)[:, rows].ravel()
-        effect = _flat(joint_jacobian(nominal, joints + offsets)[:, rows])
-        frames = _flat(parameter_jacobian(nominal, joints + offsets)[:, rows, model.columns]) if fitted else None
-        way = _told(effect, frames)
+        way, effect, frames = _way(nominal, joints + offsets, rows, columns)
         step = way @ missed
         offsets = offsets + step
-        if frames is not None:
-            moved = np.zeros(len(nominal.parameter_names))
-            moved[model.columns] = np.linalg.lstsq(frames, missed - effect @ step, rcond=LOST)[0]
-            nominal = nominal.displaced(moved)
-    left = pose_error(forward(nominal, joints + offsets), target)
+        if fitted:
+            delta = np.zeros(len(nominal.parameter_names))
+            delta[columns] = np.linalg.lstsq(frames, missed - effect @ step, rcond=LOST)[0]
+            nominal = nominal.displaced(delta)
+    errors = pose_error(forward(nominal, joints + offsets), target)
     return JointOffsets(
         calibration.arm.joint_names,
         calibration.arm.prismatic,
         offsets,
         np.asarray(way.any(axis=1)),
-        _deviation(calibration, joints, rows, fitted),
+        _deviation(calibration, joints, rows, columns),
         float(without),
-        float(np.linalg.norm(left[:, :3], axis=1).mean()),
-        None if rows.stop == 3 else float(np.linalg.norm(left[:, 3:], axis=1).mean()),
+        float(np.linalg.norm(errors[:, :3], axis=1).mean()),
+        None if rows.stop == 3 else float(np.linalg.norm(errors[:, 3:], axis=1).mean()),
         len(joints),
         region,
     )
 
 
-def _flat(jacobian: Array) -> Array:
-    return jacobian.reshape(-1, jacobian.shape[-1])
+def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """The matrix from pose differences to offsets; effects on these of offsets, and of frames (columns).
+
+    What frames can do as well is theirs.
+    """
+    count = len(joints) * rows.stop
+    effect = joint_jacobian(nominal, joints)[:, rows].reshape(count, -1)
+    frames = parameter_jacobian(nominal, joints)[:, rows, columns].reshape(count, len(columns))
+    parts = np.linalg.svd(frames, full_matrices=False)
+    basis = parts.U[:, LOST * parts.S.max(initial=0.0) < parts.S]
+    beyond = effect - basis @ (basis.T @ effect)
+    size = np.linalg.norm(beyond, axis=0)
+    large = size > LOST * size.max()
+    way = np.zeros(beyond.T.shape)
+    way[large] = np.linalg.pinv(beyond[:, large], rcond=LOST)
+    return way, effect, frames
 
 
-def _told(effect: Array, frames: Array | None) -> Array:
-    """The matrix from pose differences to offsets: what frames can do as well is theirs."""
-    if frames is not None:
-        whole = np.linalg.svd(frames, full_matrices=False)
-        basis = whole.U[:, np.flatnonzero(LOST * whole.S[0] < whole.S)]
-        effect = effect - basis @ (basis.T @ effect)
-    size = np.linalg.norm(effect, axis=0)
-    told = size > LOST * size.max()
-    found = np.zeros(effect.T.shape)
-    found[told] = np.linalg.pinv(effect[:, told], rcond=LOST)
-    return found
-
-
-def _deviation(calibration: Calibration, joints: Array, rows: slice, fitted: bool) -> Array:
+def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: NDArray[np.int64]) -> Array:
     """Standard deviations of the offsets, from those of the identified parameters."""
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(calibration.arm.joints, np.nan)
-    nominal, model = calibration.nominal, frames_model(calibration.arm)
-    whole = parameter_jacobian(nominal, joints)[:, rows]
-    columns = [nominal.parameter_names.index(name) for name in sure.names if name in nominal.parameter_names]
-    kept = [i for i, name in enumerate(sure.names) if name in nominal.parameter_names]
-    frames = _flat(whole[..., model.columns]) if fitted else None
-    way = _told(_flat(joint_jacobian(nominal, joints)[:, rows]), frames) @ _flat(whole[..., columns])
-    covariance = sure.covariance[np.ix_(kept, kept)]
+    nominal = calibration.nominal
+    places = [i for i, name in enumerate(sure.names) if name in nominal.parameter_names]
+    identified = [nominal.parameter_names.index(sure.names[i]) for i in places]
+    way, *_ = _way(nominal, joints, rows, columns)
+    way = way @ parameter_jacobian(nominal, joints)[:, rows, identified].reshape(way.shape[1], -1)
+    covariance = sure.covariance[np.ix_(places, places)]
     variance = np.einsum("ij,jk,ik->i", way, covariance, way)
     return np.where(way.any(axis=1), np.sqrt(variance), np.nan)
 
 
 def _filling(calibration: Calibration) -> tuple[Array, str]:
     """Poses that fill what was measured evenly, always the same ones, and what they fill."""
-    arm = calibration.arm
-    kept = calibration.record.get("joint_ranges")
-    low, high = (arm.lower, arm.upper) if kept is None else np.array(kept, dtype=float)
+    arm, ranges = calibration.arm, calibration.record.get("joint_ranges")
+    low, high = (arm.lower, arm.upper) if ranges is None else np.array(ranges, dtype=float)
     half = (high - low) / 2
     half = np.where(arm.prismatic, half, np.minimum(half, np.pi))  # a turn at most
     unit = qmc.Halton(arm.joints, scramble=False).random(SPREAD + 1)[1:]
     joints = (low + high) / 2 + half * (2.0 * unit - 1.0)
-    return np.asarray(joints), "poses within the joint limits" if kept is None else "poses within the ranges measured"
+    return np.asarray(joints), f"poses within the {'joint limits' if ranges is None else 'ranges measured'}"
 
 
 # LeRobot's calibration files: read, and given joint offsets. Written against LeRobot since its hardware redesign of
@@ -202,80 +203,60 @@ LARGEST_HOMING = 2047
 FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
-@dataclass(frozen=True)
-class LerobotMotor:
-    """One motor of a LeRobot calibration, in counts."""
-
-    id: int
-    drive_mode: int
-    homing_offset: int
-    range_min: int
-    range_max: int
-
-    def limits(self) -> tuple[float, float]:
-        """Smallest and largest reading, rad: half the range to either side of its middle."""
-        half = (self.range_max - self.range_min) / COUNTS * np.pi
-        return -half, half
-
-
-def read_lerobot(path: str | Path) -> dict[str, LerobotMotor]:
-    """The motors of a LeRobot calibration file, by name.
-
-    Raises:
-        InputError: If it is none, or of the old form.
-    """
-    path = Path(path)
+def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
+    """The motors of a LeRobot calibration file, by name: what `FIELDS` says, in counts."""
     text = read_text(path, "a LeRobot calibration (.json)")
-    found: Any = parsed(lambda: json.loads(text), path, "JSON")
-    if isinstance(found, dict) and isinstance(found.get("homing_offset"), list):
+    motors: Any = parsed(lambda: json.loads(text), path, "JSON")
+    if isinstance(motors, dict) and isinstance(motors.get("homing_offset"), list):
         raise InputError(
             f"{path} is a LeRobot calibration from before its redesign of June 2025 (it lists homing_offset by "
             "motor_names); run lerobot-calibrate of a newer LeRobot and give the file that it writes"
         )
-    if not isinstance(found, dict) or not found:
+    if not isinstance(motors, dict) or not motors:
         raise InputError(f"{path} names no motors; give the calibration that lerobot-calibrate writes")
-    servos = {}
-    for name, motor in found.items():
+    for name, motor in motors.items():
         for field in FIELDS:
             if not isinstance(motor, dict) or type(motor.get(field)) is not int:
                 raise InputError(
                     f"{path}: motor '{shortened(name)}' has no whole number '{field}'; give the calibration that "
                     "lerobot-calibrate writes"
                 )
-        servos[name] = LerobotMotor(**{field: motor[field] for field in FIELDS})
-    return servos
+    return motors
 
 
-def onto_lerobot(found: JointOffsets, path: Path) -> Document:
-    """The text of a LeRobot calibration with corrected homing offsets; nothing else in it changes.
-
-    Args:
-        found: The offsets, of joints named as the motors are.
-        path: The file.
+@register("exporter", "lerobot")
+def lerobot_document(calibration: Calibration, order: Order) -> Document:
+    """A LeRobot calibration with corrected homing offsets; nothing else in it changes.
 
     Raises:
-        InputError: If a joint has no motor of its name, or cannot be moved as far.
+        InputError: If there is none, a joint has no motor of its name, or cannot be moved as far.
     """
-    servos = read_lerobot(path)
+    path = order.onto
+    if path is None:
+        raise InputError(
+            "a LeRobot file keeps ids and ranges of your motors; give `onto`, the one that lerobot-calibrate wrote"
+        )
+    shift, servos = joint_offsets(calibration), _lerobot_motors(path)
     data = path.read_bytes()
-    left, moved = 0.0, 0
-    for name, slides, offset in zip(found.names, found.slides, found.offsets, strict=True):
+    roundings, counts = [0.0], [0]
+    for name, slides, offset in zip(shift.names, shift.slides, shift.offsets, strict=True):
         servo = servos.get(name)
         if servo is None:
             raise InputError(
                 f"{path} has no motor '{shortened(name)}', only {listed(servos)}; name the arm's joints as the motors"
             )
-        if slides or servo.drive_mode:
+        if slides or servo["drive_mode"]:
             why = "slides" if slides else "has drive_mode 1, which LeRobot reads in one of two ways"
             raise InputError(f"joint '{shortened(name)}' {why}; its homing offset cannot be written")
         exact = float(offset) * COUNTS / (2.0 * np.pi)
-        homing = servo.homing_offset - round(exact)
+        homing = servo["homing_offset"] - round(exact)
         if abs(homing) > LARGEST_HOMING:
             raise InputError(
                 f"joint '{shortened(name)}' would need a homing offset of {homing} counts, but the servo keeps "
                 f"{LARGEST_HOMING} at most; turn the horn on by a tooth, or home it elsewhere, and calibrate again"
             )
-        left, moved = max(left, abs(exact - round(exact))), max(moved, abs(round(exact)))
+        roundings.append(abs(exact - round(exact)))
+        counts.append(abs(round(exact)))
         pattern = rf'({re.escape(json.dumps(name))}\s*:\s*\{{[^{{}}]*?"homing_offset"\s*:\s*)-?\d+'.encode()
         data, written = re.subn(pattern, rb"\g<1>" + str(homing).encode(), data)
         if not written:
@@ -283,9 +264,9 @@ def onto_lerobot(found: JointOffsets, path: Path) -> Document:
                 f"{path}: the homing_offset of '{shortened(name)}' is not where LeRobot writes it; save it anew"
             )
     notes = (
-        found.note(),
-        f"homing offsets move by up to {moved} counts; rounding to whole counts leaves up to "
-        f"{360.0 / COUNTS * left:.2g} deg, and the ends of each range move along with its zero",
+        shift.note(),
+        f"homing offsets move by up to {max(counts)} counts; rounding to whole counts leaves up to "
+        f"{360.0 / COUNTS * max(roundings):.2g} deg, and the ends of each range move along with its zero",
         "taken for granted: angles were LeRobot's degrees with its sign (Feetech servos: present = actual - homing)",
         "LeRobot will find on connecting that file and motors differ: let it use the file",
     )
@@ -301,17 +282,15 @@ def onto_lerobot(found: JointOffsets, path: Path) -> Document:
 TABLE_FORMAT = "pickenv joint offsets 1"
 
 
-def offset_table(calibration: Calibration, found: JointOffsets, out: Path, counts_per_turn: int | None) -> Document:
-    """The offsets as CSV, or as JSON where ``out`` ends so: what to add to each joint's reading.
+@register("exporter", "offsets")
+def offset_table(calibration: Calibration, order: Order) -> Document:
+    """The offsets as CSV, or as JSON where the file ends so: numbers to add to each joint's reading.
 
-    Args:
-        calibration: The calibration.
-        found: Its offsets.
-        out: Where it will be written.
-        counts_per_turn: Encoder counts per turn of a joint; gives turning joints a column of whole counts.
+    Encoder counts per turn of a joint give turning joints a column of whole counts.
     """
     rows: list[dict[str, Any]] = []
-    for name, slides, value, deviation in zip(found.names, found.slides, found.offsets, found.deviation, strict=True):
+    shift = joint_offsets(calibration)
+    for name, slides, value, deviation in zip(shift.names, shift.slides, shift.offsets, shift.deviation, strict=True):
         scale = 1e3 if slides else float(np.degrees(1.0))
         row: dict[str, Any] = {
             "joint": name,
@@ -319,116 +298,79 @@ def offset_table(calibration: Calibration, found: JointOffsets, out: Path, count
             "add_to_reading": float(value * scale),
             "standard_deviation": None if np.isnan(deviation) else float(deviation * scale),
         }
-        if counts_per_turn is not None:
-            row["counts"] = None if slides else round(value * counts_per_turn / (2.0 * np.pi))
+        if order.counts_per_turn is not None:
+            row["counts"] = None if slides else round(value * order.counts_per_turn / (2.0 * np.pi))
         rows.append(row)
-    return Document(table_bytes(rows, out, TABLE_FORMAT, (*provenance(calibration), found.note())), (found.note(),))
+    return _table(rows, order.out, TABLE_FORMAT, calibration, (shift.note(),))
 
 
-def table_bytes(rows: list[dict[str, Any]], out: Path, written: str, words: tuple[str, ...]) -> bytes:
+def _table(
+    rows: list[dict[str, Any]], out: Path, form: str, calibration: Calibration, notes: tuple[str, ...]
+) -> Document:
     """Rows as CSV with comment lines above, or as JSON where ``out`` ends so; None is an empty cell."""
+    words = (*provenance(calibration), *notes)
     if out.suffix.lower() == ".json":
-        return (json.dumps({"format": written, "origin": list(words), "rows": rows}, indent=2) + "\n").encode()
-    text = io.StringIO()
-    for line in (written, *words):
-        text.write(f"# {one_line(line)}\n")
+        content = {"format": form, "origin": list(words), "rows": rows}
+        return Document((json.dumps(content, indent=2) + "\n").encode(), notes)
+    text = io.StringIO("".join(f"# {one_line(line)}\n" for line in (form, *words)))
+    text.seek(0, io.SEEK_END)
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    return text.getvalue().encode()
+    return Document(text.getvalue().encode(), notes)
 
 
-def ros2_offsets(calibration: Calibration, found: JointOffsets, onto: Path | None) -> Document:
-    """The offsets as ros2_control parameters: a fragment, or within the robot's own description.
+@register("exporter", "ros2-control")
+def ros2_offsets(calibration: Calibration, order: Order) -> Document:
+    """The offsets as ros2_control parameters: within the robot's own description, or the joints alone, without ids.
 
     A joint reports raw minus offset and shall report as much more as the calibration found, so that is taken off the
     offset that it has.
 
-    Args:
-        calibration: The calibration.
-        found: Its offsets.
-        onto: The robot's description with its ``<ros2_control>``; None writes the joints alone, without ids.
-
     Raises:
-        InputError: If a joint is not in the description.
+        InputError: If the description is unusable, or a joint is not in it.
     """
-    notes = (found.note(),)
+    onto, shift = order.onto, joint_offsets(calibration)
+    notes = (shift.note(),)
     if onto is None:
-        lines = ["<!--", *(one_line(line).replace("--", "- -") for line in provenance(calibration))]
-        what = "reported = raw - offset, rad and m; take each off the offset that your joint has, if any"
-        lines += [f"for dynamixel_hardware of July 2026: {what}", "-->", "<ros2_control>"]
-        for name, value in zip(found.names, found.offsets, strict=True):
-            lines.append(f'  <joint name="{_escaped(name)}">\n    {_param(value)}\n  </joint>')
+        rule = "reported = raw - offset, rad and m; take each off the offset that your joint has, if any"
+        lines = xml_comment((*provenance(calibration), f"for dynamixel_hardware of July 2026: {rule}"))
+        lines.append("<ros2_control>")
+        for name, value in zip(shift.names, shift.offsets, strict=True):
+            lines.append(f"  <joint name={quoteattr(one_line(name))}>\n    {_param(value)}\n  </joint>")
         return Document(("\n".join([*lines, "</ros2_control>"]) + "\n").encode(), notes)
-    data, tags = _description(onto)
-    joints = _control_joints(tags)
+    read_text(onto, "a robot description")
+    data = onto.read_bytes()
+    tags = parsed(lambda: start_tags(data), onto, "XML")
+    controls = {i for i, tag in enumerate(tags) if tag.name == "ros2_control"}
+    joints = {
+        tag.attributes.get("name", ""): i
+        for i, tag in enumerate(tags)
+        if tag.name == "joint" and tag.parent in controls
+    }
     edits: list[Edit] = []
-    for name, value in zip(found.names, found.offsets, strict=True):
+    for name, value in zip(shift.names, shift.offsets, strict=True):
         if name not in joints:
-            named = "no <ros2_control> joint at all" if not joints else f"only {', '.join(map(shortened, joints))}"
+            names = "no <ros2_control> joint at all" if not joints else f"only {', '.join(map(shortened, joints))}"
             raise InputError(
-                f"{onto} has no <ros2_control> joint '{shortened(name)}', {named}; name its joints as the arm's"
+                f"{onto} has no <ros2_control> joint '{shortened(name)}', {names}; name its joints as the arm's"
             )
         place = joints[name]
-        param = _offset_of(tags, place)
+        param = next((tag for tag in tags if tag.parent == place and tag.is_named("param", "offset")), None)
         if param is None:
             edits.append(inserted_first(data, tags[place], _param(value)))
-        else:
-            end = data.index(b"<", param.end)
-            edits.append(Edit(param.end, end, repr(_value(data[param.end : end], name, onto) - float(value)).encode()))
+            continue
+        end = data.index(b"<", param.end)
+        before = decimal_number(data[param.end : end].decode().strip())
+        if before is None or not np.isfinite(before):
+            raise InputError(f"{onto}: the offset of joint '{shortened(name)}' is no number; write one, in rad or m")
+        edits.append(Edit(param.end, end, repr(before - float(value)).encode()))
     return Document(edited(data, edits), notes)
 
 
 def _param(offset: float) -> str:
     """The parameter of a joint that had none."""
     return f'<param name="offset">{0.0 - float(offset)!r}</param>'
-
-
-def read_ros2_offsets(path: Path) -> dict[str, float]:
-    """Offsets (rad, m) of the ``<ros2_control>`` joints of a robot description; 0 where a joint has none.
-
-    Raises:
-        InputError: If the file is unusable.
-    """
-    data, tags = _description(path)
-    found = {}
-    for name, place in _control_joints(tags).items():
-        param = _offset_of(tags, place)
-        found[name] = 0.0 if param is None else _value(data[param.end : data.index(b"<", param.end)], name, path)
-    return found
-
-
-def _description(path: Path) -> tuple[bytes, list[StartTag]]:
-    """Bytes and elements of a robot description."""
-    read_text(path, "a robot description")
-    data = path.read_bytes()
-    return data, parsed(lambda: start_tags(data), path, "XML")
-
-
-def _control_joints(tags: list[StartTag]) -> dict[str, int]:
-    """Places of the joints within ``<ros2_control>``, by name."""
-    controls = {i for i, tag in enumerate(tags) if tag.name == "ros2_control"}
-    return {
-        tag.attributes.get("name", ""): i
-        for i, tag in enumerate(tags)
-        if tag.name == "joint" and tag.parent in controls
-    }
-
-
-def _offset_of(tags: list[StartTag], joint: int) -> StartTag | None:
-    own = (tag for tag in tags if tag.parent == joint and tag.name == "param")
-    return next((tag for tag in own if tag.attributes.get("name") == "offset"), None)
-
-
-def _value(text: bytes, name: str, path: Path) -> float:
-    value = decimal_number(text.decode().strip())
-    if value is None or not np.isfinite(value):
-        raise InputError(f"{path}: the offset of joint '{shortened(name)}' is no number; write one, in rad or m")
-    return value
-
-
-def _escaped(name: str) -> str:
-    return one_line(name).replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")
 
 
 # The corrected parameters as a plain table: modified and standard DH, before, after, change, standard deviation.
@@ -444,8 +386,9 @@ BEHIND = ("alpha", "a", "beta")
 """Parameters that standard tables have a row earlier."""
 
 
-def dh_table(calibration: Calibration, out: Path) -> Document:
-    """The table as CSV, or as JSON where ``out`` ends so; angles in degrees, lengths in mm.
+@register("exporter", "table")
+def dh_table(calibration: Calibration, order: Order) -> Document:
+    """The table as CSV, or as JSON where the file ends so; angles in degrees, lengths in mm.
 
     Standard deviations are empty where a parameter kept its nominal value.
     """
@@ -453,47 +396,45 @@ def dh_table(calibration: Calibration, out: Path) -> Document:
         "parameters without a standard deviation were not identified and keep their nominal values; others absorb them",
     ]
     notes += left_out(calibration, "not in the table, because no geometry can hold it")
-    rows = _rows(calibration)
-    return Document(table_bytes(rows, out, DH_TABLES_TABLE_FORMAT, (*provenance(calibration), *notes)), tuple(notes))
-
-
-def _rows(calibration: Calibration) -> list[dict[str, Any]]:
-    nominal, found = calibration.nominal, calibration.identified
     sure = uncertainty_from(calibration.record)
-    known = {} if sure is None else dict(zip(sure.names, np.sqrt(np.diag(sure.covariance)), strict=True))
-
-    def row(table: str, number: int, label: str, name: str, values: tuple[float, float], angle: bool) -> dict[str, Any]:
-        scale = float(np.degrees(1.0)) if angle else 1e3
-        before, after = (float(value * scale) for value in values)
-        return {
-            "table": table,
-            "row": number,
-            "joint": label,
-            "parameter": name.rstrip("0123456789"),
-            "unit": "deg" if angle else "mm",
-            "nominal": before,
-            "corrected": after,
-            "change": after - before,
-            "standard_deviation": float(known[name] * scale) if name in known else None,
-        }
-
+    std = {} if sure is None else dict(zip(sure.names, np.sqrt(np.diag(sure.covariance)), strict=True))
+    nominal, identified = _parameters(calibration.nominal), _parameters(calibration.identified)
     rows = []
-    for table in ("modified", "standard"):
-        for i in range(found.links):
+    for table, number, joint, name in _table_rows(calibration.identified):
+        angle = is_angle(name)
+        scale = float(np.degrees(1.0)) if angle else 1e3
+        before, after = (float(values.get(name, 0.0) * scale) for values in (nominal, identified))
+        rows.append(
+            {
+                "table": table,
+                "row": number,
+                "joint": joint,
+                "parameter": name.rstrip("0123456789"),
+                "unit": "deg" if angle else "mm",
+                "nominal": before,
+                "corrected": after,
+                "change": after - before,
+                "standard_deviation": float(std[name] * scale) if name in std else None,
+            }
+        )
+    return _table(rows, order.out, DH_TABLES_TABLE_FORMAT, calibration, tuple(notes))
+
+
+def _parameters(geometry: Geometry) -> dict[str, float]:
+    """A geometry's parameters by name, rad and m; their order is that of `parameter_names`."""
+    links = [getattr(geometry, kind) for kind in LINK_PARAMETERS]
+    frames = [[*pose.position, *rotation_vector(pose.rotation)] for pose in (geometry.base, geometry.tool)]
+    return dict(zip(geometry.parameter_names, np.concatenate([*links, *frames]).tolist(), strict=True))
+
+
+def _table_rows(geometry: Geometry) -> Iterator[tuple[str, int, str, str]]:
+    """Table, row, joint and parameter of each row; parameters are named as those of the modified table."""
+    for table, shift in (("modified", 0), ("standard", 1)):
+        for i, joint in enumerate(geometry.link_names):
             for kind in LINK_PARAMETERS:
-                early = kind in BEHIND
-                place = i if table == "modified" or not early else i + 1
-                name = f"{kind}{place if early else i + 1}"
-                values = [float(getattr(g, kind)[place]) if place < found.links else 0.0 for g in (nominal, found)]
-                angle = kind not in ("a", "d")
-                rows.append(row(table, i + 1, found.link_names[i], name, (values[0], values[1]), angle))
-        if table == "standard":
-            for kind in BEHIND:
-                values = [float(getattr(g, kind)[0]) for g in (nominal, found)]
-                rows.append(row(table, 0, "base", f"{kind}0", (values[0], values[1]), kind != "a"))
+                yield table, i + 1, joint, f"{kind}{i + shift if kind in BEHIND else i + 1}"
+    for kind in BEHIND:
+        yield "standard", 0, "base", f"{kind}0"
     for frame in ("base", "tool"):
-        for i, axis in enumerate(FRAME_PARAMETERS):
-            poses = (getattr(g, frame) for g in (nominal, found))
-            values = [float([*pose.position, *rotation_vector(pose.rotation)][i]) for pose in poses]
-            rows.append(row(frame, 0, frame, f"{frame}_{axis}", (values[0], values[1]), i > 2))
-    return rows
+        for axis in FRAME_PARAMETERS:
+            yield frame, 0, frame, f"{frame}_{axis}"

@@ -93,16 +93,16 @@ class CorrectedCommands:
 
     def report(self) -> str:
         """A few lines for people; names the rows that cannot be reached."""
-        shown = self.reached if self.reached.any() else np.ones_like(self.reached)
-        before, left, never = (
-            [float(size[shown].mean()) for size in _sizes(error)]
+        rows = self.reached if self.reached.any() else np.ones_like(self.reached)
+        before, after, never = (
+            [float(size[rows].mean()) for size in _sizes(error)]
             for error in (self.before, self.remaining, self.impossible)
         )
         lines = [
             f"{int(self.reached.sum())} of {len(self.reached)} targets can be reached",
             f"  told the plain target, the arm would miss by {before[0]:.3f} mm and {before[1]:.4f} deg"
             " (mean, predicted)",
-            f"  with the corrected commands {left[0]:.4f} mm and {left[1]:.4f} deg remain, of which "
+            f"  with the corrected commands {after[0]:.4f} mm and {after[1]:.4f} deg remain, of which "
             f"{never[1]:.4f} deg is a rotation that no joint motion removes",
         ]
         if self.position_uncertainty is None:
@@ -152,44 +152,47 @@ def apply_calibration(
     reasons: dict[int, str] = {}
     if targets.pose is None:
         assert targets.joints is not None
-        wanted_joints, wanted = targets.joints, forward(calibration.nominal, targets.joints)
+        wanted_joints, poses = targets.joints, forward(calibration.nominal, targets.joints)
         outside = (wanted_joints < geometry.lower - 1e-9) | (wanted_joints > geometry.upper + 1e-9)
         for i in np.flatnonzero(outside.any(axis=1)):
             joint = int(np.argmax(outside[i]))
             reasons[int(i)] = f"target of {geometry.joint_names[joint]} is outside its limits"
     else:
-        found = inverse(geometry, targets.pose)
-        wanted_joints = found.joints
-        wanted = targets.pose if frame == "instrument" else _carried(targets.pose, arm.nominal, calibration.nominal)
-        for i in np.flatnonzero(~found.reached):
-            missed = np.degrees(found.attitude_error[i] - found.noncompensable_attitude[i])
+        solution = inverse(geometry, targets.pose)
+        wanted_joints = solution.joints
+        poses = targets.pose if frame == "instrument" else _carried(targets.pose, arm.nominal, calibration.nominal)
+        for i in np.flatnonzero(~solution.reached):
+            missed = np.degrees(solution.attitude_error[i] - solution.noncompensable_attitude[i])
             reasons[int(i)] = (
                 f"no joints within the limits reach this pose; the nearest miss it by "
-                f"{found.position_error[i] * 1e3:.3g} mm and {missed:.3g} deg"
+                f"{solution.position_error[i] * 1e3:.3g} mm and {missed:.3g} deg"
             )
     compensator = calibration.compensator(conditions=conditions, fast=False)
-    commands = toward(compensator, wanted, wanted_joints)
-    before = pose_error(wanted, compensator.predict(wanted_joints))
-    remaining = pose_error(wanted, compensator.predict(commands))
+    commands = toward(compensator, poses, wanted_joints)
+    before = pose_error(poses, compensator.predict(wanted_joints))
+    remaining = pose_error(poses, compensator.predict(commands))
     weight = attitude_weight(arm.nominal.joints)
     impossible = noncompensable_error(calibration.identified, commands, remaining, weight=weight)
-    left = remaining - impossible
-    missed_position, missed_attitude = np.linalg.norm(left[:, :3], axis=1), np.linalg.norm(left[:, 3:], axis=1)
+    removable = remaining - impossible
+    missed_position, missed_attitude = (
+        np.linalg.norm(removable[:, :3], axis=1),
+        np.linalg.norm(removable[:, 3:], axis=1),
+    )
     reached = (missed_position <= POSITION_TOLERANCE) & (missed_attitude <= ATTITUDE_TOLERANCE)
     for i in np.flatnonzero(~reached):
         at = (commands[i] <= geometry.lower) | (commands[i] >= geometry.upper)
-        held = ", ".join(geometry.joint_names[j] for j in np.flatnonzero(at)) or "no joint"
+        limits = ", ".join(geometry.joint_names[j] for j in np.flatnonzero(at)) or "no joint"
         reasons.setdefault(
             int(i),
-            f"the correction is cut off by a joint limit ({held}); {missed_position[i] * 1e3:.3g} mm and "
+            f"the correction is cut off by a joint limit ({limits}); {missed_position[i] * 1e3:.3g} mm and "
             f"{np.degrees(missed_attitude[i]):.3g} deg remain that a free joint could remove",
         )
     reached[list(reasons)] = False
     uncertainty = uncertainty_from(calibration.record)
     sure: tuple[Array | None, Array | None] = (None, None)
     if uncertainty is not None:
-        here = None if conditions is None else conditions.repeated((len(commands),))
-        sure = uncertainty.standard(calibration.model, commands, here)
+        repeated = None if conditions is None else conditions.repeated((len(commands),))
+        sure = uncertainty.standard(calibration.model, commands, repeated)
     return CorrectedCommands(
         targets=wanted_joints,
         joints=commands,
@@ -241,5 +244,5 @@ def _carried(pose: Pose, believed: Geometry, fitted: Geometry) -> Pose:
     twist = believed.tool.rotation.T @ fitted.tool.rotation
     mount = pose.rotation @ believed.tool.rotation.T
     flange = pose.position - (mount @ believed.tool.position)
-    moved = (flange - believed.base.position) @ turn.T + fitted.base.position
-    return Pose(moved + (turn @ mount) @ fitted.tool.position, turn @ pose.rotation @ twist)
+    flange_position = (flange - believed.base.position) @ turn.T + fitted.base.position
+    return Pose(flange_position + (turn @ mount) @ fitted.tool.position, turn @ pose.rotation @ twist)

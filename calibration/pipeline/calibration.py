@@ -45,13 +45,13 @@ NEARBY, SPACING = 0.3, 1.5
 those measured lie from their neighbours."""
 
 VAGUE = 2.0
-"""Where parameters tell the pose so many times worse than at 95 of 100 rows fitted, nothing like it was measured."""
+"""Poses that parameters tell so many times worse than 95 of 100 rows fitted are unlike what was measured."""
 
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `region_of`."""
 
 WITHIN = ("position_within95", "attitude_within95")
-"""What holds 95 of 100 errors: positions first."""
+"""Entries for the bounds of 95 of 100 errors: positions first."""
 
 ANCHORS = 400
 """Poses at most that stand for where an arm was measured."""
@@ -61,7 +61,7 @@ SHARE = 0.95
 
 @dataclass(frozen=True)
 class Within95:
-    """How far errors go beyond their expected size.
+    """The factor from the expected size of errors to the bound of 95 of 100.
 
     Attributes:
         factor: 95 of 100 errors are smaller than this many times their expected root mean square.
@@ -98,9 +98,9 @@ class PoseUncertainty:
         Attitude rows of an arm of which only positions were measured hold the parameters' part alone.
         """
         columns = [model.parameter_names.index(name) for name in self.names]
-        found = model.pose_covariance(columns, self.covariance, joints, conditions)
+        covariance = model.pose_covariance(columns, self.covariance, joints, conditions)
         scatter = np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
-        return np.asarray(found + np.diag(scatter))
+        return np.asarray(covariance + np.diag(scatter))
 
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -120,7 +120,7 @@ class PoseUncertainty:
     def within95(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
     ) -> tuple[Array | None, Array | None]:
-        """What holds 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, at joints ``(..., n)``.
+        """Bounds of 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, at joints ``(..., n)``.
 
         None where too few held-out errors show it.
         """
@@ -132,24 +132,24 @@ class PoseUncertainty:
         )
 
     def block(self, model: ArmModel, joints: Array, conditions: Conditions) -> Block:
-        """How far errors go at these poses, and whether held-out ones did, for screens."""
+        """A table of the bounds of errors at these poses, and whether held-out ones kept them."""
         radii, rows = self.within95(model, joints, conditions), []
-        for what, radius, known, scale, unit in (
+        for quantity, radius, coverage, scale, unit in (
             ("position", radii[0], self.position_within95, 1e3, "mm"),
             ("attitude", radii[1], self.attitude_within95, float(np.degrees(1.0)), "deg"),
         ):
-            if radius is not None and known is not None:
+            if radius is not None and coverage is not None:
                 low, middle, high = np.percentile(radius * scale, [5, 50, 95])
-                said = f"{figure(middle)} {unit} ({figure(low)} to {figure(high)})"
-                rows.append((what, said, f"{100 * known.covered:.1f} %"))
+                cell = f"{figure(middle)} {unit} ({figure(low)} to {figure(high)})"
+                rows.append((quantity, cell, f"{100 * coverage.covered:.1f} %"))
         heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so")
         note = "by pose; held: of held-out rows, each judged by what was found without its block"
         return Block("How far errors go", heads, tuple(rows), note)
 
     def within95_record(self) -> dict[str, Any]:
         """Factors and what they cover (JSON), of position and attitude; None where too few errors show it."""
-        found = {"position": self.position_within95, "attitude": self.attitude_within95}
-        return {name: None if part is None else dict(vars(part)) for name, part in found.items()}
+        parts = {"position": self.position_within95, "attitude": self.attitude_within95}
+        return {name: None if part is None else dict(vars(part)) for name, part in parts.items()}
 
     def as_record(self) -> dict[str, Any]:
         """For a calibration's record (JSON)."""
@@ -183,8 +183,8 @@ def pose_uncertainty(
             what the parameters say.
     """
     positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
-    own = set(found.arm_model.parameter_names)
-    places = [i for i, name in enumerate(found.identifiability.kept_names) if name in own]
+    names = set(found.arm_model.parameter_names)
+    places = [i for i, name in enumerate(found.identifiability.kept_names) if name in names]
     sure = PoseUncertainty(
         names=tuple(found.identifiability.kept_names[i] for i in places),
         covariance=found.covariance[np.ix_(places, places)],
@@ -193,8 +193,8 @@ def pose_uncertainty(
     )
     if joints is None or not np.isfinite(sure.covariance).all():
         return sure
-    told = replace(sure, position_repeat=0.0, attitude_repeat=None)
-    variance = np.diagonal(told.pose_covariance(found.arm_model, joints, conditions), axis1=1, axis2=2)
+    parametric = replace(sure, position_repeat=0.0, attitude_repeat=None)
+    variance = np.diagonal(parametric.pose_covariance(found.arm_model, joints, conditions), axis1=1, axis2=2)
     parts: dict[str, Any] = {
         name: within95(joints, np.sum(part**2, axis=1), variance[:, first : first + 3].sum(axis=1), blocks)
         for name, first, part in zip(WITHIN, (0, 3), (positions, attitudes), strict=True)
@@ -223,8 +223,10 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
         return None
     ratio = np.zeros(count)
     for number in numbers:
-        here = blocks == number
-        ratio[here] = np.sqrt(squares[here]) / np.sqrt(squares[~here].mean() + variance[here])
+        inside_block = blocks == number
+        ratio[inside_block] = np.sqrt(squares[inside_block]) / np.sqrt(
+            squares[~inside_block].mean() + variance[inside_block]
+        )
     inside = [ratio[blocks == number] <= _quantile(ratio[blocks != number]) for number in numbers]
     return Within95(_quantile(ratio), float(np.concatenate(inside).mean()))
 
@@ -243,26 +245,26 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
 
 
 def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
-    """Where an arm was measured, for a calibration's record: some rows' joints, how far apart, how well told there.
+    """The region that was measured, for a record: some rows' joints, how far apart, how well told there.
 
     Args:
         sure: Uncertainty of the arm.
         model: The arm.
         data: The rows fitted.
     """
-    told = sure.from_parameters(model, data.joints, data.conditions)
+    std = sure.from_parameters(model, data.joints, data.conditions)
     joints = data.joints[equally_spaced(len(data.joints), ANCHORS)]
     places = joint_features(joints, model.geometry.prismatic)
     apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
     return {
         "joints": np.round(joints, 4).tolist(),
         "near": max(NEARBY, SPACING * float(np.percentile(apart, 95))),
-        "position_p95_m": float(np.percentile(told, 95)),
+        "position_p95_m": float(np.percentile(std, 95)),
     }
 
 
 def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:
-    """Which rows ``(N,)`` lie where an arm was measured: others were near, and the parameters tell the pose.
+    """A mask of the rows ``(N,)`` that lie where an arm was measured: others are near, and parameters tell the pose.
 
     Args:
         record: The calibration's; None is returned where it does not say.
@@ -273,10 +275,10 @@ def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observation
     if region is None or sure is None:
         return None
     slides = model.geometry.prismatic
-    known = KDTree(joint_features(np.array(region["joints"]), slides))
-    near = known.query(joint_features(data.joints, slides))[0] <= region["near"]
-    told = sure.from_parameters(model, data.joints, data.conditions) <= VAGUE * region["position_p95_m"]
-    return np.asarray(near & told)
+    tree = KDTree(joint_features(np.array(region["joints"]), slides))
+    near = tree.query(joint_features(data.joints, slides))[0] <= region["near"]
+    sure_there = sure.from_parameters(model, data.joints, data.conditions) <= VAGUE * region["position_p95_m"]
+    return np.asarray(near & sure_there)
 
 
 def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
@@ -285,19 +287,19 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
     Older records hold a scatter that differs from pose to pose, and the factor of 95 of 100 for that; what holds 95 of
     100 is unknown then.
     """
-    kept = record.get("uncertainty")
-    if not isinstance(kept, Mapping):
+    entry = record.get("uncertainty")
+    if not isinstance(entry, Mapping):
         return None
-    covariance = np.array(kept["covariance"], dtype=float)
+    covariance = np.array(entry["covariance"], dtype=float)
     if not np.isfinite(covariance).all():
         return None
     parts: dict[str, Any] = {
-        name: Within95(kept[name]["factor"], kept[name]["covered"])
+        name: Within95(entry[name]["factor"], entry[name]["covered"])
         for name in WITHIN
-        if name in kept and name.replace("within95", "local") not in kept  # that factor is of another scatter
+        if name in entry and name.replace("within95", "local") not in entry  # that factor is of another scatter
     }
     return PoseUncertainty(
-        tuple(kept["parameters"]), covariance, float(kept["position_repeat_m"]), kept["attitude_repeat_rad"], **parts
+        tuple(entry["parameters"]), covariance, float(entry["position_repeat_m"]), entry["attitude_repeat_rad"], **parts
     )
 
 
@@ -312,7 +314,7 @@ GEOMETRIES = ("arm", "nominal", "identified")
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """What the true pose differs from the identified geometry by: parametric terms plus the learnt residual.
+    """The difference of the true pose from the identified geometry: parametric terms plus the learnt residual.
 
     Attributes:
         model: Gives the terms.
@@ -343,7 +345,7 @@ class Remainder:
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """What a calibration found for one arm.
+    """The calibration of one arm.
 
     Attributes:
         arm_name: Name of the arm.
@@ -427,33 +429,33 @@ class Calibration:
         self, sure: PoseUncertainty, conditions: Conditions | None, joints: Array
     ) -> tuple[Array | None, Array | None]:
         """`PoseUncertainty.within95` at joints ``(..., n)`` under the same conditions everywhere."""
-        here = None if conditions is None else conditions.repeated(joints.shape[:-1] or (1,))
-        return sure.within95(self.model, joints, here)
+        repeated = None if conditions is None else conditions.repeated(joints.shape[:-1] or (1,))
+        return sure.within95(self.model, joints, repeated)
 
     @property
     def caution(self) -> str | None:
-        """What its rows do not tell of the workspace it was made for, in a sentence; None where they tell it."""
+        """A sentence on what its rows do not tell of the workspace it was made for; None where they tell it."""
         workspace = self.record.get("workspace")
-        said = workspace.get("reservation") if isinstance(workspace, Mapping) else None
-        return None if said is None else str(said)
+        sentence = workspace.get("reservation") if isinstance(workspace, Mapping) else None
+        return None if sentence is None else str(sentence)
 
     def reservations(self) -> dict[str, str]:
-        """What stands against using it, by name, each a sentence that says what to do; empty where nothing does."""
-        found = {}
+        """Reservations against using it, by name, each a sentence that says what to do."""
+        sentences = {}
         verdict = self.record.get("verdict")
         if isinstance(verdict, Mapping) and verdict.get("grade") == "do not use":
-            found[DO_NOT_USE] = (
+            sentences[DO_NOT_USE] = (
                 f"the verdict on this calibration is: do not use ({verdict.get('reason')}); measure again"
             )
         if self.record.get("frames") == "fitted":
             interval = self.record.get("base_frame", {}).get("mean_ci95_mm")
             size = f" ({interval[0]:.3g} to {interval[1]:.3g} mm of mean error there)" if interval else ""
-            found[FITTED_FRAMES] = (
+            sentences[FITTED_FRAMES] = (
                 "base and tool of this calibration were fitted, so what the arm does in its own base frame, where the "
                 f"fruit stand, is not known{size}; measure with the instrument registered to the base and calibrate "
-                "with --frames known"
+                "with `frames='known'`"
             )
-        return found
+        return sentences
 
     @property
     def in_own_base(self) -> Geometry:
@@ -534,9 +536,9 @@ class Calibration:
                 holds a residual model that is not here; the message names its package.
         """
         path = npz_path(path)
-        found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
+        content = read_container(path, KIND, remake=REMAKE, version=FORMAT)
         with refusing_damage(path, f"a {KIND} file", REMAKE):
-            kind, parts = found.header.get("residual"), found.header.get("residual_from") or {}
+            kind, parts = content.header.get("residual"), content.header.get("residual_from") or {}
             source = Origin(**{key: str(value) for key, value in parts.items()})
         if kind is not None:
             try:
@@ -544,7 +546,7 @@ class Calibration:
             except InputError as error:
                 raise InputError(f"{path}: {error}") from error
         with refusing_damage(path, f"a {KIND} file", REMAKE):
-            calibration = _from_parts(found.header, found.arrays)
+            calibration = _from_parts(content.header, content.arrays)
         if arm is not None:
             calibration.refuse_another(arm, str(path))
         if unit is not None and calibration.unit != unit:

@@ -85,13 +85,13 @@ def fit(
     start = arm.nominal if aligned is None else aligned.geometry
     model = prior_model(arm.name, start, known=known_frames, fit="full").with_terms(terms)
     model = replace(model, std=np.full(len(model.std), np.inf))  # coefficients of terms among them
-    found = fit_geometry(arm, data, aligned, model)
+    bare = fit_geometry(arm, data, aligned, model)
     if residual_measurements is None:
-        return found
+        return bare
     if rng is None:
         raise ValueError("give rng, which seeds the residual model")
     settings = (settings or BpnnSettings()) if residual == "bpnn" else None
-    return fit_remainder(found, residual, residual_measurements, rng, settings, progress)
+    return fit_remainder(bare, residual, residual_measurements, rng, settings, progress)
 
 
 def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | None:
@@ -106,9 +106,9 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
             return align(nominal, data.poses, frames_model(nominal))
         refuse_another_arm(nominal, data.poses, "with base and tool taken as known")
         return None
-    found = identify(frames_model(nominal), ArmModel.of(rough_start(nominal, data)), [data], max_iterations=100)
-    _refuse_misfit(found, data)
-    return found
+    solution = identify(frames_model(nominal), ArmModel.of(rough_start(nominal, data)), [data], max_iterations=100)
+    _refuse_misfit(solution, data)
+    return solution
 
 
 def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, model: PriorModel) -> Fit:
@@ -123,8 +123,8 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, m
     Raises:
         InputError: If there are too few rows for parameters without priors, or it does not converge.
     """
-    found = solve(model, data)
-    if not found.converged:
+    solution = solve(model, data)
+    if not solution.converged:
         raise InputError(f"{data.source}: the identification did not converge; measure more varied poses")
     record = {
         "source": data.source,
@@ -133,17 +133,17 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, m
         "kind": data.kind,
         "joint_ranges": [data.joints.min(axis=0).tolist(), data.joints.max(axis=0).tolist()],
         "frames": "known" if aligned is None else "fitted",
-        "rank": found.identifiability.rank,
-        "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
+        "rank": solution.identifiability.rank,
+        "dropped": {item.name: item.absorbed_by for item in solution.identifiability.dropped},
         "prior": model.source,
         "terms": sorted(kind_of_term(term) for term in model.start.terms),
         "residual": None,
         "versions": versions("scipy"),
     }
-    if found.unknowns:
-        record["unknowns"] = found.unknowns
+    if solution.unknowns:
+        record["unknowns"] = solution.unknowns
     nominal = arm.nominal if aligned is None else aligned.geometry
-    return Fit(Calibration(arm.name, arm.nominal, nominal, found.arm_model, None, record), found, aligned)
+    return Fit(Calibration(arm.name, arm.nominal, nominal, solution.arm_model, None, record), solution, aligned)
 
 
 def fit_remainder(
@@ -184,14 +184,14 @@ def fit_remainder(
         fitter=paper,
         periodic_span=PERIODIC_SPAN if paper is None else np.inf,
     )
-    whole = {**found.calibration.record, "residual": record, "versions": versions("scipy", "torch")}
-    return replace(found, calibration=replace(found.calibration, learnt=model, record=whole))
+    full_record = {**found.calibration.record, "residual": record, "versions": versions("scipy", "torch")}
+    return replace(found, calibration=replace(found.calibration, learnt=model, record=full_record))
 
 
 def _refuse_misfit(found: Identification, data: Observations) -> None:
     """Refuse wires and sockets that even after the frames' fit miss by a large share of what they span."""
-    left = data.misses(found.arm_model, unknowns_of(found, data))
-    rms = float(np.sqrt(np.mean(np.sum(left**2, axis=1))))
+    misses = data.misses(found.arm_model, unknowns_of(found, data))
+    rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
     tool = forward(found.geometry, data.joints).position
     span = float(np.linalg.norm(tool.std(axis=0)))
     if isinstance(data, SocketObservations):
@@ -237,7 +237,7 @@ class HeldOut:
     pixels: tuple[Array, ...] = ()
 
     def text(self, rows: int, fitted: int) -> str:
-        """How these rows were held out, in words.
+        """A sentence on the way in which these rows were held out.
 
         Args:
             rows: Number of rows judged.
@@ -247,27 +247,27 @@ class HeldOut:
             counted = f"{rows} {self.rows} held out, {fitted} fitted{self.refit}"
             return f"{counted}; interval over rows{self._reason()}"
         counts = Counter(self.used).most_common()
-        chosen = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
+        models = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
         return (
             f"{rows} {self.rows}, each judged without its block: mean over {self._values} contiguous blocks, "
-            f"between-block interval{self._reason()}; fitted without each block, and chosen on others: {chosen}; the "
+            f"between-block interval{self._reason()}; fitted without each block, and chosen on others: {models}; the "
             f"calibration is fitted to all {fitted}"
         )
 
     @property
     def rows(self) -> str:
-        """What rows are called: "views" of pictures."""
+        """The word for rows: "views" of pictures."""
         return "views" if self.pixels else "rows"
 
     @property
     def no_interval(self) -> str:
-        """Why there is no interval, in words; empty where there is one."""
-        least, what = (LEAST_ROWS, "rows") if self.blocks is None else (LEAST, "blocks")
-        return "" if self._values >= least else f"no interval: {self._values} {what} are fewer than {least}"
+        """The reason why there is no interval; empty where there is one."""
+        least, units = (LEAST_ROWS, "rows") if self.blocks is None else (LEAST, "blocks")
+        return "" if self._values >= least else f"no interval: {self._values} {units} are fewer than {least}"
 
     @property
     def _values(self) -> int:
-        """How many independent values an interval has."""
+        """The number of independent values of an interval."""
         return len(self.parametric) if self.blocks is None else len(np.unique(self.blocks))
 
     def _reason(self) -> str:
@@ -289,8 +289,8 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
         before = missed_by(bare.aligned, test)
     pixels: tuple[Array, ...] = ()
     if test.views is not None:
-        found, views = bare.identification, [test.views.select(np.array([i])) for i in range(len(test.joints))]
-        pixels = tuple(view.pixel_errors(found.arm_model, unknowns_of(found, view)) for view in views)
+        solution, views = bare.identification, [test.views.select(np.array([i])) for i in range(len(test.joints))]
+        pixels = tuple(view.pixel_errors(solution.arm_model, unknowns_of(solution, view)) for view in views)
     return replace(_step_by_step(fits, before, lambda fit: what_is_left(fit, test)), pixels=pixels)
 
 
@@ -337,7 +337,7 @@ def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Row
         train: The rows.
         folds: For each block the rows fitted, and those held out.
     """
-    rows = np.concatenate([held[train.select(held).rows_of_misses] for _, held in folds])
+    rows = np.concatenate([rows_out[train.select(rows_out).rows_of_misses] for _, rows_out in folds])
     places = np.repeat(np.arange(len(train.parts)), [len(part.joints) for part in train.parts])
     order = np.argsort(places[rows], kind="stable")
     errors = {name: values[order] for name, values in held_out.errors.items()}
@@ -380,7 +380,7 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """What an identified arm leaves of data, likewise."""
+    """The errors that an identified arm leaves of data, likewise."""
     tracked = tracked_rows(found, data)
     if tracked is None:
         return data.misses(found.arm_model, unknowns_of(found, data))
@@ -463,7 +463,7 @@ def pixel_figures(fit: Fit, data: PixelObservations, test: PixelObservations, he
         test: The views held out, in the order of their errors.
         held_out: Those errors.
     """
-    found = fit.identification
+    solution = fit.identification
     metres, views = (
         held_out.errors[GEOMETRIC],
         np.repeat(np.arange(len(test.joints)), [len(e) for e in held_out.pixels]),
@@ -471,11 +471,11 @@ def pixel_figures(fit: Fit, data: PixelObservations, test: PixelObservations, he
     return PixelFigures(
         views=len(data.joints),
         corners=int(data.seen.sum()),
-        rms_px=position_rms(data.pixel_errors(found.arm_model, unknowns_of(found, data))),
+        rms_px=position_rms(data.pixel_errors(solution.arm_model, unknowns_of(solution, data))),
         leave_one_out_px=position_rms(np.concatenate(held_out.pixels)),
         view_rms_px=tuple(position_rms(view) for view in held_out.pixels),
         board_mm=error_statistics(1e3 * metres, views),
-        lens=dict(zip(LENS_NAMES, data.lens_values(unknowns_of(found, data)).tolist(), strict=True)),
+        lens=dict(zip(LENS_NAMES, data.lens_values(unknowns_of(solution, data)).tolist(), strict=True)),
         names=view_names(test),
     )
 

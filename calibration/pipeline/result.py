@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Array, Plant, draw_plants, load_tolerances
-from pickenv.base import Ends, folded, require, screen_width
-from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_tolerances
+from pickenv.base import Ends, InputError, folded, require, screen_width
 from pickenv.calibration.assessment.instrument import (
     BaseFrameError,
     base_frame_error,
@@ -28,7 +27,7 @@ from pickenv.calibration.assessment.instrument import (
     set_ups_of,
 )
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
-from pickenv.calibration.assessment.quality import Quality, grade_quality
+from pickenv.calibration.assessment.quality import Quality, grade_quality, workspace_error
 from pickenv.calibration.assessment.screen import (
     OWN,
     UNBOUNDED,
@@ -53,7 +52,8 @@ from pickenv.calibration.identification.diagnosis import (
 from pickenv.calibration.identification.robust import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel
-from pickenv.calibration.model.observations import MISS_UNITS, Observations
+from pickenv.calibration.model.measurements import joint_columns, random_joints
+from pickenv.calibration.model.observations import MISS_UNITS, Observations, equally_spaced
 from pickenv.calibration.pipeline.calibration import (
     MEASURED_REGION,
     Calibration,
@@ -74,9 +74,8 @@ from pickenv.calibration.pipeline.fitting import (
     what_is_left,
     without_residual,
 )
-from pickenv.calibration.pipeline.given import workspace_joints
 from pickenv.calibration.pipeline.twin import SCATTER, scatter_of, twin
-from pickenv.calibration.reading.read import NoiseFloor
+from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_targets
 from pickenv.calibration.residuals.gate import GateReport, position_rms
 
 SIGMAS = 2.0
@@ -145,7 +144,7 @@ class Result:
 
     @property
     def miss_unit(self) -> str:
-        """What held-out errors are shown in: "mm", or "deg" where only directions were measured."""
+        """The unit of held-out errors on screens: "mm", or "deg" where only directions were measured."""
         return self.train.miss_unit
 
     @property
@@ -230,29 +229,29 @@ class Result:
 
     @property
     def frames_text(self) -> str:
-        """What is known about base and tool, and the error in the robot's own base frame, in a sentence."""
+        """A sentence on base and tool, and on the error in the robot's own base frame."""
         if self.base_frame is not None:
             return self.base_frame.sentences()
-        known = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
+        words = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
         if self.own_mean_ci95 is None:
-            return known + f"{figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
+            return words + f"{figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
         low, high = self.own_mean_ci95
-        return known + (
+        return words + (
             f"{figure(low)} to {figure(high)} mm (95 % interval; the lower end without the instrument's noise)"
         )
 
     def blocks(self) -> tuple[Block, ...]:
-        """What both the terminal and the page show, in order, after verdict and frames."""
+        """The tables that both the terminal and the page show, in order, after verdict and frames."""
         over = self.quality.workspace
         blocks = [self._errors(), set_up_block(self.set_ups, self.stations)]
         blocks += [] if over is None else [over.block()]
         blocks.append(self._parameters())
         if self.left_out:
             places = tuple((item.text(),) for item in self.left_out)
-            kept = any(item.kept for item in self.left_out)
+            any_kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
-            what = self.held_out.rows.capitalize()
-            blocks.append(Block(f"{what} far off, and kept" if kept else f"{what} left out", (), places, note))
+            title = self.held_out.rows.capitalize()
+            blocks.append(Block(f"{title} far off, and kept" if any_kept else f"{title} left out", (), places, note))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
@@ -332,19 +331,19 @@ class Result:
 
         ``narrowed`` is how much narrower it is known than before measuring, 0 to 1; None where nothing was expected.
         """
-        found, model = self.fit.identification, self.fit.calibration.model
-        moved = ArmModel.of(self.fit.calibration.nominal, model.terms).difference(model)
-        change = dict(zip(model.parameter_names, moved, strict=True)) | found.unknowns
-        rows, seen = [], found.identifiability
-        columns = zip(seen.names, found.standard_deviation, found.prior_std, found.narrowed, strict=True)
+        solution, model = self.fit.identification, self.fit.calibration.model
+        changes = ArmModel.of(self.fit.calibration.nominal, model.terms).difference(model)
+        change = dict(zip(model.parameter_names, changes, strict=True)) | solution.unknowns
+        rows, identified = [], solution.identifiability
+        columns = zip(identified.names, solution.standard_deviation, solution.prior_std, solution.narrowed, strict=True)
         for name, std, before, narrowed in columns:
-            if name not in seen.kept_names:
+            if name not in identified.kept_names:
                 continue
             unit, scale = unit_of(name, model.geometry.parameter_names)
             row = {"name": name, "unit": unit, "change": float(change[name] * scale), "std": float(std * scale)}
-            known = np.isfinite(before)
-            row["prior_std"] = float(before * scale) if known else None
-            row["narrowed"] = float(narrowed) if known else None
+            proper = np.isfinite(before)
+            row["prior_std"] = float(before * scale) if proper else None
+            row["narrowed"] = float(narrowed) if proper else None
             rows.append(row)
         return rows
 
@@ -355,16 +354,16 @@ class Result:
     def _parameters(self) -> Block:
         every, rows = self.plain_parameters(), []
         for row in every:
-            told = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
+            share = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
             if has_moved(row):
-                rows.append((row["name"], figure(row["change"]), figure(row["std"]), row["unit"], told))
+                rows.append((row["name"], figure(row["change"]), figure(row["std"]), row["unit"], share))
         heads = ("parameter", "change", "± 1 sigma", "unit", "told by the rows")
         note = f"those of {len(every)} that moved by more than {SIGMAS:g} sigma; {self.prior_text}"
         return Block("Parameters", heads, tuple(rows), note)
 
     @property
     def prior_text(self) -> str:
-        """What was expected of the parameters before measuring, in words."""
+        """The expectation of the parameters before measuring, in words."""
         prior = self.geometric.identification.prior
         if prior is None or not prior.proper:
             return "nothing was expected of them beforehand"
@@ -376,16 +375,19 @@ class Result:
         rows = [("without", figure(first.geometric_blocked_rms * 1e3), "")]
         for v in gate.verdicts:
             rows.append((v.model, "-" if v.blocked_rms is None else figure(v.blocked_rms * 1e3), v.reason))
-        chosen = f"'{gate.selected}' is used" if gate.selected else "none is used"
+        verdict = f"'{gate.selected}' is used" if gate.selected else "none is used"
         header = ("model", "blocked hold-out, RMS (mm)", "verdict")
-        return Block("Learnt residual models", header, tuple(rows), f"{chosen}; judged within the training rows")
+        return Block("Learnt residual models", header, tuple(rows), f"{verdict}; judged within the training rows")
 
     def _facts(self) -> Block:
-        found = self.geometric.identification
+        solution = self.geometric.identification
         rows = [
             ("measured", self.train.kind),
             ("condition number of the geometry", figure(self.quality.observability.condition)),
-            ("least squares", f"{len(found.residual_rms) - 1} iterations, {figure(1e3 * found.solve_seconds)} ms"),
+            (
+                "least squares",
+                f"{len(solution.residual_rms) - 1} iterations, {figure(1e3 * solution.solve_seconds)} ms",
+            ),
         ]
         if self.floor is not None:
             rows.append(("noise floor of a position", self.floor.text()))
@@ -393,8 +395,8 @@ class Result:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
-        found = self.geometric.identification
-        prior = found.prior
+        solution = self.geometric.identification
+        prior = solution.prior
         nominal, geometric, best = self.position[NOMINAL], self.position[GEOMETRIC], self.best
         unit = self.miss_unit
         held_out: dict[str, Any] = {
@@ -417,25 +419,25 @@ class Result:
             "verdict": self.quality.as_dict(),
             "arm": self.arm.name,
             "unit": self.unit,
-            "kind": found.kind,
+            "kind": solution.kind,
             "frames": "known" if self.known_frames else "fitted",
             "within95": self.uncertainty.within95_record(),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
             "stations": self.set_ups,
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
             "left_out_rows": [vars(item) for item in self.left_out],
-            "parameters": len(found.identifiability.names),
-            "rank": found.identifiability.rank,
-            "parameters_told": found.spent,
+            "parameters": len(solution.identifiability.names),
+            "rank": solution.identifiability.rank,
+            "parameters_told": solution.spent,
             "changes": self.parameters(),
-            "dropped": {item.name: item.absorbed_by for item in found.identifiability.dropped},
+            "dropped": {item.name: item.absorbed_by for item in solution.identifiability.dropped},
             "workspace": None if self.quality.workspace is None else self.quality.workspace.as_dict(),
             "prior": None if prior is None else {"source": prior.source, "scales": dict(prior.scales)},
             "condition": self.quality.observability.condition,
             "converged": self.fit.identification.converged,
-            "solve_seconds": found.solve_seconds,
-            "unknowns_mm": unknowns_in("mm", found.unknowns),
-            "directions": unknowns_in("1", found.unknowns),
+            "solve_seconds": solution.solve_seconds,
+            "unknowns_mm": unknowns_in("mm", solution.unknowns),
+            "directions": unknowns_in("1", solution.unknowns),
             "held_out": held_out,
             "noise_floor_mm": None if self.floor is None else self.floor.as_dict(),
             "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
@@ -444,6 +446,57 @@ class Result:
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
             **({} if self.pixels is None else self.pixels.as_dict()),
         }
+
+
+WORKSPACE_POSES, TRIALS = 400, 200_000
+"""Joint vectors that stand for a workspace, and how many are drawn at most to find those that lie in a box."""
+
+
+def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, Array]:
+    """The name of a workspace, and joints ``(M, n)`` all over it; the same every time.
+
+    Args:
+        text: A file of targets (joints or tool poses in our own columns); or ranges joined by commas, of joints in deg
+            or mm (``q1=-90:90``) and of the tool's position in the controller's base frame in mm (``x=300:900``); what
+            is not named is within the joint limits. All of these when None.
+        geometry: The nominal arm.
+
+    Raises:
+        InputError: If a range cannot be read, or the arm reaches nothing in it.
+    """
+    rng = np.random.default_rng(0)
+    if text is None:
+        return "the joint limits", random_joints(geometry, WORKSPACE_POSES, rng)
+    if "=" not in str(text):
+        joints = joints_of(read_targets(text, geometry), geometry)
+        return f"the targets of {text}", joints[equally_spaced(len(joints), WORKSPACE_POSES)]
+    axes = [*(name.split("_")[0] for name in joint_columns(geometry.prismatic)), "x", "y", "z"]
+    units = [1e-3 if slides else np.radians(1.0) for slides in (*geometry.prismatic, True, True, True)]
+    bounds = np.array([*zip(geometry.lower, geometry.upper, strict=True), *[(-np.inf, np.inf)] * 3])
+    for part in map(str.strip, str(text).split(",")):
+        name, _, ends = part.partition("=")
+        try:
+            low, high = (float(end) for end in ends.split(":"))
+        except ValueError:
+            raise InputError(f"workspace '{part}' is no range; write q1=-90:90 (deg or mm) or x=300:900 (mm)") from None
+        if not low < high:
+            raise InputError(f"workspace '{part}' is empty; give the lower end first")
+        if name not in axes:
+            raise InputError(f"workspace '{part}' names no joint or axis; give some of {', '.join(axes)}")
+        i = axes.index(name)
+        bounds[i] = max(low * units[i], bounds[i, 0]), min(high * units[i], bounds[i, 1])
+        if not bounds[i, 0] < bounds[i, 1]:
+            raise InputError(f"workspace '{part}' lies outside the limits of {[*geometry.joint_names, *'xyz'][i]}")
+    (lower, upper), box = bounds[:-3].T, bounds[-3:]
+    joints = rng.uniform(lower, upper, (TRIALS if np.isfinite(box).any() else WORKSPACE_POSES, geometry.joints))
+    if np.isfinite(box).any():
+        place = forward(geometry, joints).position
+        joints = joints[((place >= box[:, 0]) & (place <= box[:, 1])).all(axis=1)][:WORKSPACE_POSES]
+        if len(joints) < 10:
+            raise InputError(
+                f"the arm reaches hardly anything within workspace '{text}'; check its axes, in mm from the base"
+            )
+    return f"workspace {text}", joints
 
 
 # A calibration judged on rows that it never saw: everything that a result says is worked out here.
@@ -487,8 +540,8 @@ def assess(
     after = list(held_out.errors.values())[-1]
     before = None if arm.name == CARRIER else held_out.errors[NOMINAL]
     if train.poses is not None:
-        said = "stated noise" if train.poses.std_stated else "noise assumed, since none is stated,"
-        noise = f"{said} of {train.poses.position_std * 1e3:.4g} mm"
+        words = "stated noise" if train.poses.std_stated else "noise assumed, since none is stated,"
+        noise = f"{words} of {train.poses.position_std * 1e3:.4g} mm"
     else:
         stated = bool(train.stations) and all(getattr(part, "std_stated", False) for part in train.parts)
         noise = "stated noise" if stated else "noise stated or assumed"
@@ -498,13 +551,13 @@ def assess(
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None:
-        left, tracked = after, tracked_rows(fit.identification, test) is not None
+        remaining, tracked = after, tracked_rows(fit.identification, test) is not None
         if not tracked:  # then the misses are not one per row: any may go with any pose
-            drawn = np.random.default_rng(0).integers(0, len(after), len(test.joints))
-            left = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[drawn]
+            places = np.random.default_rng(0).integers(0, len(after), len(test.joints))
+            remaining = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[places]
         if train.miss_unit != "mm":
-            left = np.full_like(left, np.nan)
-        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, left, tracked)
+            remaining = np.full_like(remaining, np.nan)
+        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, remaining, tracked)
     pixels = None
     if train.views is not None:
         pixels = pixel_figures(bare, train.views, test.views, held_out)
@@ -512,39 +565,40 @@ def assess(
     remains = position_rms(after) if train.miss_unit == "mm" else 0.0
     over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name, remains)
     model = fitted_model(arm.name, bare.calibration.nominal, aligned is None)
-    return Result(
-        arm=arm,
-        fit=fit,
-        geometric=bare,
-        train=train,
-        test=test,
-        held_out=held_out,
-        quality=grade_quality(
-            fit.identification,
-            what_is_left(unlearnt, train),
-            before,
-            after,
-            over,
-            geometric=bare.identification,
-            parametric=held_out.parametric,
-            blocks=test.rows_of_misses if held_out.blocks is None else held_out.blocks,
-            noise=noise,
-            said=(
-                *said_against(bare.identification, train),
-                *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
-                *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
-                *said_of_files(left_out, (train, test)),
-                *said_of_stations(bare.identification, train),
-                *said_of_instruments(model, bare.identification, train),
-                *said_of_conditions(fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train),
-            ),
-            unit=train.miss_unit,
-            rows=(len(test.joints), held_out.rows),
+    quality = grade_quality(
+        fit.identification,
+        what_is_left(unlearnt, train),
+        before,
+        after,
+        over,
+        geometric=bare.identification,
+        parametric=held_out.parametric,
+        blocks=rows_of if held_out.blocks is None else held_out.blocks,
+        noise=noise,
+        said=(
+            *said_against(bare.identification, train),
+            *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
+            *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
+            *said_of_files(left_out, (train, test)),
+            *said_of_stations(bare.identification, train),
+            *said_of_instruments(model, bare.identification, train),
+            *said_of_conditions(fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train),
         ),
-        uncertainty=uncertainty,
-        base_frame=base_frame,
-        terms=terms,
-        gate=gate,
+        unit=train.miss_unit,
+        rows=(len(test.joints), held_out.rows),
+    )
+    return Result(
+        arm,
+        fit,
+        bare,
+        train,
+        test,
+        held_out,
+        quality,
+        uncertainty,
+        base_frame,
+        terms,
+        gate,
         left_out=left_out,
         pixels=pixels,
     )

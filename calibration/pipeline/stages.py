@@ -12,17 +12,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pickenv.arm import Arm
+from pickenv.arm import Arm, Array, Geometry, load_arm
 from pickenv.base import InputError
+from pickenv.base.registry import names
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_trained, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification
+from pickenv.calibration.identification.robust import by_set_up, placed, stations_of
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
-from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term
-from pickenv.calibration.model.measurements import FRAMES, Measurements
+from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term, pose_carrier
+from pickenv.calibration.model.measurements import FRAMES, OWN, Frames, Measurements, Stacked
 from pickenv.calibration.model.noise import noise_of
 from pickenv.calibration.model.observations import (
     BLOCKS,
@@ -31,6 +35,8 @@ from pickenv.calibration.model.observations import (
     choose,
     contiguous_folds,
     equally_spaced,
+    named,
+    origins_of,
     pose_count,
     same_poses,
 )
@@ -48,20 +54,213 @@ from pickenv.calibration.pipeline.fitting import (
     pooled,
     tracked_rows,
 )
-from pickenv.calibration.pipeline.given import (
-    Choices,
-    Columns,
-    Data,
-    given_arm,
-    given_rows,
-    refuse_options,
-    workspace_joints,
-)
-from pickenv.calibration.pipeline.result import Result, assess
-from pickenv.calibration.pipeline.verification import near_rows
+from pickenv.calibration.pipeline.result import Result, assess, workspace_joints
+from pickenv.calibration.pipeline.verification import REFIT_ROWS, near_rows
+from pickenv.calibration.reading.description import load_description
+from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_observations, read_targets
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import AUTO, GateReport, gate_residuals, position_rms
 from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
+
+# What a calibration may be asked for, and what does not go with what was measured.
+
+
+@dataclass(frozen=True)
+class Choices:
+    """The options of a calibration beyond its geometry.
+
+    Attributes:
+        terms: "auto", or names of terms joined by "+", or "none".
+        residual: "auto", a residual model's name, or "none".
+        force: Whether a named residual model is used even if it does not win.
+        robust: Whether rows far off are left out; they are listed all the same.
+        seed: Seeds everything random.
+        frames: Whether base and tool are "known" or "fitted"; as the data say when None.
+        learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
+            learns from the training rows, if it wins there.
+        settings: Settings of the network that learns from them; the paper's when None.
+        lens: "fixed" or "free", for pictures; as their description says when None.
+        refit: Which of "base" and "tool" the rows to judge by have of their own, as rows of another station do.
+        refit_rows: So many of them are used to find those.
+        fit: One of `pickenv.calibration.model.prior.FIT_WORDS`: "auto", all parameters by their priors; "offsets", the
+            joints' zeros alone; "full", all of them without priors, as the papers do.
+        tolerances: The tolerance class that parts are expected to be made to, by name or path; the arm's own, or that
+            of a cobot, when None.
+        prior_scale: Factor on its widths; found from the rows when None.
+        workspace: Where the verdict speaks (`pickenv.calibration.pipeline.result.workspace_joints`); the joint limits
+            when None.
+    """
+
+    terms: str = "auto"
+    residual: str = "auto"
+    force: bool = False
+    robust: bool = True
+    seed: int = 0
+    frames: Frames | None = None
+    learn_from: Measurements | None = None
+    settings: BpnnSettings | None = None
+    lens: str | None = None
+    refit: tuple[str, ...] = ()
+    refit_rows: int = REFIT_ROWS
+    fit: str = "auto"
+    tolerances: str | None = None
+    prior_scale: float | None = None
+    workspace: str | None = None
+
+
+def refuse_options(train: Observations, choices: Choices) -> None:
+    """Refuse what is there for poses and positions only."""
+    learnt = choices.residual not in ("auto", "none")
+    tracked = all(part.poses is not None for part in train.parts)
+    options = {
+        "`frames='known'`": choices.frames == "known",
+        f"`residual='{choices.residual}'`": learnt and not tracked,
+    }
+    if choices.lens is not None and train.kind != "pixels":
+        raise InputError(f"`lens` is for pictures, but {train.source} holds {train.kind}; leave it out")
+    single, several = (" of one station", " of several") if tracked else ("", "")
+    for option, asked_for in options.items():
+        if asked_for:
+            raise InputError(
+                f"{option} is for poses and positions{single}, but {train.source} holds {train.kind}{several}; "
+                "leave it out"
+            )
+
+
+Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
+"""Rows: measurements, observations of any kind or several of them, or the files that hold them."""
+
+Columns = str | Path | Sequence[str | Path] | None
+"""Description of the files' columns, by name or path; several for one per file."""
+
+STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
+"""Frames that stations can have of their own, as they are written."""
+
+
+def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
+    """The arm; one that only carries poses where they are finished."""
+    described = [load_description(description) for description in _each(columns)]
+    if any(description.views is not None and description.views.poses for description in described):
+        if arm is not None:
+            raise InputError("finished poses have no joints to calibrate; leave the arm out, or describe its [joints]")
+        return pose_carrier()
+    if arm is None:
+        raise InputError("no arm is given; name one, or its file, as `arm`")
+    return load_arm(arm) if isinstance(arm, str | Path) else arm
+
+
+def given_rows(
+    arm: Arm,
+    data: Data,
+    columns: Columns = None,
+    stations: str | None = None,
+    *,
+    known: bool = False,
+    like: Observations | None = None,
+) -> tuple[Observations, NoiseFloor | None]:
+    """Rows, and what their files say about noise (of several stations, the first one's).
+
+    Args:
+        arm: The arm.
+        data: The rows, or their files.
+        columns: How the files are laid out; of several descriptions each is for one file.
+        stations: What each file, or data set, has of its own, of `STATIONS`. When left out, the rows tell which files
+            of poses or positions are of one set-up, and other kinds have both frames of their own.
+        known: Whether base and tool are known; then all files are of one set-up.
+        like: Rows whose set-ups these are of, where they judge those.
+
+    Raises:
+        InputError: Names the file, row, column or unit at fault.
+    """
+    if stations is not None and stations not in STATIONS:
+        raise InputError(f"stations is '{stations}'; give {', '.join(STATIONS)}")
+    items: list[Any] = list(data) if isinstance(data, Sequence) and not isinstance(data, str) else [data]
+    if not all(isinstance(item, str | Path) for item in items):
+        if columns is not None:
+            raise InputError("columns describe files, but rows are given; leave them out")
+        for item in items:
+            _refuse_no_numbers(arm, item)
+        return _joined(arm, items, stations, known, like), None
+    descriptions = _each(columns)
+    if len(descriptions) > 1 and len(descriptions) != len(items):
+        raise InputError(
+            f"{len(descriptions)} column descriptions are given for {len(items)} files; give one, or one per file"
+        )
+    sets: list[tuple[list[Any], str | Path | None]]
+    if len(descriptions) > 1:
+        sets = [([file], layout_of_file) for file, layout_of_file in zip(items, descriptions, strict=True)]
+    else:
+        layout = descriptions[0] if descriptions else None
+        sets = [(items, layout)] if stations is None else [([file], layout) for file in items]
+    readings = [read_observations(files, arm.nominal, layout) for files, layout in sets]
+    rows = [reading.observations for reading in readings]
+    return _joined(arm, rows, stations, known, like), readings[0].floor
+
+
+def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> tuple[Array, NDArray[np.int64]]:
+    """Joints ``(N, n)`` of a file of poses to choose from, and their lines in it ``(N,)``.
+
+    Args:
+        path: Joint targets or tool poses in our own columns; or measurements, where they are described.
+        geometry: The arm.
+        columns: Their description.
+
+    Raises:
+        InputError: Names the file, row, column or unit at fault, or a pose that cannot be reached.
+    """
+    if columns is None:
+        targets = read_targets(path, geometry)
+        return joints_of(targets, geometry), np.array(targets.lines, dtype=np.int64)
+    data = read_observations([path], geometry, columns).observations
+    return data.joints, origins_of(data).line
+
+
+def _each(columns: Columns) -> list[str | Path]:
+    if columns is None:
+        return []
+    return [columns] if isinstance(columns, str | Path) else list(columns)
+
+
+def _joined(
+    arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
+) -> Observations:
+    """One data set as it is; several as stations of one arm, as asked or as poses and positions tell."""
+    if stations is None:
+        tracked = [file for part in sets if part.poses is not None for file in _files(part.poses)]
+        if isinstance(like, Stacked) and tracked:
+            return placed(arm, like, tracked)
+        free = not known and like is None and all(part.frames == "fitted" for part in tracked)
+        if len(tracked) > 1 and free and all(part.poses is not None for part in sets):
+            several = by_set_up(arm, tracked)
+            return sets[0] if len(sets) == 1 and several.poses is not None else several
+    return sets[0] if len(sets) == 1 else stations_of(arm, sets, STATIONS[stations or "base,tool"])
+
+
+def _files(data: Measurements) -> list[Measurements]:
+    """The rows of each file."""
+    origins = origins_of(data)
+    numbers = np.unique(origins.file)
+    return [replace(data.select(origins.file == i), source=origins.files[i]) for i in numbers.tolist()]
+
+
+def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
+    """Refuse arrays that no file could have held."""
+    if not hasattr(data, "joints"):
+        kinds = ", ".join(names("observation"))
+        raise InputError(f"{type(data).__name__} are no measurements; give files, or observations ({kinds})")
+    shape, joint_count = data.joints.shape, arm.nominal.joints
+    if shape != (len(data.joints), joint_count):
+        raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {joint_count} joints")
+    named_values = {name: getattr(data, name, None) for name in ("joints", "position", "rotation", "length")}
+    for name, values in {**named_values, "what was read": data.readings()}.items():
+        if values is not None and not np.isfinite(values).all():
+            rows = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1)).tolist()
+            places = named([origins_of(data).place(row) for row in rows])
+            raise InputError(f"{places}: {name} is no finite number; correct or remove it")
+
+
+# The stages.
+
 
 GATE_ROWS = 3000
 """Residual models are judged on so many training rows at most, taken evenly."""
@@ -170,18 +369,18 @@ def calibrate(
     arm = given_arm(arm, columns)
     if split not in SPLITS:
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
-    known = choices.frames == "known"
-    train, floor = given_rows(arm, data, columns, stations, known=known)
+    known_frames = choices.frames == "known"
+    train, floor = given_rows(arm, data, columns, stations, known=known_frames)
     rng = rng or np.random.default_rng(choices.seed)
     if choices.lens is not None and train.views is not None:
         train = with_lens(train.views, choices.lens)
     if choices.refit and test is None:
-        raise InputError("--refit is for rows of another station; give them with --test")
+        raise InputError("`refit` is for rows of another station; give them as `test`")
     few = test is None and test_rows is None and train.poses is not None
     few = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
-            raise InputError("--test-rows is for the random split; here every row, or picture, is held out once")
+            raise InputError("`test_rows` is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
     elif test is None:
         rows = choose(train, test_rows, np.random.default_rng(choices.seed))
@@ -189,7 +388,7 @@ def calibrate(
         result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
     else:
         like = None if choices.refit else train
-        held_out, _ = given_rows(arm, test, columns, stations, known=known or bool(choices.refit), like=like)
+        held_out, _ = given_rows(arm, test, columns, stations, known=known_frames or bool(choices.refit), like=like)
         refuse_trained(train, held_out)
         judge = _judged_elsewhere if choices.refit else _judged_once
         result = judge(Draft(arm, choices, train, held_out, rng, progress))
@@ -230,29 +429,31 @@ def _judged_by_blocks(draft: Draft) -> Result:
     never among them, for to choose among residual models anew for every block takes ten times as long.
     """
     checked = _check(draft)
-    whole = _through(STAGES[1:], checked)
+    complete = _through(STAGES[1:], checked)
     if len(checked.train.joints) < 2:
-        raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give --test")
+        raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give `test`")
     folds = _folds(checked.train)
-    chosen = [_chosen(checked, np.sort(np.concatenate([held for _, held in folds[1 - i :: 2]]))) for i in range(2)]
+    residuals = [
+        _chosen(checked, np.sort(np.concatenate([rows_out for _, rows_out in folds[1 - i :: 2]]))) for i in range(2)
+    ]
     seeds = np.random.SeedSequence(draft.choices.seed).spawn(len(folds))
     parts = []
-    for number, ((rows, held), seed) in enumerate(zip(folds, seeds, strict=True)):
-        here, there = checked.train.select(rows), checked.train.select(held)
-        fold = replace(checked, train=here, test=there, rng=np.random.default_rng(seed), progress=None)
+    for number, ((rows, rows_out), seed) in enumerate(zip(folds, seeds, strict=True)):
+        training, testing = checked.train.select(rows), checked.train.select(rows_out)
+        fold = replace(checked, train=training, test=testing, rng=np.random.default_rng(seed), progress=None)
         try:
             fold = _through((_align, _identify, _add_terms), fold)
             if fold.choices.learn_from is not None:
                 fold = _learn(fold)
-            elif (residual := chosen[number % 2]) is not None and fold.tracked is not None:
+            elif (residual := residuals[number % 2]) is not None and fold.tracked is not None:
                 fold = _with_residual(fold, residual, fold.tracked, None)
         except InputError as error:
             raise InputError(f"without block {number + 1} of {len(folds)}: {error}") from None
-        parts.append(held_out_of(fold.fits, there))
+        parts.append(held_out_of(fold.fits, testing))
         if draft.progress is not None:
             draft.progress("judging blocks", number + 1, len(folds))
-    judged = replace(whole, test=checked.train.select(np.concatenate([held for _, held in folds])))
-    return _assessed(judged, by_station(pooled(list(whole.fits), parts), checked.train, folds))
+    final = replace(complete, test=checked.train.select(np.concatenate([rows_out for _, rows_out in folds])))
+    return _assessed(final, by_station(pooled(list(complete.fits), parts), checked.train, folds))
 
 
 def _judged_elsewhere(draft: Draft) -> Result:
@@ -260,12 +461,12 @@ def _judged_elsewhere(draft: Draft) -> Result:
     test = draft.test
     draft = _through(STAGES, replace(draft, test=draft.train.select(np.arange(0))))
     if test.poses is None:
-        raise InputError(f"--refit is for poses and positions, but {test.source} holds {test.kind}; leave it out")
+        raise InputError(f"`refit` is for poses and positions, but {test.source} holds {test.kind}; leave it out")
     choices = draft.choices
     near, left_out = near_rows(draft.best[1].calibration, test.poses, choices.refit, choices.refit_rows)
-    held_out, rest = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
-    judged = replace(draft, test=near.select(rest), left_out=(*draft.left_out, *left_out))
-    return _assessed(judged, held_out)
+    held_out, others = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
+    final = replace(draft, test=near.select(others), left_out=(*draft.left_out, *left_out))
+    return _assessed(final, held_out)
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
@@ -281,10 +482,10 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
     if choices.residual == "none" or choices.learn_from is not None:
         return None
     try:
-        found = _through(STAGES[1:], replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
+        trial = _through(STAGES[1:], replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
     except InputError:
         return None
-    learnt = found.best[1].calibration.learnt
+    learnt = trial.best[1].calibration.learnt
     return None if learnt is None else learnt.kind
 
 
@@ -302,19 +503,19 @@ def _check(draft: Draft) -> Draft:
             f"{train.source} holds {train.kind}, but {test.source}, to judge by, {test.kind}; give rows of one kind"
         )
     left_out: tuple[LeftOut, ...] = ()
-    if isinstance(train, Measurements) and isinstance(test, Measurements):
-        stated, others = train.frames, test.frames
+    if train.poses is not None and test.poses is not None:
+        stated, others = train.poses.frames, test.poses.frames
         if choices.frames is None and stated != others:
             raise InputError(
                 f"{train.source} says that base and tool are {stated}, {test.source} that they are {others}; give "
-                "--frames"
+                "`frames`"
             )
         choices = replace(choices, frames=choices.frames or stated)
     else:
         refuse_options(train, choices)
         train, left_out = without_blind_views(train)
-    known = choices.frames == "known"
-    train, test, far = checked_rows(draft.arm, train, test, known=known, robust=choices.robust)
+    known_frames = choices.frames == "known"
+    train, test, far = checked_rows(draft.arm, train, test, known=known_frames, robust=choices.robust)
     return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
 
 
@@ -325,12 +526,12 @@ def _align(draft: Draft) -> Draft:
 
 def _identify(draft: Draft) -> Draft:
     """The geometry, from what was expected of it and what the rows say."""
-    choices, known = draft.choices, draft.aligned is None
+    choices, known_frames = draft.choices, draft.aligned is None
     start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
     model = prior_model(
         draft.arm.name,
         start,
-        known=known,
+        known=known_frames,
         fit=choices.fit,
         tolerances=choices.tolerances or draft.arm.tolerance_class,
         scale=choices.prior_scale,
@@ -341,7 +542,7 @@ def _identify(draft: Draft) -> Draft:
 def _add_terms(draft: Draft) -> Draft:
     """As many of the wanted terms, in their order, as converge; "auto" chooses them within the training rows."""
     (name, geometric), choice = draft.best, None
-    bare, known = geometric.identification, draft.aligned is None
+    bare, known_frames = geometric.identification, draft.aligned is None
     if draft.choices.terms != "auto":
         terms = terms_of(draft.choices.terms, draft.arm, bare, draft.train)
     else:
@@ -349,12 +550,12 @@ def _add_terms(draft: Draft) -> Draft:
             choice = choose_terms(draft.arm, bare, draft.train)
         terms = () if choice is None else choice.terms
     while terms:
-        found = identify_terms(terms, bare, draft.train, known)
-        if found.converged:
+        solution = identify_terms(terms, bare, draft.train, known_frames)
+        if solution.converged:
             kinds = [kind_of_term(term) for term in terms]
             record = {**geometric.calibration.record, "terms": sorted(kinds)}
-            calibration = replace(geometric.calibration, model=found.arm_model, record=record)
-            draft = draft.with_fit(f"{name}+{'+'.join(kinds)}", Fit(calibration, found, geometric.aligned))
+            calibration = replace(geometric.calibration, model=solution.arm_model, record=record)
+            draft = draft.with_fit(f"{name}+{'+'.join(kinds)}", Fit(calibration, solution, geometric.aligned))
             break
         terms = terms[:-1]
     return replace(draft, term_choice=choice)
@@ -381,28 +582,28 @@ def _learn(draft: Draft) -> Draft:
 
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     name, best = draft.best
-    told = None if draft.progress is None else partial(draft.progress, "training network")
-    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, told))
+    report = None if draft.progress is None else partial(draft.progress, "training network")
+    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, report))
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
     """Verdicts on residual models within the training rows."""
     data = train.select(equally_spaced(len(train), GATE_ROWS))
     name, best = draft.best
-    expected, whole = best.identification.prior, best.identification.arm_model
+    expected, fitted = best.identification.prior, best.identification.arm_model
     assert expected is not None
 
     def refit(rows: Measurements) -> ArmModel:
         """Fit the arm to some of the rows; what these scatter by, the fit to all of them says."""
         none, unused = np.zeros(0), np.zeros(rows.rows_per_pose * len(rows))
-        return solve(expected, rows, noise_of(rows, whole, none, unused)).arm_model
+        return solve(expected, rows, noise_of(rows, fitted, none, unused)).arm_model
 
-    told = None
+    report = None
     if draft.progress is not None:
-        rms = 1e3 * position_rms(train.misses(whole, np.zeros(0)))
-        told = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
+        rms = 1e3 * position_rms(train.misses(fitted, np.zeros(0)))
+        report = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
-    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=told)
+    return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=report)
 
 
 STAGES: tuple[Callable[[Draft], Draft], ...] = (_check, _align, _identify, _add_terms, _learn)

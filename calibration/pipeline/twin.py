@@ -47,7 +47,7 @@ SCATTER = "scatter"
 
 @dataclass(frozen=True)
 class Scatter:
-    """What of a measurement's scatter is the instrument's, per coordinate.
+    """The instrument's share of a measurement's scatter, per coordinate.
 
     Attributes:
         position_std: Of a position, m.
@@ -70,15 +70,15 @@ def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
         repeat: RMS of the position's scatter between repeats, m, where the file states it.
     """
     stated = "stated" if data.std_stated else "assumed"
-    found = repeated_std(data) if repeat is None else repeat / np.sqrt(3.0)
-    if found is None:
+    repeated = repeated_std(data) if repeat is None else repeat / np.sqrt(3.0)
+    if repeated is None:
         return Scatter(data.position_std, data.attitude_std, f"the instrument's {stated} uncertainty: no repeats")
-    if found < data.position_std:
-        return Scatter(found, data.attitude_std, "repeats, which scatter less than the instrument is said to")
+    if repeated < data.position_std:
+        return Scatter(repeated, data.attitude_std, "repeats, which scatter less than the instrument is said to")
     return Scatter(
         data.position_std,
         data.attitude_std,
-        f"the instrument's {stated} uncertainty; repeats scatter by {found * 1e3:.4f} mm, the arm's share among it",
+        f"the instrument's {stated} uncertainty; repeats scatter by {repeated * 1e3:.4f} mm, the arm's share among it",
     )
 
 
@@ -130,21 +130,21 @@ def twin(
     layout, carry = _layout(calibration.model.terms, calibration.identified)
     names = calibration.model.parameter_names
     matrix = block_diag(np.eye(len(calibration.identified.parameter_names)), carry)
-    known = [i for i, each in enumerate(sure.names) if each in names]
-    factor = np.zeros((len(names), len(known)))
-    factor[[names.index(sure.names[i]) for i in known]] = _root(sure.covariance[np.ix_(known, known)])
+    places = [i for i, parameter in enumerate(sure.names) if parameter in names]
+    factor = np.zeros((len(names), len(places)))
+    factor[[names.index(sure.names[i]) for i in places]] = _root(sure.covariance[np.ix_(places, places)])
     unseen, traces = _unseen(calibration, names)
     scatter = Scatter() if rows is None else scatter_of(rows)
     if SCATTER in calibration.record:
         scatter = Scatter(**calibration.record[SCATTER])
-    smooth, inputs, said = _process(calibration, rows, sure.position_repeat, rng)
+    smooth, inputs, process_note = _process(calibration, rows, sure.position_repeat, rng)
     scatter = _no_more_than(smooth.noise, scatter)
     instrument = np.repeat([scatter.position_std, scatter.attitude_std], 3)[: len(smooth.noise)]
     rough = np.sqrt(np.maximum(smooth.noise**2 - instrument**2, 0.0))
-    own = np.sqrt(np.mean(rough[:3] ** 2)) * 1e3
-    told = (
+    arms_own = np.sqrt(np.mean(rough[:3] ** 2)) * 1e3
+    scatter_note = (
         f"of the scatter {scatter.position_std * 1e3:.4f} mm per coordinate are the instrument's, by {scatter.source}; "
-        f"the arm's own is {own:.4f} mm: it stays the same where a command is repeated to the bit, and no smooth "
+        f"the arm's own is {arms_own:.4f} mm: it stays the same where a command is repeated to the bit, and no smooth "
         "function tells it"
     )
     posterior = Posterior(
@@ -158,7 +158,7 @@ def twin(
         field=_field(smooth, inputs, arm.nominal.base.rotation @ calibration.nominal.base.rotation.T),
         field_factor=smooth.factor,
         rough=rough,
-        notes=(said, told, *_missing(calibration)),
+        notes=(process_note, scatter_note, *_missing(calibration)),
     )
     noise = MeasurementNoise(scatter.position_std, scatter.attitude_std)
     return twin_plant(name or f"{arm.name}_twin", arm, posterior, noise)
@@ -172,47 +172,44 @@ def _root(covariance: Array) -> Array:
 
 def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:
     """Places of the geometry's parameters that were dropped, and what gives way when one of them is moved."""
-    own = calibration.identified.parameter_names
+    parameters = calibration.identified.parameter_names
     dropped: Mapping[str, Mapping[str, float]] = calibration.record.get("dropped", {})
-    lost = [each for each in dropped if each in own]
+    lost = [name for name in dropped if name in parameters]
     traces = np.zeros((len(names), len(lost)))
-    for column, each in enumerate(lost):
-        traces[names.index(each), column] = 1.0
-        for other, share in dropped[each].items():
-            if other in names:
-                traces[names.index(other), column] -= share
-    return np.array([own.index(each) for each in lost], dtype=np.int64), traces
+    for column, name in enumerate(lost):
+        traces[names.index(name), column] = 1.0
+        for absorber, share in dropped[name].items():
+            if absorber in names:
+                traces[names.index(absorber), column] -= share
+    return np.array([parameters.index(name) for name in lost], dtype=np.int64), traces
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
-    """What the coefficients of a plant stand for, and the terms' coefficients as those ``(k, t)``."""
+    """The layout of a plant's coefficients, and the terms' coefficients as those ``(k, t)``."""
     kinds: dict[str, list[Any]] = {"leads": [], "harmonics": [], "moments": [], "boom": []}
     rows: dict[str, list[Array]] = {kind: [] for kind in kinds}
     sizes = [len(term.names(geometry)) for term in terms]
     up = (0.0, 0.0, 1.0)
     for number, term in enumerate(terms):
         unit = np.eye(sum(sizes))[sum(sizes[:number]) : sum(sizes[: number + 1])]
-        if isinstance(term, LeadTerm):
-            kinds["leads"] += term.joints
-            rows["leads"] += list(unit)
-        elif isinstance(term, PeriodicTerm):
-            kinds["harmonics"] += zip(term.joints, term.orders, strict=True)
-            rows["harmonics"] += list(unit)
-        elif isinstance(term, BendingTerm):
-            kinds["boom"] += [(term.joint, term.length)]
-            rows["boom"] += list(unit)
-        elif isinstance(term, GravityTerm | ComplianceTerm):
-            moments, weights, up = _moments(term, geometry)
-            kinds["moments"] += moments
-            rows["moments"] += list(weights @ unit)
+        entries: Sequence[Any]
+        match term:
+            case LeadTerm():
+                kind, entries = "leads", term.joints
+            case PeriodicTerm():
+                kind, entries = "harmonics", list(zip(term.joints, term.orders, strict=True))
+            case BendingTerm():
+                kind, entries = "boom", [(term.joint, term.length)]
+            case GravityTerm() | ComplianceTerm():
+                kind, (entries, weights, up) = "moments", _moments(term, geometry)
+                unit = weights @ unit
+            case _:
+                continue
+        kinds[kind] += entries
+        rows[kind] += list(unit)
     every = [row for kind in kinds for row in rows[kind]]
-    layout = Layout(
-        tuple(kinds["leads"]),
-        tuple(kinds["harmonics"]),
-        tuple(kinds["moments"]),
-        up,
-        kinds["boom"][0] if kinds["boom"] else None,
-    )
+    leads, harmonics, moments, boom = map(tuple, kinds.values())
+    layout = Layout(leads, harmonics, moments, up, next(iter(boom), None))
     return layout, np.array(every).reshape(len(every), sum(sizes))
 
 
@@ -222,15 +219,15 @@ def _moments(
     """Moments that joints yield to, each one's size per coefficient of the term ``(k, t)``, and where up is."""
     if isinstance(term, GravityTerm):
         all_ = term.moments(geometry)
-        own = [i for i, (_, _, moment) in enumerate(all_) if moment != "p"]  # no payload is held
-        return [all_[i] for i in own], np.eye(len(all_))[own], term.up
-    found: list[tuple[int, int, str]] = []
+        indices = [i for i, (_, _, moment) in enumerate(all_) if moment != "p"]  # no payload is held
+        return [all_[i] for i in indices], np.eye(len(all_))[indices], term.up
+    moments: list[tuple[int, int, str]] = []
     sizes: list[tuple[int, float]] = []
     if term.weight is not None:
         up = term.weight.up
         for moment, size in zip(term.weight.moments(geometry), term.moments, strict=True):
             if moment[2] != "p":
-                found.append(moment)
+                moments.append(moment)
                 sizes.append((term.joints.index(moment[0]), size))
     elif term.load is not None:
         # Gravity points along -z of the instrument's frame, as in `gravity_torques`.
@@ -241,25 +238,27 @@ def _moments(
                 parts = {"m": mass}
                 if not geometry.prismatic[joint]:
                     parts |= {axis: mass * part for axis, part in zip("xyz", centre, strict=True)}
-                found += [(joint, link, moment) for moment in parts]
+                moments += [(joint, link, moment) for moment in parts]
                 sizes += [(number, GRAVITY * part) for part in parts.values()]
     else:
         raise InputError("the calibration's compliance needs measured torques, which a plant does not have")
-    weights = np.zeros((len(found), len(term.joints)))
+    weights = np.zeros((len(moments), len(term.joints)))
     for row, (column, size) in enumerate(sizes):
         weights[row, column] = size
-    return found, weights, up
+    return moments, weights, up
 
 
 def _missing(calibration: Calibration) -> list[str]:
-    """What stays out of the plant, in words."""
-    found = []
+    """Sentences on the parts that stay out of the plant."""
+    sentences = []
     kinds = [type(term).__name__ for term in calibration.model.terms]
     if "ThermalTerm" in kinds:
-        found.append("the arm stays at its reference temperature: of its growth only the coefficient is known")
+        sentences.append("the arm stays at its reference temperature: of its growth only the coefficient is known")
     if calibration.record.get("frames") == "fitted":
-        found.append("base and tool were fitted, so it errs in its own base as it did against the aligned nominal arm")
-    return found
+        sentences.append(
+            "base and tool were fitted, so it errs in its own base as it did against the aligned nominal arm"
+        )
+    return sentences
 
 
 def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
@@ -285,18 +284,18 @@ def _process(
     if rows is None and learnt is not None:
         raise InputError(
             f"the residual model '{learnt.kind}' of the calibration does not know how sure it is; give the rows that "
-            "it was fitted to (--rows), or calibrate with --residual gp"
+            "it was fitted to (`rows`), or calibrate with `residual='gp'`"
         )
     if rows is None:
         joints = calibration.identified.joints
         nothing = (np.zeros((3, joints, 0)), np.zeros((3, 0)), np.zeros((3, 0, 0)), np.zeros(3))
         inputs = JointInputs(np.zeros(joints, dtype=bool), 0, np.zeros(joints), np.ones(joints))
-        said = "no residual was learnt: what geometry and terms leave is taken as scatter"
-        return FeatureProcess(*nothing, np.full(3, repeat)), inputs, said
-    found = fit_residual("gp", rows.joints, rows.difference(calibration.model), rows.prismatic, rng)
-    assert isinstance(found.model, GaussianProcess)
-    process = feature_process(found.model, SMOOTH, rng)
-    return process, found.inputs, "the residual is a Gaussian process on what geometry and terms leave of the rows"
+        words = "no residual was learnt: what geometry and terms leave is taken as scatter"
+        return FeatureProcess(*nothing, np.full(3, repeat)), inputs, words
+    fitted = fit_residual("gp", rows.joints, rows.difference(calibration.model), rows.prismatic, rng)
+    assert isinstance(fitted.model, GaussianProcess)
+    process = feature_process(fitted.model, SMOOTH, rng)
+    return process, fitted.inputs, "the residual is a Gaussian process on what geometry and terms leave of the rows"
 
 
 def _field(smooth: FeatureProcess, inputs: JointInputs, turn: Array) -> ResidualField:

@@ -87,12 +87,12 @@ def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...]
     """
     if text is None:
         if rows is not None:
-            raise InputError(f"--refit-rows {rows} is for --refit; say which frames: --refit base,tool")
+            raise InputError(f"`refit_rows={rows}` is for `refit`; say which frames: `refit='base,tool'`")
         return (), REFIT_ROWS
-    named = tuple(part.strip() for part in text.split(","))
-    if not set(named) <= set(OWN) or len(set(named)) != len(named):
+    frames = tuple(part.strip() for part in text.split(","))
+    if not set(frames) <= set(OWN) or len(set(frames)) != len(frames):
         raise InputError(f"refit is '{text}'; give base, tool, or base,tool")
-    return named, REFIT_ROWS if rows is None else rows
+    return frames, REFIT_ROWS if rows is None else rows
 
 
 def restationed(
@@ -136,27 +136,28 @@ def restationed(
     near = min(fits, key=lambda fit: fit.chi_square).arm_model
     # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
     settled: list[Equations] = [few, replace(before, reference=near)]
-    there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
+    model_there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
     poses = same_poses(data.joints)
-    rest = np.flatnonzero(~np.isin(poses, poses[used]))
-    elsewhere = there.jacobian(data.joints[rest], data.conditions.select(rest))[:, :3][..., model.columns] * std
-    told = few.jacobian(there, np.zeros(0))[0][:, model.columns] * std
+    others = np.flatnonzero(~np.isin(poses, poses[used]))
+    elsewhere = (
+        model_there.jacobian(data.joints[others], data.conditions.select(others))[:, :3][..., model.columns] * std
+    )
+    whitened = few.jacobian(model_there, np.zeros(0))[0][:, model.columns] * std
     # In shares of the standard deviations before, with rows in standard uncertainties.
-    covariance = np.linalg.inv(told.T @ told + np.eye(len(std)))
+    covariance = np.linalg.inv(whitened.T @ whitened + np.eye(len(std)))
     expected = np.einsum("rip,pq,riq->r", elsewhere, covariance, elsewhere) + expected_square(data)
     parts = [covariance[first : first + 3, first : first + 3] for first in range(0, len(std), 3)]
     lost = [int(np.sum(np.linalg.eigvalsh(part) > TOLD**2)) for part in parts]
     untold = {name: (lost[2 * i], lost[2 * i + 1]) for i, name in enumerate(name for name in OWN if name in own)}
     geometry = calibration.identified
-    moved = {name: apart(getattr(geometry, name), getattr(there.geometry, name)) for name in OWN if name in own}
-    return Restationed(replace(calibration, model=there), used, rest, expected, moved, untold)
+    moves = {name: apart(getattr(geometry, name), getattr(model_there.geometry, name)) for name in OWN if name in own}
+    return Restationed(replace(calibration, model=model_there), used, others, expected, moves, untold)
 
 
 def own_frames_model(geometry: Geometry, own: Collection[str]) -> ErrorModel:
     """Base, tool or both."""
     frames = frames_model(geometry)
-    chosen = [i for i, name in enumerate(frames.names) if name.startswith(tuple(own))]
-    return ErrorModel(frames.columns[chosen], tuple(frames.names[i] for i in chosen), frames.tolerance[chosen])
+    return frames.some(np.array([name.startswith(tuple(own)) for name in frames.names]))
 
 
 def expected_square(data: Measurements) -> float:
@@ -166,9 +167,9 @@ def expected_square(data: Measurements) -> float:
 
 def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measurements:
     """The data with what one reach scatters by as their uncertainty, where the calibration knows it."""
-    known = calibration.record.get("uncertainty") or {}
-    position = max(float(known.get("position_repeat_m") or 0.0), data.position_std)
-    attitude = max(float(known.get("attitude_repeat_rad") or 0.0), data.attitude_std)
+    uncertainty = calibration.record.get("uncertainty") or {}
+    position = max(float(uncertainty.get("position_repeat_m") or 0.0), data.position_std)
+    attitude = max(float(uncertainty.get("attitude_repeat_rad") or 0.0), data.attitude_std)
     return replace(data, position_std=position, attitude_std=attitude)
 
 
@@ -178,8 +179,8 @@ def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int
     jacobian = model.jacobian(data.joints[pool], data.conditions.select(pool))[..., frames.columns] * frames.tolerance
     rows = jacobian[:, : data.rows_per_pose] * data.row_weights[:, None]
     weight = np.einsum("nip,niq->pq", jacobian[:, :3], jacobian[:, :3]) / len(pool)
-    chosen, _ = exchange(rows, count, np.random.default_rng(0), weight)
-    return np.sort(pool[chosen])
+    rows_chosen, _ = exchange(rows, count, np.random.default_rng(0), weight)
+    return np.sort(pool[rows_chosen])
 
 
 def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterator[ArmModel]:
@@ -255,7 +256,7 @@ Status = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """What new rows say of a calibration.
+    """The verdict of new rows on a calibration.
 
     Attributes:
         status: The verdict.
@@ -303,24 +304,27 @@ class Verification:
                 f"calibrated arm: {figure(self.expected)} mm RMS"
             )
         gain = f"{'no' if self.no_gain else 'yes'}: {figure(self.calibrated.rms)} of {figure(self.nominal.rms)} mm RMS"
-        kept = f"{'yes' if self.ratio <= GROWN else 'no'}: {figure(self.ratio)} times the RMS expected"
-        seen = "not known" if self.measured is None else f"{100 * self.measured:.0f} % of the rows lie where it was"
-        asked = (
+        promise = f"{'yes' if self.ratio <= GROWN else 'no'}: {figure(self.ratio)} times the RMS expected"
+        region = "not known" if self.measured is None else f"{100 * self.measured:.0f} % of the rows lie where it was"
+        questions = (
             ("does it beat the nominal arm", gain),
-            ("is it as good as promised", kept),
-            ("was this region measured", seen),
+            ("is it as good as promised", promise),
+            ("was this region measured", region),
         )
-        blocks = [Block("Three questions", (), asked), Block(f"Errors on {self.rows} rows", heads, tuple(rows), how)]
+        blocks = [
+            Block("Three questions", (), questions),
+            Block(f"Errors on {self.rows} rows", heads, tuple(rows), how),
+        ]
         if self.moved:
-            moved = tuple((name, *self._moved(name)) for name in self.moved)
-            blocks.append(Block("Moved since the calibration", ("frame", "by (mm)", "turned (deg)"), moved, ""))
+            moves = tuple((name, *self._moved(name)) for name in self.moved)
+            blocks.append(Block("Moved since the calibration", ("frame", "by (mm)", "turned (deg)"), moves, ""))
         if self.left_out:
             far = tuple((item.text(),) for item in self.left_out)
             blocks.append(Block("Rows left out", (), far, "too far off to be measurements of these poses"))
         return "\n".join([f"verdict: {self.status.upper()}: {self.reason}", *(block.text() for block in blocks)])
 
     def _moved(self, name: str) -> tuple[str, str]:
-        """How far a frame has moved and turned, as far as the rows tell."""
+        """Sizes of a frame's shift and turn, as far as the rows tell."""
         shift, turn = self.moved[name]
         sizes = (figure(shift * 1e3), figure(float(np.degrees(turn))))
         cells = []
@@ -385,30 +389,30 @@ def verify(
     else:
         at = Restationed(calibration, np.arange(0), np.arange(len(poses)), promised(calibration, poses), {}, {})
         errors, before = calibration.errors(poses), nominal.errors(poses)
-    rest, expected = at.rest, at.expected
-    blocks = np.arange(len(rest)) * BLOCKS // len(rest) if len(rest) >= 4 * BLOCKS else None
+    others, expected = at.rest, at.expected
+    blocks = np.arange(len(others)) * BLOCKS // len(others) if len(others) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
-    judged = poses.select(rest)
-    inside = measured_there(calibration.record, calibration.model, judged)
+    judging = poses.select(others)
+    inside = measured_there(calibration.record, calibration.model, judging)
     measured = None if inside is None else float(inside.mean())
-    known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
-    found = Verification(
+    region_known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
+    verification = Verification(
         "still good",
         "",
         mine,
         theirs,
         float(np.sqrt(expected.mean())) * 1e3,
-        len(rest),
+        len(others),
         len(at.used),
         at.moved,
-        _since(poses, rest, errors, expected) if known else None,
+        _since(poses, others, errors, expected) if region_known else None,
         left_out,
-        next(no_gain(before, errors, np.arange(len(rest)), "mm", len(rest), "rows"), None),
+        next(no_gain(before, errors, np.arange(len(others)), "mm", len(others), "rows"), None),
         measured,
         at.untold,
     )
-    status, reason = _verdict(found, lambda: _cause(at.calibration, judged, errors, expected, inside, refit))
-    return replace(found, status=status, reason=reason)
+    status, reason = _verdict(verification, lambda: _cause(at.calibration, judging, errors, expected, inside, refit))
+    return replace(verification, status=status, reason=reason)
 
 
 def promised(calibration: Calibration, data: Measurements) -> Array:
@@ -416,8 +420,8 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
-    own = sure.standard(calibration.model, data.joints, data.conditions)[0] ** 2
-    return np.asarray(np.maximum(own, expected_square(data)))
+    squares = sure.standard(calibration.model, data.joints, data.conditions)[0] ** 2
+    return np.asarray(np.maximum(squares, expected_square(data)))
 
 
 def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> str | None:
@@ -444,14 +448,14 @@ def _cause(
     inside: NDArray[np.bool_] | None,
     refit: Collection[str],
 ) -> Cause:
-    """What explains that errors are larger than promised: frames that moved, a region not measured, joints' zeros."""
+    """The cause of errors larger than promised: frames that moved, a region not measured, joints' zeros."""
     most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
     far = size > ELSEWHERE * most / GROWN
     if far and not refit and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
         return "frames"
     if inside is not None and not inside.all() and not far:
-        kept = inside.any() and position_rms(errors[inside]) ** 2 <= GROWN**2 * np.mean(expected[inside])
-        if kept or inside.mean() < 0.5:
+        as_promised = inside.any() and position_rms(errors[inside]) ** 2 <= GROWN**2 * np.mean(expected[inside])
+        if as_promised or inside.mean() < 0.5:
             return "elsewhere"
     zeros = joint_zeros_model(there.identified)
     inner = ErrorModel(zeros.columns[1:-1], zeros.names[1:-1], zeros.tolerance[1:-1])  # base and tool turn the others
@@ -468,12 +472,12 @@ def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
         return np.inf
     learnt = there.errors(data) - data.difference(there.model)
     try:
-        found = identify(model, there.model, _less(data, learnt), max_iterations=60)
+        solution = identify(model, there.model, _less(data, learnt), max_iterations=60)
     except InputError:
         return np.inf
-    left = data.difference(found.arm_model) + learnt
-    spare = 1.0 - found.identifiability.rank / (len(data) * data.rows_per_pose)
-    return position_rms(left) / float(np.sqrt(spare))
+    errors = data.difference(solution.arm_model) + learnt
+    spare = 1.0 - solution.identifiability.rank / (len(data) * data.rows_per_pose)
+    return position_rms(errors) / float(np.sqrt(spare))
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:
@@ -486,30 +490,30 @@ def _less(data: Measurements, learnt: Array) -> Measurements:
 
 def _verdict(found: Verification, cause: Callable[[], Cause]) -> tuple[Status, str]:
     mine, theirs, since = found.calibrated.rms, found.nominal.rms, found.since
-    said = f"{figure(mine)} mm RMS where {figure(found.expected)} mm are expected"
+    sizes = f"{figure(mine)} mm RMS where {figure(found.expected)} mm are expected"
     if found.ratio <= GROWN and since is None:
         if found.no_gain is not None:
-            return "worse than nominal" if mine >= theirs else "no better than nominal", f"{said}, but {found.no_gain}"
-        where = "" if found.measured is None or found.measured >= 0.5 else "; it was not measured here before"
-        return "still good", f"{said}, and {figure(theirs)} mm with the nominal arm{where}"
+            return "worse than nominal" if mine >= theirs else "no better than nominal", f"{sizes}, but {found.no_gain}"
+        place = "" if found.measured is None or found.measured >= 0.5 else "; it was not measured here before"
+        return "still good", f"{sizes}, and {figure(theirs)} mm with the nominal arm{place}"
     why = "unknown" if since is not None else cause()
     if why == "frames":
-        return "another station", f"{said}, and base and tool elsewhere explain it; give --refit base,tool"
+        return "another station", f"{sizes}, and base and tool elsewhere explain it; give `refit='base,tool'`"
     if why == "elsewhere":
         worse = f", worse than the nominal arm's {figure(theirs)} mm" if found.no_gain is not None else ""
         return "outside what was measured", (
-            f"{said}{worse}: only {100 * (found.measured or 0.0):.0f} % of the rows lie where it was measured; "
+            f"{sizes}{worse}: only {100 * (found.measured or 0.0):.0f} % of the rows lie where it was measured; "
             "measure there too, and calibrate with all rows"
         )
     if why == "unknown" and mine >= (ALIKE if since is None else 1.0) * theirs:
         return "another arm", (
-            f"{said}, where the nominal arm misses by {figure(theirs)} mm, and no place of base and tool and no zeros "
+            f"{sizes}, where the nominal arm misses by {figure(theirs)} mm, and no place of base and tool and no zeros "
             "of the joints explain it: it is of another arm; calibrate anew"
         )
     grown = float(np.sqrt(max(mine**2 - found.expected**2, 0.0)))
     when = f" {since}" if since else " since the calibration"
     how = "the joints' zeros explain it" if why == "joints" else "by a change of the arm"
     return "drifted", (
-        f"{said}: it is this arm's, for the nominal one misses by {figure(theirs)} mm, but {figure(grown)} mm RMS "
+        f"{sizes}: it is this arm's, for the nominal one misses by {figure(theirs)} mm, but {figure(grown)} mm RMS "
         f"have come{when}, {how}; calibrate anew"
     )

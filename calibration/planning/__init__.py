@@ -1,1 +1,1 @@
-"""Where to measure, and in which order."""
+"""Poses to measure, and their order."""

@@ -35,6 +35,7 @@ from pickenv.calibration.planning.plan import (
     error_weight,
     finished_plan,
     plan_sizes,
+    refuse_too_few,
 )
 
 ROUNDS = 60
@@ -58,7 +59,7 @@ FOCUS = 1.5
 
 @dataclass(frozen=True, eq=False)
 class FirstRows:
-    """What a first measurement tells about the instrument.
+    """The instrument as a first measurement tells it.
 
     Attributes:
         data: Its rows.
@@ -83,8 +84,8 @@ def first_rows(arm: Arm, data: Observations) -> FirstRows:
     frames = frames_model(arm.nominal)
     if data.poses is not None:
         return FirstRows(data, ArmModel.of(align(arm.nominal, data.poses, frames).geometry), np.zeros(0))
-    found = robust_identify(frames, rough_start(arm.nominal, data), data).identification
-    return FirstRows(data, found.arm_model, unknowns_of(found, data))
+    solution = robust_identify(frames, rough_start(arm.nominal, data), data).identification
+    return FirstRows(data, solution.arm_model, unknowns_of(solution, data))
 
 
 def measurable_joints(geometry: Geometry, first: FirstRows, count: int, rng: np.random.Generator) -> Array:
@@ -95,18 +96,17 @@ def measurable_joints(geometry: Geometry, first: FirstRows, count: int, rng: np.
     """
     room = geometry.upper - geometry.lower
     lower, upper = geometry.lower + MARGIN * room, geometry.upper - MARGIN * room
-    found, seeds = np.zeros((0, geometry.joints)), np.clip(first.data.joints, lower, upper)
+    readable, seeds = np.zeros((0, geometry.joints)), np.clip(first.data.joints, lower, upper)
     for _ in range(ROUNDS):
         near = seeds[rng.integers(0, len(seeds), count)]
         sizes = 10.0 ** rng.uniform(-2.0, -0.5, (count, 1)) * room
-        tried = np.concatenate([candidate_joints(geometry, count, rng), near + sizes * rng.normal(size=near.shape)])
-        moved, good = measurable(first, np.clip(tried, lower, upper), geometry)
-        good &= ((moved >= lower) & (moved <= upper)).all(axis=1)
-        found = np.concatenate([found, moved[good]])
-        seeds = np.concatenate([seeds, moved[good]])
-        if len(found) >= count:
+        trials = np.concatenate([candidate_joints(geometry, count, rng), near + sizes * rng.normal(size=near.shape)])
+        trials, good = measurable(first, np.clip(trials, lower, upper), geometry)
+        good &= ((trials >= lower) & (trials <= upper)).all(axis=1)
+        readable, seeds = (np.concatenate([poses, trials[good]]) for poses in (readable, seeds))
+        if len(readable) >= count:
             break
-    return found[rng.permutation(len(found))[:count]]
+    return readable[rng.permutation(len(readable))[:count]]
 
 
 def measurable(
@@ -128,25 +128,25 @@ def measurable(
     if not move:
         return joints, np.linalg.norm(_short_of(first, joints), axis=1) <= 1e-3
     for _ in range(STEPS):
-        left = _short_of(first, joints)
-        if np.abs(left).max() <= NEAR:
+        gap = _short_of(first, joints)
+        if np.abs(gap).max() <= NEAR:
             break
         steps = 1e-6 * np.eye(geometry.joints)
         misses = _misses(first, joints)
         slope = -np.stack([(_misses(first, joints + step) - misses) / 1e-6 for step in steps], axis=-1)
         square = slope @ np.swapaxes(slope, 1, 2)
-        square += 1e-6 * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(left.shape[1]) + 1e-12
-        change = np.einsum("nij,ni->nj", slope, np.linalg.solve(square, left[..., None])[..., 0])
+        square += 1e-6 * np.trace(square, axis1=1, axis2=2)[:, None, None] * np.eye(gap.shape[1]) + 1e-12
+        change = np.einsum("nij,ni->nj", slope, np.linalg.solve(square, gap[..., None])[..., 0])
         joints = joints + np.clip(change, -STEP, STEP)
     return joints, np.abs(_short_of(first, joints)).max(axis=1) <= NEAR
 
 
 def _misses(first: FirstRows, joints: Array) -> Array:
-    return asked_at(first, joints).misses(first.model, first.unknowns)
+    return readings_at(first, joints).misses(first.model, first.unknowns)
 
 
 def _short_of(first: FirstRows, joints: Array) -> Array:
-    """How far the tool point is from where it could be read ``(N, k)``, m: a place, or a range of readings."""
+    """Distance of the tool point from where it could be read ``(N, k)``, m: a place, or a range of readings."""
     misses = _misses(first, joints)
     if not isinstance(first.data, DistanceObservations):
         return misses
@@ -156,23 +156,22 @@ def _short_of(first: FirstRows, joints: Array) -> Array:
 
 
 def _shown(first: FirstRows, joints: Array) -> NDArray[np.bool_]:
-    """Which views ``(N,)`` would show enough of the board, about as far off as in the first ones."""
-    asked, taken = asked_at(first, joints).views, first.data.views
-    depths = taken.in_camera(first.model)[..., 2].mean(axis=1)
-    depth = asked.in_camera(first.model)[..., 2].mean(axis=1)
-    good = (depth > depths.min() / FOCUS) & (depth < depths.max() * FOCUS)
-    return np.asarray(good & (asked.seen.mean(axis=1) >= LEAST_SEEN))
+    """A mask of the views ``(N,)`` that would show enough of the board, about as far off as in the first ones."""
+    views = readings_at(first, joints).views
+    depth, first_depth = (part.in_camera(first.model)[..., 2].mean(axis=1) for part in (views, first.data.views))
+    good = (depth > first_depth.min() / FOCUS) & (depth < first_depth.max() * FOCUS)
+    return np.asarray(good & (views.seen.mean(axis=1) >= LEAST_SEEN))
 
 
-def asked_at(first: FirstRows, joints: Array) -> Observations:
-    """What the instrument would be asked at other joints; of a board the corners that are seen there."""
+def readings_at(first: FirstRows, joints: Array) -> Observations:
+    """Rows that the instrument would read at other joints; of a board the corners that are in the picture there."""
     data: Any = first.data  # all kinds but stations can be imagined, which `first_rows` refuses
-    asked: Observations = data.imagined(joints)
-    if asked.views is not None:
-        off = data.pixel_errors(first.model, first.unknowns)
-        margin = WARY * float(np.sqrt(np.mean(off**2)))
-        asked = replace(asked.views, seen=asked.views.visible(first.model, first.unknowns, margin))
-    return asked
+    rows: Observations = data.imagined(joints)
+    if rows.views is None:
+        return rows
+    margin = WARY * float(np.sqrt(np.mean(data.pixel_errors(first.model, first.unknowns) ** 2)))
+    visible: Observations = replace(rows.views, seen=rows.views.visible(first.model, first.unknowns, margin))
+    return visible
 
 
 LEAST_CANDIDATES = 3
@@ -234,8 +233,11 @@ def plan_like(
             f"from; give a first measurement of more varied poses, or plan {len(joints) // LEAST_CANDIDATES} poses"
         )
     design = _design(arm.nominal, first, joints, prior)
-    if prior is None:
-        _refuse_too_few(first, design.rows, count, (*design.names, *design.model.names))
+    if prior is None:  # fewer equations than parameters, and one more, are left
+        parameters = len(design.names) + len(design.model.names)
+        missing = parameters + 1 - int((first.data.equations()[0] >= 0).sum())
+        least = max(1, -(-missing // min(design.rows.shape[1], 6)))
+        refuse_too_few(count, parameters, least, f"besides the {len(first.data.joints)} of {first.data.source} ")
     plan = finished_plan(
         arm,
         design,
@@ -257,32 +259,30 @@ def plan_like(
 
 
 def _design(geometry: Geometry, first: FirstRows, joints: Array, prior: PriorModel | None) -> Design:
-    """What each candidate tells, and what the first rows and priors tell: of all parameters, or of a base set."""
-    data, own = first.data, len(first.data.unknowns())
+    """The design of the candidates beside first rows and priors: of all parameters, or of a base set."""
+    data, count = first.data, len(first.data.unknowns())
     if prior is not None and not data.framed:
         prior = prior.without_base()
     model = complete_model(geometry) if prior is None else prior.parameters
     scale = np.concatenate([data.tolerances(), model.tolerance])
-    asked = [asked_at(first, joints[i : i + CHUNK]) for i in range(0, len(joints), CHUNK)]
-    here = _scaled(first, data, model, scale)
+    parts = [readings_at(first, joints[i : i + CHUNK]) for i in range(0, len(joints), CHUNK)]
+    measured = _scaled(first, data, model, scale)
     if prior is None:
-        there = _scaled(first, asked[0], model, scale)
         names = (*data.unknowns(), *model.names)
-        matrix, sets = np.concatenate([here, there]), [data, asked[0]]
-        kept = identifiable_parameters(model, sets, first.model, [first.unknowns] * 2, matrix, names, scale).kept
-        known = np.zeros((len(kept), len(kept)))
+        matrix, sets = np.concatenate([measured, _scaled(first, parts[0], model, scale)]), [data, parts[0]]
+        columns = identifiable_parameters(model, sets, first.model, [first.unknowns] * 2, matrix, names, scale).kept
+        information = np.zeros((len(columns), len(columns)))
     else:
-        kept = np.arange(len(scale))
-        known = np.diag((scale / np.r_[np.full(own, UNKNOWN_STD), prior.width]) ** 2)
-    rows = np.concatenate([_by_pose(first, part, model, scale)[..., kept] for part in asked])
+        columns = np.arange(len(scale))
+        information = np.diag((scale / np.r_[np.full(count, UNKNOWN_STD), prior.width]) ** 2)
     return Design(
         joints,
-        rows,
-        model.some(np.isin(np.arange(own, len(scale)), kept)),
+        np.concatenate([_by_pose(first, part, model, scale)[..., columns] for part in parts]),
+        model.some(np.isin(np.arange(count, len(scale)), columns)),
         np.zeros(0),
         data.kind,
-        known + here[:, kept].T @ here[:, kept],
-        names=tuple(data.unknowns()[k] for k in kept[kept < own]),
+        information + measured[:, columns].T @ measured[:, columns],
+        names=tuple(data.unknowns()[column] for column in columns[columns < count]),
         framed=prior is not None and bool((prior.group == FRAMES).any()),
     )
 
@@ -293,33 +293,21 @@ def _scaled(first: FirstRows, data: Observations, model: ErrorModel, scale: Arra
     return np.asarray(np.hstack([by_own, by_arm[:, model.columns]]) * scale)
 
 
-def _by_pose(first: FirstRows, asked: Observations, model: ErrorModel, scale: Array) -> Array:
+def _by_pose(first: FirstRows, data: Observations, model: ErrorModel, scale: Array) -> Array:
     """The same of each pose by itself ``(N, r, own + P)``, without what is known beforehand; at most r = 6 + own.
 
     A pose has six components and the instrument so many unknowns: more equations (a board's corners) tell of no more
     directions, and are replaced by as few that tell the same.
     """
-    matrix, (row, _) = _scaled(first, asked, model, scale), asked.equations()
+    matrix, (row, _) = _scaled(first, data, model, scale), data.equations()
     matrix, row = matrix[row >= 0], row[row >= 0]
-    counts = np.bincount(row, minlength=len(asked.joints))
+    counts = np.bincount(row, minlength=len(data.joints))
     place = np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
-    whole = np.zeros((len(asked.joints), int(counts.max()), matrix.shape[1]))
-    whole[row, place] = matrix
+    blocks = np.zeros((len(data.joints), int(counts.max()), matrix.shape[1]))
+    blocks[row, place] = matrix
     most = 6 + len(first.unknowns)
-    if whole.shape[1] <= most:
-        return whole
-    values, vectors = np.linalg.eigh(np.swapaxes(whole, 1, 2) @ whole)
+    if blocks.shape[1] <= most:
+        return blocks
+    values, vectors = np.linalg.eigh(np.swapaxes(blocks, 1, 2) @ blocks)
     few = np.sqrt(np.maximum(values[:, None, -most:], 0.0)) * vectors[..., -most:]
     return np.asarray(np.swapaxes(few, 1, 2))
-
-
-def _refuse_too_few(first: FirstRows, rows: Array, count: int, names: tuple[str, ...]) -> None:
-    """Refuse a plan that leaves fewer equations than parameters, and one more."""
-    equations = int((first.data.equations()[0] >= 0).sum())
-    each = min(rows.shape[1], 6)
-    least = max(1, -(-(len(names) + 1 - equations) // each))
-    if count < least:
-        raise InputError(
-            f"{count} poses besides the {len(first.data.joints)} of {first.data.source} are too few for {len(names)} "
-            f"parameters; plan at least {least}, better {2 * least}"
-        )

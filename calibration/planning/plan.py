@@ -1,4 +1,4 @@
-"""Where to measure: few poses of many candidates that tell the most about the parameters, ordered for short travel.
+"""Poses to measure: few of many candidates that tell the most about the parameters, ordered for short travel.
 
 D-optimal sets (largest determinant of the information matrix: best O1), or the least predicted error at given test
 poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). Where parameters have priors, poses are chosen
@@ -63,30 +63,30 @@ def exchange(
     ridge = RIDGE * float(np.sum(rows**2)) / len(rows) / p
     information = ridge * np.eye(p) + (0.0 if known is None else known)
     taken = np.zeros(len(rows), dtype=bool)
-    chosen: list[int] = []
+    places: list[int] = []
     for _ in range(count):
         best = int(np.argmax(np.where(taken, -np.inf, gains(rows, information, weight))))
         taken[best] = True
-        chosen.append(best)
+        places.append(best)
         information = information + rows[best].T @ rows[best]
-    passes, moved = 0, True
-    while moved and passes < most_passes:
-        passes, moved = passes + 1, False
+    passes, changing = 0, True
+    while changing and passes < most_passes:
+        passes, changing = passes + 1, False
         for place in rng.permutation(count):
-            old = chosen[place]
+            old = places[place]
             without = information - rows[old].T @ rows[old]
             value = np.where(taken, -np.inf, gains(rows, without, weight))
             value[old] = gains(rows[[old]], without, weight)[0]
             best = int(np.argmax(value))
             if value[best] > value[old] + 1e-9 * abs(value[old]):
-                chosen[place], moved = best, True
+                places[place], changing = best, True
                 taken[old], taken[best] = False, True
                 information = without + rows[best].T @ rows[best]
-    return np.array(chosen), passes
+    return np.array(places), passes
 
 
 def gains(rows: Array, information: Array, weight: Array | None) -> Array:
-    """What each candidate ``(N, r, p)`` would add: log det(I + J M^-1 J^T), or the fall of trace(W M^-1).
+    """The gain of each candidate ``(N, r, p)``: log det(I + J M^-1 J^T), or the fall of trace(W M^-1).
 
     The second is trace((I + J M^-1 J^T)^-1 J M^-1 W M^-1 J^T), by Woodbury's identity.
     """
@@ -108,21 +108,21 @@ def gains(rows: Array, information: Array, weight: Array | None) -> Array:
 
 
 def move_seconds(joints: Array, speed: Array) -> Array:
-    """Times ``(N, N)`` of the moves between poses ``(N, n)``, at joint speeds ``(n,)``."""
-    return np.asarray(np.max(np.abs(joints[:, None] - joints[None]) / _moving(speed), axis=-1))
+    """Times ``(N, N)`` of the moves between poses ``(N, n)``, at joint speeds ``(n,)``.
+
+    Raises:
+        InputError: If a speed is not above zero: a joint that stands still never arrives.
+    """
+    moving = np.isfinite(speed) & (speed > 0)
+    if not moving.all():
+        worst = int(np.argmin(moving))
+        raise InputError(f"the speed of joint {worst + 1} is {speed[worst]:g}; give a finite speed above zero")
+    return np.asarray(np.max(np.abs(joints[:, None] - joints[None]) / speed, axis=-1))
 
 
 def travel_seconds(joints: Array, speed: Array) -> float:
     """Time to visit the poses ``(N, n)`` in their order, from the first to the last."""
-    return float(np.max(np.abs(np.diff(joints, axis=0)) / _moving(speed), axis=-1).sum())
-
-
-def _moving(speed: Array) -> Array:
-    """The speeds, all of which must be above zero: a joint that stands still never arrives."""
-    if not (np.isfinite(speed) & (speed > 0)).all():
-        worst = int(np.argmin(np.isfinite(speed) & (speed > 0)))
-        raise InputError(f"the speed of joint {worst + 1} is {speed[worst]:g}; give a finite speed above zero")
-    return speed
+    return float(move_seconds(joints, speed).diagonal(1).sum())
 
 
 def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
@@ -133,12 +133,11 @@ def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
 
 
 def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
-    left = np.ones(len(cost), dtype=bool)
+    ahead = np.ones(len(cost), dtype=bool)
     way = [start]
-    left[start] = False
-    while left.any():
-        way.append(int(np.argmin(np.where(left, cost[way[-1]], np.inf))))
-        left[way[-1]] = False
+    for _ in range(1, len(cost)):
+        ahead[way[-1]] = False
+        way.append(int(np.argmin(np.where(ahead, cost[way[-1]], np.inf))))
     return np.array(way)
 
 
@@ -178,7 +177,7 @@ DRAWS = 20
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What a candidate pose can tell.
+    """Candidate poses with the information that each can give.
 
     Attributes:
         joints: Candidates ``(N, n)``, rad or m.
@@ -229,29 +228,6 @@ class AgainstChance:
         }
 
 
-@dataclass(frozen=True)
-class CurvePoint:
-    """What a number of poses brings.
-
-    Attributes:
-        poses: How many are measured.
-        error: RMS position error from the parameters' uncertainty, of planned poses, m.
-        random_error: The same of poses drawn at random, median of `DRAWS` sets, m.
-    """
-
-    poses: int
-    error: float
-    random_error: float
-
-    def as_dict(self) -> dict[str, float]:
-        """For JSON."""
-        return {"poses": self.poses, "error_mm": self.error * 1e3, "random_error_mm": self.random_error * 1e3}
-
-    def text(self) -> str:
-        """For people."""
-        return f"    {self.poses:5d} poses: {self.error * 1e3:.4f} mm ({self.random_error * 1e3:.4f} mm)"
-
-
 @dataclass(frozen=True, eq=False)
 class PosePlan:
     """Poses to measure, in order.
@@ -267,13 +243,13 @@ class PosePlan:
         random_predicted_error: The same for drawn poses, median of 20 sets, m; or None.
         where: Where that error is taken, in words.
         passes: Rounds of exchange.
-        seconds: Time of the planning.
         model: Observability of the parameters planned for; None where an instrument's first rows were planned on.
         arm: The same of the arm's own parameters, base and tool taken as known: what papers state. None where the poses
             are too few to tell all of them without priors, too.
         first: Rows measured already.
+        seconds: Time of the planning.
         lines: Lines of the poses in the file that they were chosen from; None where they were drawn.
-        curve: What other numbers of poses would bring.
+        curve: What other numbers of poses would bring: the number, and the errors of as many planned and drawn, m.
     """
 
     joints: Array
@@ -286,12 +262,12 @@ class PosePlan:
     random_predicted_error: float | None
     where: str
     passes: int
-    seconds: float
     model: AgainstChance | None = None
     arm: AgainstChance | None = None
     first: int = 0
+    seconds: float = 0.0
     lines: NDArray[np.int64] | None = None
-    curve: tuple[CurvePoint, ...] = ()
+    curve: tuple[tuple[int, float, float], ...] = ()
 
     @property
     def candidates(self) -> Array:
@@ -300,7 +276,7 @@ class PosePlan:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """What is planned for: the instrument's own unknowns, then the arm's."""
+        """The parameters planned for: the instrument's own unknowns, then the arm's."""
         return (*self.design.names, *self.design.model.names)
 
     def as_dict(self) -> dict[str, Any]:
@@ -325,7 +301,10 @@ class PosePlan:
         if self.lines is not None:
             figures["lines"] = self.lines.tolist()
         if self.curve:
-            figures["curve"] = [point.as_dict() for point in self.curve]
+            figures["curve"] = [
+                {"poses": n, "error_mm": error * 1e3, "random_error_mm": chance * 1e3}
+                for n, error, chance in self.curve
+            ]
         return figures
 
     def report(self) -> str:
@@ -355,7 +334,9 @@ class PosePlan:
             lines.append(f"  lines of the file, in measuring order: {', '.join(map(str, self.lines))}")
         if self.curve:
             lines.append("  how many poses? RMS position error from the parameters' uncertainty, and drawn at random:")
-            lines += [point.text() for point in self.curve]
+            lines += [
+                f"    {n:5d} poses: {error * 1e3:.4f} mm ({chance * 1e3:.4f} mm)" for n, error, chance in self.curve
+            ]
         return "\n".join(lines)
 
     def write_csv(self, path: str | Path, prismatic: tuple[bool, ...]) -> Path:
@@ -386,7 +367,7 @@ def design_of(
     position_std: float = POSITION_STD,
     attitude_std: float = ATTITUDE_STD,
 ) -> Design:
-    """What each candidate tells about the parameters: all of them where these have priors, else a base set.
+    """The design of the candidates for the parameters: all of them where these have priors, else a base set.
 
     The base set is chosen by pivoted QR: within a group of parameters that cannot be told apart, the one with the
     largest effect stays. A D-optimal set is the same for every choice; its condition number is not.
@@ -403,14 +384,14 @@ def design_of(
     weight = 1.0 / np.repeat([position_std, attitude_std], 3)[: 6 if kind == "pose" else 3]
     rows = _rows(geometry, parameters, weight, joints)
     if isinstance(model, PriorModel):
-        known = np.diag((parameters.tolerance / model.width) ** 2)
-        return Design(joints, rows, parameters, weight, kind, known, framed=bool((model.group == FRAMES).any()))
+        information = np.diag((parameters.tolerance / model.width) ** 2)
+        return Design(joints, rows, parameters, weight, kind, information, framed=bool((model.group == FRAMES).any()))
     triangle = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
     r, order = qr(triangle, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(r))
-    kept = np.sort(order[: int(np.sum(diagonal > REDUNDANCY_TOLERANCE * diagonal[0]))])
-    base = parameters.some(np.isin(np.arange(len(order)), kept))
-    return Design(joints, rows[..., kept], base, weight, kind, np.zeros((len(kept), len(kept))))
+    columns = np.sort(order[: int(np.sum(diagonal > REDUNDANCY_TOLERANCE * diagonal[0]))])
+    base = parameters.some(np.isin(np.arange(len(order)), columns))
+    return Design(joints, rows[..., columns], base, weight, kind, np.zeros((len(columns), len(columns))))
 
 
 def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -> Array:
@@ -486,7 +467,9 @@ def plan_poses(
         raise InputError("the test-poses criterion needs test poses; name a file of them or use d-optimal")
     std = {"position_std": position_std, "attitude_std": attitude_std}
     design = design_of(geometry, model, joints, kind, **std)
-    _enough(design, count)
+    refuse_too_few(count, len(design.model.names), _least(design))
+    if count > len(joints):
+        raise InputError(f"{count} poses cannot be chosen from {len(joints)} candidates; give more candidates")
 
     @cache
     def drawn(size: int) -> Array:
@@ -546,9 +529,9 @@ def finished_plan(
         where: Where that error is taken, in words.
         sizes: Other numbers of poses.
     """
-    begin, joints, aim = time.perf_counter(), design.joints, goal if criterion == "test-poses" else None
-    chosen, passes = exchange(design.rows, count, rng, aim, known=design.known)
-    chosen = chosen[short_tour(joints[chosen], arm.speed)]
+    joints, aim = design.joints, goal if criterion == "test-poses" else None
+    places, passes = exchange(design.rows, count, rng, aim, known=design.known)
+    places = places[short_tour(joints[places], arm.speed)]
 
     def error(rows: Array) -> float:
         return predicted_error(rows, goal, design.known)
@@ -557,26 +540,25 @@ def finished_plan(
         return float(np.median([error(rows_at(poses)) for poses in drawn(size)]))
 
     by_chance = chance(count)
-    shuffled = [travel_seconds(joints[rng.permutation(chosen)], arm.speed) for _ in range(DRAWS)]
-    points: list[CurvePoint] = []
+    shuffled = [travel_seconds(joints[rng.permutation(places)], arm.speed) for _ in range(DRAWS)]
+    points: list[tuple[int, float, float]] = []
     if len(sizes):
         # Poses added one after the other: the first of a larger set are a smaller one.
         added, _ = exchange(design.rows, sizes[-1], rng, aim, most_passes=0, known=design.known)
         for size in sizes:
-            rows = design.rows[chosen if size == count else added[:size]]
-            points.append(CurvePoint(size, error(rows), chance(size)))
+            rows = design.rows[places if size == count else added[:size]]
+            points.append((size, error(rows), chance(size)))
     return PosePlan(
-        joints=joints[chosen],
-        chosen=chosen,
+        joints=joints[places],
+        chosen=places,
         design=design,
         criterion=criterion,
-        travel_seconds=travel_seconds(joints[chosen], arm.speed),
+        travel_seconds=travel_seconds(joints[places], arm.speed),
         random_travel_seconds=float(np.mean(shuffled)),
-        predicted_error=error(design.rows[chosen]),
+        predicted_error=error(design.rows[places]),
         random_predicted_error=by_chance,
         where=where,
         passes=passes,
-        seconds=time.perf_counter() - begin,
         curve=tuple(points),
     )
 
@@ -590,9 +572,11 @@ def _observed(design: Design, rows: Array) -> Observability:
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> AgainstChance:
     rows = (_rows(geometry, design.model, design.weight, joints) for joints in sets)
-    drawn = sorted((_observed(design, part) for part in rows), key=attrgetter("condition"))
-    o1 = float(np.mean([part.o1 for part in drawn]))
-    return AgainstChance(design.model.names, _observed(design, design.rows[chosen]), drawn[len(drawn) // 2], o1)
+    random_sets = sorted((_observed(design, part) for part in rows), key=attrgetter("condition"))
+    o1 = float(np.mean([part.o1 for part in random_sets]))
+    return AgainstChance(
+        design.model.names, _observed(design, design.rows[chosen]), random_sets[len(random_sets) // 2], o1
+    )
 
 
 def _least(design: Design) -> int:
@@ -606,14 +590,16 @@ def plan_sizes(count: int, least: int, most: int) -> list[int]:
     return sorted(size for size in sizes if size <= most)
 
 
-def _enough(design: Design, count: int) -> None:
-    parameters, least = len(design.model.names), _least(design)
+def refuse_too_few(count: int, parameters: int, least: int, besides: str = "") -> None:
+    """Refuse fewer poses than the least that tell all parameters; ``besides`` names the rows measured already.
+
+    Raises:
+        InputError: If there are fewer.
+    """
     if count < least:
         raise InputError(
-            f"{count} poses are too few for {parameters} parameters; plan at least {least}, better {2 * least}"
+            f"{count} poses {besides}are too few for {parameters} parameters; plan at least {least}, better {2 * least}"
         )
-    if count > len(design.joints):
-        raise InputError(f"{count} poses cannot be chosen from {len(design.joints)} candidates; give more candidates")
 
 
 def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Array:

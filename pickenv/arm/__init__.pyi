@@ -17,7 +17,7 @@ from .effects.effect import (
 from .files.arm import Arm as Arm, content_sha256 as content_sha256
 from .files.arm_file import ARMS as ARMS, load_arm as load_arm, shipped_arms as shipped_arms
 from .files.joint_keys import PER_JOINT as PER_JOINT
-from .files.mjcf import mjcf_text as mjcf_text, write_mjcf as write_mjcf
+from .files.mjcf import mjcf_text as mjcf_text
 from .files.urdf import load_urdf as load_urdf, urdf_text as urdf_text, write_urdf as write_urdf
 from .kinematics.backend import chosen as chosen, clipped as clipped
 from .kinematics.forward import (

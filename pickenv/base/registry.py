@@ -31,7 +31,7 @@ SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "arm_format": ("pickenv.arm.files.arm_file", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
         "backend": ("pickenv.envs.reaching.vector",),
         "effect": tuple(f"pickenv.arm.effects.{name}" for name in ("structure", "drives", "ground", "residual_field")),
-        "exporter": ("pickenv.calibration.delivery.export",),
+        "exporter": tuple(f"pickenv.calibration.delivery.{name}" for name in ("onto_files", "joint_offsets", "export")),
         "gripper": ("pickenv.orchard.gripper",),
         "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
         "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),

@@ -73,10 +73,9 @@ def plan_poses(
 ) -> None:
     """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel."""
     from pickenv.arm import load_arm
-    from pickenv.calibration import plan_poses as plan, read_targets
+    from pickenv.calibration import given_arm, given_rows, plan_poses as plan, pool_of, read_targets
     from pickenv.calibration.model.measurements import POSITION_STD
     from pickenv.calibration.model.prior import prior_model
-    from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of
     from pickenv.calibration.planning.like import plan_like
     from pickenv.calibration.reading.read import joints_of
 

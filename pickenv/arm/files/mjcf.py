@@ -36,7 +36,6 @@ from pickenv.base import (
     register,
     shortened,
     toml_tables,
-    write_text,
 )
 
 # MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
@@ -95,11 +94,6 @@ def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
         root.append(couplings)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
-
-
-def write_mjcf(geometry: Geometry, path: str | Path, name: str = "arm", comment: str = "") -> Path:
-    """Write `mjcf_text` to a file, whole or not at all."""
-    return write_text(path, mjcf_text(geometry, name, comment))
 
 
 def _weigh(body: Element, end: Array) -> None:

@@ -7,11 +7,9 @@ import pytest
 
 from pickenv.arm import Plant, draw_plants, forward, load_arm, load_tolerances, plant_at, rotation_matrix
 from pickenv.base import InputError
-from pickenv.calibration import random_joints, simulated_tracker
-from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration import prior_model, random_joints, simulated_tracker, workspace_joints
+from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.prior import prior_model
-from pickenv.calibration.pipeline.given import workspace_joints
 
 ARM = load_arm("ur5")
 UR5 = ARM.nominal
@@ -54,7 +52,7 @@ def test_rows_all_over_tell_all_and_rows_in_a_corner_say_so():
 
 def test_little_told_is_a_reservation_with_a_remedy():
     *_, workspace = judged(2, 0.001, count=2)
-    assert "over the joint limits" in workspace.reservation and "--workspace" in workspace.reservation
+    assert "over the joint limits" in workspace.reservation and "`workspace`" in workspace.reservation
     assert UR5.joint_names[0] in workspace.reservation
 
 

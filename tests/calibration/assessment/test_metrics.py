@@ -9,7 +9,6 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from pickenv.base import mean_interval
 from pickenv.calibration import error_statistics, held_out_r2, paper_eta
-from pickenv.calibration.assessment.metrics import block_interval
 
 # Qiao 2026, Tables 1 and 2, as printed; nan: removed as redundant.
 TABLES = tomllib.loads("""
@@ -128,7 +127,8 @@ def test_r2_per_axis():
 
 def test_a_block_without_any_error_has_no_logarithm_and_so_the_rms_no_interval():
     values, blocks = 1.0 + np.random.default_rng(0).random(40), np.repeat(np.arange(10), 4)
-    low, high = block_interval(values, blocks, rms=True)
+    low, high = error_statistics(values, blocks).rms_ci95
     assert low < np.sqrt(np.mean(values**2)) < high
     values[4:8] = 0.0
-    assert block_interval(values, blocks, rms=True) is None and block_interval(values, blocks) is not None
+    without = error_statistics(values, blocks)
+    assert without.rms_ci95 is None and without.mean_ci95 is not None

@@ -16,6 +16,7 @@ from pickenv.calibration import (
     link_model,
     random_joints,
     simulated_tracker,
+    uncertainty_from,
 )
 from pickenv.calibration.assessment.quality import (
     axis_errors,
@@ -25,7 +26,7 @@ from pickenv.calibration.assessment.quality import (
     grade_quality,
 )
 from pickenv.calibration.identification.least_squares import Dropped
-from pickenv.calibration.pipeline.calibration import pose_uncertainty, uncertainty_from
+from pickenv.calibration.pipeline.calibration import pose_uncertainty
 
 
 @pytest.fixture(scope="module")

@@ -8,11 +8,21 @@ import pytest
 from scipy import stats
 
 from pickenv.arm import forward, parameter_jacobian
-from pickenv.calibration import Identifiability, Measurements, frames_model, identify, link_model, random_joints
-from pickenv.calibration.assessment.expected_errors import RegionError, Workspace
+from pickenv.calibration import (
+    Identifiability,
+    Measurements,
+    ThermalTerm,
+    frames_model,
+    identify,
+    link_model,
+    prior_model,
+    random_joints,
+)
 from pickenv.calibration.assessment.instrument import base_frame_error, said_against
 from pickenv.calibration.assessment.quality import (
     Completeness,
+    RegionError,
+    Workspace,
     base_combinations,
     correlated_pairs,
     grade_quality,
@@ -20,8 +30,7 @@ from pickenv.calibration.assessment.quality import (
 from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
 from pickenv.calibration.identification.least_squares import Dropped
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ThermalTerm
-from pickenv.calibration.model.prior import FRAMES, MADE, ZEROS, prior_model
+from pickenv.calibration.model.prior import FRAMES, MADE, ZEROS
 
 JUST = 1e-9
 
@@ -193,15 +202,15 @@ def test_rows_are_too_few_below_two_spare_equations_for_each_parameter_told(foun
 
 
 def test_what_was_learnt_is_named_where_the_arm_without_it_is_better_than_the_drawing(found):
-    assert "give --residual none" in cause(found, 1e-3, 1.001e-3, parametric=0.999e-3)
-    assert "give --residual none" not in cause(found, 1e-3, 1.001e-3, parametric=1.001e-3)
+    assert "give `residual='none'`" in cause(found, 1e-3, 1.001e-3, parametric=0.999e-3)
+    assert "give `residual='none'`" not in cause(found, 1e-3, 1.001e-3, parametric=1.001e-3)
 
 
 def test_terms_are_named_where_the_arm_with_them_is_worse_than_the_drawing(found):
     with_term = replace(found, arm_model=replace(found.arm_model, terms=(ThermalTerm(),), coefficients=np.zeros(1)))
-    assert "give --terms none" in cause(with_term, 1e-3, 1.5e-3)
-    assert "give --terms none" not in cause(found, 1e-3, 1.5e-3)
-    assert "give --residual none" in cause(with_term, 1e-3, 1.5e-3, parametric=0.5e-3)
+    assert "give `terms='none'`" in cause(with_term, 1e-3, 1.5e-3)
+    assert "give `terms='none'`" not in cause(found, 1e-3, 1.5e-3)
+    assert "give `residual='none'`" in cause(with_term, 1e-3, 1.5e-3, parametric=0.5e-3)
 
 
 def against(solution):
@@ -216,7 +225,7 @@ def test_a_link_farther_off_than_eight_deviations_of_its_class_is_of_another_arm
     assert against(expected(known=False, **{name: 7.99})) == []
     (said,) = against(expected(known=False, **{name: -8.01}))
     assert said.startswith(f"{name} lies -") and (" deg from" if name.startswith("alpha") else " mm from") in said
-    assert "8 times what parts of tolerance class cobot differ by" in said and "--tolerances" in said
+    assert "8 times what parts of tolerance class cobot differ by" in said and "`tolerances`" in said
     assert against(expected(known=False, std=1.0, **{name: 9.99})) == []
     assert len(against(expected(known=False, std=1.0, **{name: 10.01}))) == 1
 
@@ -227,7 +236,7 @@ def test_a_known_frame_that_parts_of_the_class_do_not_reach_is_not_known(expecte
     assert against(expected(**{f"{frame}_x": 3.0})) == []
     said = against(expected(**{f"{frame}_x": 300.0, "a1": 20.0}))
     assert any(text.startswith(f"the {frame} is said to be known, but by these rows it is off by ") for text in said)
-    assert all("--frames fitted" in text for text in said)
+    assert all("`frames='fitted'`" in text for text in said)
     assert against(expected(known=False, **{f"{frame}_x": 50.0})) == []
 
 

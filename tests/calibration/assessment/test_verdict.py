@@ -114,8 +114,8 @@ def test_the_verdict_is_obeyed_unless_overridden_by_name(refused, noisy, tmp_pat
     compensator = Calibration.load(out).compensator()
     with pytest.raises(InputError, match="do not use"):
         CompensationWrapper(gym.make("pickenv/Reach-v0"), compensator)
-    cautious = replace(compensator, caution="the rows tell 5 % of the joint limits; declare --workspace")
-    with pytest.warns(UserWarning, match="the rows tell 5 % of the joint limits; declare --workspace"):
+    cautious = replace(compensator, caution="the rows tell 5 % of the joint limits; declare `workspace`")
+    with pytest.warns(UserWarning, match="the rows tell 5 % of the joint limits; declare `workspace`"):
         CompensationWrapper(gym.make("pickenv/Reach-v0"), cautious, allow=["do-not-use"]).close()
     with pytest.raises(InputError, match="do not use"):
         load_compensator(out, load_arm("qiao2026"))
@@ -133,7 +133,7 @@ def test_fitted_frames_are_refused_where_fruit_stand_in_the_base_frame(dynamic):
     ):
         with pytest.raises(InputError, match="base frame, where the fruit stand, is not known") as caught:
             make()
-        assert f"({low:.3g} to {high:.3g} mm" in str(caught.value) and "--frames known" in str(caught.value)
+        assert f"({low:.3g} to {high:.3g} mm" in str(caught.value) and "`frames='known'`" in str(caught.value)
         make(allow=["fitted-frames"]).close()
 
 
@@ -307,5 +307,5 @@ def test_measured_data_say_fitted_and_simulated_ones_known(dynamic, tmp_path):
     assert read_measurements(bare.write_csv(tmp_path / "b.csv"), dynamic.geometry).frames == "fitted"
     both = choose(data, None, rng)
     train, test = (data.select(np.sort(rows)) for rows in both)
-    with pytest.raises(InputError, match=r"say.* known, .* fitted; give --frames"):
+    with pytest.raises(InputError, match=r"say.* known, .* fitted; give `frames`"):
         calibrate(dynamic.arm, train, test=replace(test, frames="fitted"))

@@ -12,9 +12,8 @@ import pytest
 
 from pickenv.arm import Arm, Geometry, Pose, forward, rotation_matrix
 from pickenv.arm.kinematics.forward import geometry_from_axes
-from pickenv.calibration import Calibration, Choices, Measurements, calibrate, random_joints
+from pickenv.calibration import ArmModel, Calibration, Choices, Measurements, calibrate, random_joints
 from pickenv.calibration.delivery.corrected_chain import link_frames
-from pickenv.calibration.model.arm_model import ArmModel
 
 UR5 = Path("robots/ur_description/urdf/ur5_robot.urdf")
 PANDA = Path("robots/panda_description/urdf/panda.urdf")

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from pickenv.arm import load_arm
-from pickenv.arm.files.urdf import urdf_text
 from pickenv.base import InputError
 from pickenv.calibration import export
 
@@ -29,7 +28,8 @@ def texts(tmp_path_factory, made):
     ur5 = load_arm("ur5")
     motor = {"id": 1, "drive_mode": 0, "homing_offset": 5, "range_min": 100, "range_max": 3000}
     motors = dict.fromkeys(ur5.nominal.joint_names, motor)
-    good = {"urdf": (urdf_text(ur5.nominal, "ur5"), "#tool"), "xml": (MJCF, "#b"), "yaml": (YAML, "")}
+    urdf = export(made(ur5, rng), folder / "ur5.urdf").path.read_text()
+    good = {"urdf": (urdf, "#tool"), "xml": (MJCF, "#b"), "yaml": (YAML, "")}
     found = {
         "json": (json.dumps(motors), "", None, made(ur5, rng)),
         "xacro": (CONTROL, "", "ros2-control", made(ur5, rng)),

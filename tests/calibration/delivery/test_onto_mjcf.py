@@ -9,11 +9,8 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, forward, load_arm
-from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import InputError
-from pickenv.calibration import export, random_joints
-from pickenv.calibration.delivery.corrected_chain import refuse_lost_files
-from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration import ArmModel, export, random_joints
 
 MODEL = """<mujoco model="arm">
   <compiler angle="degree" eulerseq="zyx"/> <!-- pos="1 2 3" in a comment -->
@@ -71,8 +68,9 @@ def test_the_makers_model_is_kept_and_moves_as_calibrated(so101, measured, in_mu
     joints = random_joints(arm.nominal, 200, rng)
     seen = in_mujoco(out, arm.nominal.joint_names, tip, joints, meshes_of(own))
     found = forward(calibration.identified, joints)
-    stands = behind(arm.nominal.base, inverse_pose(calibration.identified.base))
-    there = Pose(stands.position + found.position @ stands.rotation.T, stands.rotation @ found.rotation)
+    base, stood = arm.nominal.base, calibration.identified.base
+    turn = base.rotation @ stood.rotation.T
+    there = Pose(base.position + (found.position - stood.position) @ turn.T, turn @ found.rotation)
     assert rigid(seen, there) < 1e-8
     assert rigid(in_mujoco(own, arm.nominal.joint_names, tip, joints, meshes_of(own)), there) > 1e-3
 
@@ -185,11 +183,18 @@ def test_meshes_are_looked_for_where_mujoco_finds_them(model, made, tmp_path, co
     export(calibration, tmp_path / "out.xml", onto=f"{model}#end")
 
 
-def test_what_is_no_file_beside_the_model_is_let_be(tmp_path):
-    path, out = tmp_path / "arm.urdf", tmp_path / "out.urdf"
-    refuse_lost_files(path, out, ["", "package://robot/arm.stl", "http://site/arm.stl", str(tmp_path / "gone.stl")])
+def test_what_is_no_file_beside_the_model_is_let_be(model, made, tmp_path):
+    """Of a URDF, whose meshes have addresses: of a package, of a site, of a folder, or none."""
+    calibration = made(load_arm(f"{model}#end"), np.random.default_rng(0))
+    own, out = export(calibration, tmp_path / "arm.urdf", arm=load_arm(f"{model}#end")).path, tmp_path / "out.urdf"
+    addresses = ["", "package://robot/arm.stl", "http://site/arm.stl", str(tmp_path / "gone.stl")]
+    meshes = "".join(f'<visual><geometry><mesh filename="{each}"/></geometry></visual>' for each in addresses)
+    plain = replace(calibration, arm=calibration.in_own_base)
+    own.write_text(own.read_text().replace("</robot>", f'<link name="shell">{meshes}</link></robot>'))
+    export(plain, out, onto=f"{own}#tool")
+    own.write_text(own.read_text().replace("package://robot/arm.stl", "gone.stl"))
     with pytest.raises(InputError, match="names 'gone"):
-        refuse_lost_files(path, out, ["package://robot/arm.stl", "gone.stl"])
+        export(plain, out, onto=f"{own}#tool")
 
 
 def test_a_file_that_includes_one_is_not_written_where_that_is_not(model, made, tmp_path):

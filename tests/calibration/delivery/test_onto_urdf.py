@@ -18,9 +18,8 @@ from pickenv.arm import Pose, forward, load_arm, rotation_matrix
 from pickenv.arm.files.urdf import roll_pitch_yaw, write_urdf
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import InputError
-from pickenv.calibration import Calibration, export, random_joints
+from pickenv.calibration import ArmModel, Calibration, export, random_joints
 from pickenv.calibration.delivery.corrected_chain import same_chain
-from pickenv.calibration.model.arm_model import ArmModel
 
 CHAIN = """<?xml version='1.0'?>
 <!-- a comment with <origin xyz="9 9 9"/> and 'quotes' -->

@@ -12,7 +12,6 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose, forward, from_standard_dh, load_arm, rotation_matrix
-from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import InputError
 from pickenv.calibration import export, random_joints
 
@@ -80,13 +79,14 @@ def test_a_standard_table_of_a_standard_arm_is_its_makers(made, tmp_path):
     first = of(rows, "standard", 0)
     before = about("x", first["alpha"]) @ along("x", first["a"])
     own = arm.nominal
+    base = matrix(own.base.rotation, own.base.position) @ before
     built = from_standard_dh(
         own.joint_names,
         own.prismatic,
         **{key: [row[key] for row in table] for key in ("theta", "d", "a", "alpha")},
         lower=own.lower,
         upper=own.upper,
-        base=behind(own.base, Pose(before[:3, 3], before[:3, :3])),
+        base=Pose(base[:3, 3], base[:3, :3]),
         tool=calibration.identified.tool,
     )
     joints = random_joints(own, 50, rng)
@@ -150,23 +150,23 @@ def test_without_a_file_the_frames_are_the_tables(made, tmp_path):
     arm = load_arm("ur5")
     calibration = made(arm, np.random.default_rng(63), "fitted")
     lines = transforms(export(calibration, tmp_path / "t.sh", kind="transforms").path.read_text())
-    stands = behind(arm.nominal.base, inverse_pose(calibration.identified.base))
-    np.testing.assert_allclose(
-        lines["base_link", "measurement_frame"], matrix(stands.rotation, stands.position), atol=1e-12
+    (base, tool), (stood, held) = (
+        [matrix(pose.rotation, pose.position) for pose in (geometry.base, geometry.tool)]
+        for geometry in (arm.nominal, calibration.identified)
     )
-    hand = behind(inverse_pose(arm.nominal.tool), calibration.identified.tool)
-    np.testing.assert_allclose(lines["tool0", "calibrated_tool"], matrix(hand.rotation, hand.position), atol=1e-12)
+    np.testing.assert_allclose(lines["base_link", "measurement_frame"], base @ np.linalg.inv(stood), atol=1e-12)
+    np.testing.assert_allclose(lines["tool0", "calibrated_tool"], np.linalg.inv(tool) @ held, atol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("words", "said"),
     [
         ({"kind": "dxf"}, "there is no exporter 'dxf'; give one of toml, urdf"),
-        ({}, "does not tell what to write; give --as one of"),
-        ({"kind": "lerobot"}, "give --onto the one that lerobot-calibrate wrote"),
-        ({"kind": "table", "sample": 2}, "--sample goes with a new MJCF"),
-        ({"kind": "table", "onto": "robot.urdf"}, "is written anew; leave --onto out"),
-        ({"kind": "table", "counts_per_turn": 4096}, "belong to --as offsets"),
+        ({}, "does not tell what to write; give `kind`, one of"),
+        ({"kind": "lerobot"}, "give `onto`, the one that lerobot-calibrate wrote"),
+        ({"kind": "table", "sample": 2}, "`sample` goes with a new MJCF"),
+        ({"kind": "table", "onto": "robot.urdf"}, "is written anew; leave `onto` out"),
+        ({"kind": "table", "counts_per_turn": 4096}, "belong to `kind='offsets'`"),
         ({"onto": "robot.stl"}, "does not tell what to write"),
         ({"kind": "transforms", "onto": "k.yaml"}, "has no named frames"),
         ({"kind": "onnx"}, "no learnt residual"),
@@ -183,7 +183,7 @@ def test_what_cannot_be_written_is_one_sentence(made, tmp_path, words, said):
 def test_an_arm_file_needs_the_arms_speeds(made, tmp_path, so101):
     own = load_arm(so101 / "so101_new_calib.urdf")
     calibration = replace(made(own, np.random.default_rng(0)), arm_name="mine")
-    with pytest.raises(InputError, match="tells joint speeds too; give --arm the file of 'mine'"):
+    with pytest.raises(InputError, match="tells joint speeds too; give `arm`, the file of 'mine'"):
         export(calibration, tmp_path / "a.toml")
     again = load_arm(export(calibration, tmp_path / "a.toml", arm=own).path)
     np.testing.assert_allclose(again.speed, own.speed)

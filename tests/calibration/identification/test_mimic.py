@@ -17,11 +17,10 @@ from pickenv.calibration import (
     LeadTerm,
     Measurements,
     ThermalTerm,
+    export,
     fit,
     random_joints,
     read_measurements,
-    write_arm_toml,
-    write_arm_urdf,
 )
 from pickenv.inspect.runs.saved import nominal_points
 
@@ -113,8 +112,8 @@ def test_its_file_commands_and_urdf_keep_the_coupling(calibrated, arm, true, mea
     np.testing.assert_allclose(compensate(targets[0]), compensate(targets)[0], atol=1e-9)
     fresh = random_joints(arm.nominal, 20, np.random.default_rng(3))
     files = (
-        f"{write_arm_urdf(loaded, arm, tmp_path / 'back.urdf')}#tool",
-        write_arm_toml(loaded, arm, tmp_path / "b.toml"),
+        f"{export(loaded, tmp_path / 'back.urdf', arm=arm).path}#tool",
+        export(loaded, tmp_path / "b.toml", arm=arm).path,
     )
     standing = replace(
         loaded.identified, base=arm.nominal.base, tool=arm.nominal.tool

@@ -19,18 +19,20 @@ from pickenv.arm import (
 )
 from pickenv.base import InputError
 from pickenv.calibration import (
-    Compensator,
+    ArmModel,
+    Calibration,
+    Conditions,
+    Targets,
+    ThermalTerm,
     apply_calibration,
     assess,
     fit,
+    joints_of,
     random_joints,
     read_targets,
     simulated_tracker,
+    uncertainty_from,
 )
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, ThermalTerm
-from pickenv.calibration.pipeline.apply import _carried, toward
-from pickenv.calibration.pipeline.calibration import uncertainty_from
-from pickenv.calibration.reading.read import Targets, joints_of
 
 
 @pytest.fixture(scope="module")
@@ -255,9 +257,12 @@ def test_a_pose_is_carried_to_where_the_same_joints_bring_it_with_another_base_a
     rng = np.random.default_rng(0)
     believed, fitted = (qiao.nominal.displaced(np.r_[np.zeros(30), rng.normal(size=12)]) for _ in range(2))
     joints = inner_joints(qiao.nominal, 20, 1)
-    found, expected = _carried(forward(believed, joints), believed, fitted), forward(fitted, joints)
-    np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
-    np.testing.assert_allclose(found.rotation, expected.rotation, atol=1e-12)
+    arm = replace(qiao, nominal=believed)
+    known = Calibration(arm.name, believed, fitted, ArmModel.of(fitted), None, {})
+    found = apply_calibration(known, arm, pose_targets(forward(believed, joints)))
+    assert found.reached.all()
+    np.testing.assert_allclose(found.before, 0.0, atol=1e-9)
+    np.testing.assert_allclose(found.joints, found.targets, atol=1e-9)
 
 
 def test_a_learnt_residual_takes_part(dynamic):
@@ -355,7 +360,8 @@ def test_other_joints_take_over_from_one_at_its_limit(calibration, dynamic, join
 
 def test_a_joint_at_its_limit_that_has_to_go_inwards_goes():
     """Encoders that are off: the corrected command is the target less what each joint is off by."""
-    nominal, rng = load_arm("ur5").nominal, np.random.default_rng(0)
+    arm, rng = load_arm("ur5"), np.random.default_rng(0)
+    nominal = arm.nominal
     off = rng.choice([-1, 1], 6) * rng.uniform(2e-3, 1e-2, 6)
     identified = replace(nominal, theta=nominal.theta + off)
     joints = inner_joints(nominal, 400, 2)
@@ -363,9 +369,10 @@ def test_a_joint_at_its_limit_that_has_to_go_inwards_goes():
     joints[np.arange(400), joint] = np.where(off > 0, nominal.upper, nominal.lower)[joint]
     strengths = np.linalg.svd(joint_jacobian(nominal, joints), compute_uv=False)
     joints = joints[strengths[:, -1] > 0.03 * strengths[:, 0]]
-    found = toward(Compensator(nominal, identified), forward(nominal, joints), joints)
+    known = Calibration(arm.name, nominal, nominal, ArmModel.of(identified), None, {})
+    found = apply_calibration(known, arm, joint_targets(joints))
     assert len(joints) > 100
-    np.testing.assert_allclose(found, joints - off, atol=1e-6)
+    np.testing.assert_allclose(found.joints, joints - off, atol=1e-6)
 
 
 def test_the_table_says_errors_and_uncertainties_in_mm_and_degrees(calibration, dynamic):
@@ -396,14 +403,16 @@ def test_what_the_learnt_residual_explains_is_no_uncertainty(dynamic):
 
 def test_targets_of_an_arm_of_five_joints_are_met_in_position_first():
     """Links off in every direction: the attitude cannot be had too, and what is left of it counts as reached."""
-    nominal = load_arm("so101").nominal
-    rng = np.random.default_rng(3)
+    arm, rng = load_arm("so101"), np.random.default_rng(3)
+    nominal = arm.nominal
     sizes = np.concatenate([np.repeat([np.radians(0.6), 0.3e-3, np.radians(0.6), 0.3e-3, 0.0], 5), np.zeros(12)])
     identified = nominal.displaced(sizes * rng.normal(size=len(sizes)))
     span = nominal.upper - nominal.lower
     joints = rng.uniform(nominal.lower + 0.2 * span, nominal.upper - 0.2 * span, (50, 5))
     wanted = forward(nominal, joints)
-    error = pose_error(wanted, forward(identified, toward(Compensator(nominal, identified), wanted, joints)))
+    known = Calibration(arm.name, nominal, nominal, ArmModel.of(identified), None, {})
+    commands = apply_calibration(known, arm, joint_targets(joints)).joints
+    error = pose_error(wanted, forward(identified, commands))
     before = pose_error(wanted, forward(identified, joints))
     left, raw = (np.median(np.linalg.norm(part[:, :3], axis=1)) for part in (error, before))
     assert left < 0.1 * raw

@@ -7,12 +7,18 @@ import pytest
 
 from pickenv.arm import forward
 from pickenv.base import InputError, mean_interval
-from pickenv.calibration import Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
+from pickenv.calibration import (
+    Choices,
+    DistanceObservations,
+    GravityTerm,
+    calibrate,
+    prior_model,
+    random_joints,
+    simulated_tracker,
+)
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice
-from pickenv.calibration.model.arm_model import GravityTerm
 from pickenv.calibration.model.observations import BLOCKS
-from pickenv.calibration.model.prior import prior_model
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.pipeline.fitting import AS_CHOSEN, HeldOut, pooled
 from pickenv.inspect.reports.calibration_report import calibration_page
@@ -131,7 +137,7 @@ def test_other_kinds_of_measurement_are_judged_in_blocks_too(qiao):
 
 
 def test_what_cannot_be_blocked_is_refused(dynamic, data):
-    with pytest.raises(InputError, match="--test-rows is for the random split"):
+    with pytest.raises(InputError, match="`test_rows` is for the random split"):
         calibrate(dynamic.arm, data, split="blocked", test_rows=20, choices=PLAIN)
 
 

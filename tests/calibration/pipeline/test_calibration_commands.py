@@ -73,7 +73,7 @@ def test_the_corrected_arm_is_exported(folder):
         said = call("export", folder / "arm.npz", "--out", folder / name)
         assert "not in the file, because no geometry can hold it: learnt residual 'bpnn'" in said and "wrote" in said
     assert load_arm(folder / "a.toml").name == "qiao2026_calibrated"
-    with pytest.raises(InputError, match="does not tell what to write; give --as"):
+    with pytest.raises(InputError, match="does not tell what to write; give `kind`"):
         call("export", folder / "arm.npz", "--out", folder / "a.dat")
     with pytest.raises(InputError, match="belongs to arm"):
         call("export", folder / "arm.npz", "--arm", "ur5", "--out", folder / "b.toml")

@@ -46,7 +46,7 @@ def test_a_base_that_stands_elsewhere_is_named(millimetres):
         "ur5", replace(rows, position=rows.position + np.array([millimetres * 1e-3, 0, 0])), choices=PLAIN
     )
     assert found.quality.grade != "good" and "the base is said to be known" in causes(found)
-    assert "--frames fitted" in causes(found)
+    assert "`frames='fitted'`" in causes(found)
 
 
 def test_a_base_that_is_turned_is_named():

@@ -10,10 +10,7 @@ import pytest
 
 from pickenv.arm import Arm, forward, load_arm
 from pickenv.base import InputError
-from pickenv.calibration import DistanceObservations, Measurements, random_joints
-from pickenv.calibration.model.arm_model import CARRIER
-from pickenv.calibration.model.measurements import Stacked
-from pickenv.calibration.pipeline.given import given_arm, given_rows, pool_of
+from pickenv.calibration import DistanceObservations, Measurements, given_arm, given_rows, pool_of, random_joints
 
 NAMES = [f"A{k}" for k in range(1, 7)]
 JOINTS = f'joints.columns = {NAMES}\njoints.unit = "deg"\n'.replace("'", '"')
@@ -59,11 +56,11 @@ def test_one_layout_is_for_all_files_and_several_are_one_each(
     assert isinstance(both, Measurements) and len(both) == 16
     np.testing.assert_allclose(both.joints, np.concatenate(joints[:2]))
     apart, floor = given_rows(ur5, data[1::-1], points, "tool")
-    assert isinstance(apart, Stacked) and len(apart.stations) == 2
+    assert len(apart.stations) == 2
     assert floor is not None and floor.digits == pytest.approx(1e-4 * 0.5)
     assert {name.partition("_")[0] for name in apart.unknowns()} == {"tool2"}
     mixed, floor = given_rows(ur5, data[1:], [points, wire])
-    assert isinstance(mixed, Stacked) and [type(part) for part in mixed.parts] == [Measurements, DistanceObservations]
+    assert [type(part) for part in mixed.parts] == [Measurements, DistanceObservations]
     assert floor is not None and floor.digits == pytest.approx(1e-4 * 0.5)
     assert {name.partition("_")[0] for name in mixed.unknowns()} == {"anchor", "zero", "tool2"}
     np.testing.assert_allclose(mixed.joints, np.concatenate(joints[1:]))
@@ -83,7 +80,7 @@ def test_arrays_are_taken_as_they_are_and_not_described(
     apart, _ = given_rows(ur5, [one, one], stations="base,tool")
     assert {name.partition("_")[0] for name in apart.unknowns()} == {"base2", "tool2"}
     shared, _ = given_rows(ur5, [one, one], stations="none")
-    assert isinstance(shared, Stacked) and not shared.unknowns()
+    assert len(shared.stations) == 2 and not shared.unknowns()
     with pytest.raises(InputError, match="columns describe files, but rows are given"):
         given_rows(ur5, one, points)
     with pytest.raises(InputError, match=r"joints have shape \(8, 5\), but arm 'ur5' has 6 joints"):
@@ -104,7 +101,7 @@ def test_finished_poses_need_no_arm_and_joints_do(
         with pytest.raises(InputError, match="no arm is given"):
             given_arm(None, columns)
     poses = "ical_charuco"  # a camera's pictures beside the poses that the controller said
-    assert given_arm(None, poses).name == given_arm(None, [points, poses]).name == CARRIER
+    assert given_arm(None, poses).name == given_arm(None, [points, poses]).name == "finished_poses"
     with pytest.raises(InputError, match="finished poses have no joints"):
         given_arm(ur5, poses)
 

@@ -10,6 +10,7 @@ import pytest
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
     Choices,
     DistanceObservations,
     Result,
@@ -18,13 +19,12 @@ from pickenv.calibration import (
     calibrate,
     complete_model,
     frames_model,
+    given_rows,
     identify,
     random_joints,
 )
 from pickenv.calibration.assessment.instrument import said_of_instruments, with_zeros_fitted
 from pickenv.calibration.identification.robust import rough_start, stations_of
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.pipeline.given import given_rows
 from tests.calibration.simulated_instruments import (
     ANGLE_STD,
     HERE,
@@ -323,7 +323,7 @@ def test_a_draw_wire_as_published_finds_the_arm(arm: Arm, seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_without_its_zero_the_verdict_on_a_draw_wire_is_do_not_use(arm: Arm, seed: int) -> None:
     _, data, _ = published_wire(arm, seed)
-    result = judged_by_blocks(arm, replace(data, zero_std=0.0))
+    result = calibrate(arm, replace(data, zero_std=0.0), choices=PLAIN)
     assert result.quality.grade == "do not use"
     assert 'say zero = "fitted" in [wire]' in result.quality.reason
 

@@ -14,8 +14,16 @@ import pytest
 from pickenv.arm import Arm, Array, Pose, forward, load_arm, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import move_pose
 from pickenv.base import InputError
-from pickenv.calibration import Calibration, ErrorStatistics, Measurements, error_statistics, random_joints
-from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration import (
+    ArmModel,
+    Calibration,
+    ErrorStatistics,
+    Measurements,
+    error_statistics,
+    frames_and_rows,
+    random_joints,
+    verify,
+)
 from pickenv.calibration.model.observations import equally_spaced
 from pickenv.calibration.pipeline import verification
 from pickenv.calibration.pipeline.verification import (
@@ -24,10 +32,8 @@ from pickenv.calibration.pipeline.verification import (
     _starts,
     _verdict,
     expected_square,
-    frames_and_rows,
     near_rows,
     restationed,
-    verify,
     weighed_by_reach,
 )
 

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Array, Geometry, Pose, forward, load_arm, load_plant, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ArmModel,
     Choices,
     Measurements,
     Result,
@@ -23,7 +24,6 @@ from pickenv.calibration import (
     simulated_tracker,
 )
 from pickenv.calibration.identification.robust import set_ups
-from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.measurements import InstrumentStation, Stacked
 from pickenv.cli import app
 

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from pickenv.base import InputError
-from pickenv.calibration import Choices, random_joints, simulated_tracker
-from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration import Choices, GravityTerm, PeriodicTerm, random_joints, simulated_tracker, workspace_joints
+from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.term_choice import TermChoice
-from pickenv.calibration.model.arm_model import GravityTerm, PeriodicTerm
 from pickenv.calibration.pipeline import stages
-from pickenv.calibration.pipeline.given import workspace_joints
 from pickenv.calibration.residuals.gate import AUTO as OURS, GateReport, GateVerdict
 
 AUTO = Choices(frames="known", residual="auto", terms="auto", seed=5)
@@ -141,8 +139,8 @@ def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynam
     stages.refuse_options(Wires(), Choices())
     stages.refuse_options(Wires(), Choices(residual="none", frames="fitted"))
     for choices, option in (
-        (Choices(frames="known"), "--frames known is"),
-        (Choices(residual="gp"), "--residual gp is"),
+        (Choices(frames="known"), "`frames='known'` is"),
+        (Choices(residual="gp"), "`residual='gp'` is"),
     ):
         with pytest.raises(InputError, match=f"^{option} for poses and positions, but wires.csv holds distance"):
             stages.refuse_options(Wires(), choices)

@@ -11,18 +11,21 @@ from pickenv.arm import forward, load_arm
 from pickenv.arm.effects.effect import Load
 from pickenv.base import InputError
 from pickenv.calibration import (
+    GEOMETRIC,
+    ArmModel,
     Calibration,
     Choices,
+    ComplianceTerm,
+    Conditions,
     Measurements,
+    Targets,
     apply_calibration,
     calibrate,
     complete_model,
     identify,
 )
 from pickenv.calibration.identification.term_choice import terms_of
-from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, Conditions, with_terms
-from pickenv.calibration.pipeline.fitting import GEOMETRIC
-from pickenv.calibration.reading.read import Targets
+from pickenv.calibration.model.arm_model import with_terms
 from pickenv.cli import app
 
 ARM = load_arm("ur10")

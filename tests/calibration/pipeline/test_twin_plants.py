@@ -25,14 +25,19 @@ from pickenv.arm.effects.structure import StickBand
 from pickenv.arm.kinematics.geometry import Coupling
 from pickenv.arm.plant.tolerances import it_tolerance
 from pickenv.base import InputError, write_container
-from pickenv.calibration import Choices, Measurements, calibrate, random_joints, simulated_tracker, twin
-from pickenv.calibration.model.arm_model import (
+from pickenv.calibration import (
     BendingTerm,
+    Choices,
     ComplianceTerm,
     GravityTerm,
     LeadTerm,
+    Measurements,
     PeriodicTerm,
     ThermalTerm,
+    calibrate,
+    random_joints,
+    simulated_tracker,
+    twin,
 )
 from pickenv.calibration.pipeline.twin import SMOOTH, Scatter, repeated_std, scatter_of
 from pickenv.calibration.residuals.gaussian_process import feature_process
@@ -319,7 +324,7 @@ def test_what_cannot_become_a_plant_is_refused_in_a_sentence():
     with pytest.raises(InputError, match="belongs to arm 'qiao2026' with another geometry than 'ur5'"):
         twin(found, UR5)
     network = replace(learnt_by_hand(QIAO, rng), kind="bpnn", model=object())
-    with pytest.raises(InputError, match=r"'bpnn' of the calibration does not know how sure it is; .*--rows"):
+    with pytest.raises(InputError, match=r"'bpnn' of the calibration does not know how sure it is; .*`rows`"):
         twin(replace(found, learnt=network), QIAO)
     with pytest.raises(InputError, match="how surely its parameters are known"):
         twin(replace(found, record={}), QIAO)

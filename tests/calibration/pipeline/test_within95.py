@@ -9,8 +9,16 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_arm, load_plant
-from pickenv.calibration import Calibration, Choices, Measurements, calibrate, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.calibration import Within95, uncertainty_from, within95
+from pickenv.calibration import (
+    Calibration,
+    Choices,
+    Measurements,
+    calibrate,
+    random_joints,
+    simulated_tracker,
+    uncertainty_from,
+)
+from pickenv.calibration.pipeline.calibration import Within95, within95
 from pickenv.wrappers import CompensationWrapper
 
 

@@ -12,7 +12,6 @@ from pickenv.base import InputError
 from pickenv.calibration import complete_model, link_model, plan_poses, random_joints
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
 from pickenv.calibration.planning.plan import (
-    CurvePoint,
     candidate_joints,
     design_of,
     exchange,
@@ -232,7 +231,7 @@ def test_tables_are_written_in_mm_and_degrees(qiao, drawn, tmp_path):
 
 
 def test_a_curve_is_told_in_mm(drawn):
-    plan = replace(drawn[0], curve=(CurvePoint(20, 0.5, 2.0), CurvePoint(40, 0.25, 1.0)))
+    plan = replace(drawn[0], curve=((20, 0.5, 2.0), (40, 0.25, 1.0)))
     assert plan.as_dict()["curve"] == [
         {"poses": 20, "error_mm": 500.0, "random_error_mm": 2000.0},
         {"poses": 40, "error_mm": 250.0, "random_error_mm": 1000.0},

@@ -12,12 +12,12 @@ from typer.testing import CliRunner
 import pickenv
 from pickenv.arm import Arm, displace_pose, forward, load_arm
 from pickenv.base import InputError
-from pickenv.calibration import Choices, Measurements, plan_poses, random_joints
-from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration import Choices, Measurements, plan_like, plan_poses, prior_model, random_joints
+from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.noise import stated_noise
-from pickenv.calibration.model.prior import PriorModel, prior_model
-from pickenv.calibration.planning.like import first_rows, plan_like
+from pickenv.calibration.model.prior import PriorModel
+from pickenv.calibration.planning.like import first_rows
 from pickenv.calibration.planning.plan import PosePlan
 from pickenv.cli import app
 from tests.calibration.simulated_instruments import KINDS
@@ -97,8 +97,8 @@ def test_one_pose_is_a_plan_where_all_is_expected_somewhere() -> None:
     plan = planned(arm, expected(arm, False), 1, None, curve=True)
     assert len(plan.joints) == 1 and plan.arm is None and plan.as_dict()["condition"] is None
     assert "over the joint ranges" in plan.report()
-    errors = [point.error for point in plan.curve]
-    assert [point.poses for point in plan.curve] == [1, 2, 4, 8] and errors == sorted(errors, reverse=True)
+    sizes, errors, _ = zip(*plan.curve, strict=True)
+    assert sizes == (1, 2, 4, 8) and list(errors) == sorted(errors, reverse=True)
     with pytest.raises(InputError, match="301 poses cannot be chosen from 300 candidates"):
         planned(arm, expected(arm, False), 301, None)
 

@@ -12,20 +12,21 @@ from typer.testing import CliRunner
 from pickenv.arm import Plant, Pose, displace_pose, draw_plants, forward, load_arm, load_tolerances, plant_at
 from pickenv.base import InputError
 from pickenv.calibration import (
+    ErrorModel,
     Measurements,
     complete_model,
     identify,
     link_model,
     plan_poses,
+    prior_model,
     random_joints,
     simulated_tracker,
 )
-from pickenv.calibration.assessment.expected_errors import workspace_error
+from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.least_squares import observability, observability_of
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ErrorModel
 from pickenv.calibration.model.noise import stated_noise
-from pickenv.calibration.model.prior import MADE, prior_model
+from pickenv.calibration.model.prior import MADE
 from pickenv.calibration.planning.plan import (
     candidate_joints,
     design_of,
@@ -272,10 +273,10 @@ def test_the_curve_is_the_error_that_calibrations_show(qiao, near_them):
         position_std=1e-4, curve=True,
     )  # fmt: skip
     assert plan.criterion == ("test-poses" if near_them else "d-optimal")
-    sizes = [point.poses for point in plan.curve]
-    assert sizes[1] == 12 and sizes == sorted(sizes) and sizes[-1] <= 300
-    assert all(a.error > b.error for a, b in pairwise(plan.curve))
-    assert all(point.error < point.random_error for point in plan.curve[:3])
+    sizes, errors, by_chance = zip(*plan.curve, strict=True)
+    assert sizes[1] == 12 and list(sizes) == sorted(sizes) and sizes[-1] <= 300
+    assert all(a > b for a, b in pairwise(errors))
+    assert all(a < b for a, b in zip(errors[:3], by_chance, strict=False))
     there = random_joints(qiao.nominal, 300, rng) if near is None else near
     truth, left = forward(qiao.true, there).position, []
     for _ in range(40):
@@ -283,7 +284,7 @@ def test_the_curve_is_the_error_that_calibrations_show(qiao, near_them):
         data = Measurements(plan.joints, position, None, qiao.nominal.prismatic, position_std=1e-4)
         found = identify(link_model(qiao.nominal), qiao.nominal, data).geometry
         left.append(np.sum((forward(found, there).position - truth) ** 2, axis=1).mean())
-    assert np.sqrt(np.mean(left)) == pytest.approx(plan.curve[1].error, rel=0.15)
+    assert np.sqrt(np.mean(left)) == pytest.approx(errors[1], rel=0.15)
 
 
 @pytest.mark.parametrize("known", [True, False])

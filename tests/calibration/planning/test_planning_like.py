@@ -16,17 +16,17 @@ from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration import (
     DistanceObservations,
+    ErrorModel,
     Measurements,
     Observations,
     complete_model,
     identify,
+    plan_like,
     random_joints,
 )
 from pickenv.calibration.camera.boards import Board
-from pickenv.calibration.model.arm_model import ErrorModel
 from pickenv.calibration.model.measurements import InstrumentStation, Stacked
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
-from pickenv.calibration.planning.like import plan_like
 from pickenv.calibration.planning.plan import PosePlan, exchange
 from pickenv.cli import app
 from tests.calibration.simulated_instruments import KINDS, LINE_POINT, STD, from_anchor, from_plane, points_at
@@ -244,10 +244,10 @@ def test_the_predicted_error_is_that_of_all_rows_together(ur5: Arm) -> None:
         traces = np.trace(np.linalg.solve(without + np.swapaxes(each, 1, 2) @ each, weight), axis1=1, axis2=2)
         traces[rest] = np.inf
         assert traces[plan.chosen[place]] <= traces.min() * (1.0 + 1e-5)
-    errors = [point.error for point in plan.curve]
-    assert [point.poses for point in plan.curve] == [7, 15, 30, 60, 120]
-    assert errors[1:] == sorted(errors[1:], reverse=True) and errors[1] > errors[-1]
-    assert plan.curve[1].error == plan.predicted_error
+    sizes, errors, _ = zip(*plan.curve, strict=True)
+    assert sizes == (7, 15, 30, 60, 120)
+    assert list(errors[1:]) == sorted(errors[1:], reverse=True) and errors[1] > errors[-1]
+    assert plan.curve[1][1] == plan.predicted_error
 
 
 def test_faults_of_a_first_measurement_are_named(ur5: Arm) -> None:

@@ -69,7 +69,7 @@ def test_conditions_that_nothing_depends_on_are_named(
     name: str, what: str, rows: list[str], qiao: Arm, tmp_path: Path
 ) -> None:
     path = with_column(rows, name, [str(0.1 * i) for i in range(60)], tmp_path)
-    said = f"nothing that was fitted depends on what was recorded of {what} (see --terms)"
+    said = f"nothing that was fitted depends on what was recorded of {what} (see `terms`)"
     plain = calibrate(qiao, path, choices=PLAIN)
     assert [(item.weight, item.text) for item in plain.quality.findings if "recorded" in item.text] == [("note", said)]
     term = {"payload": "gravity", "temperature": "thermal"}[what]
