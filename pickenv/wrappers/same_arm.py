@@ -23,8 +23,9 @@ from pickenv.arm import Array, Geometry, joint_jacobian
 from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.base import InputError
 from pickenv.envs.shared.backends import NUMPY
+from pickenv.envs.shared.native_vector import checked_seeds, final_rows
 from pickenv.envs.shared.simulation import NUMBER_KEYS, goal_attempt
-from pickenv.envs.shared.spaces import final_rows, given_options, given_seeds
+from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_count, check_number
 
@@ -209,7 +210,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         """Begin runs on arms that are drawn anew; options: "arm", their numbers."""
         options = given_options(options, ("arm",))
         fresh: Any = self.env.unwrapped
-        seeds = given_seeds(seed, self.num_envs)
+        seeds = checked_seeds(seed, self.num_envs)
         for i, given in enumerate(seeds):
             if given is not None or not self.run.count[i]:
                 self.run.seeds[i] = seed_word(fresh_seed(fresh.np_random) if given is None else int(given))

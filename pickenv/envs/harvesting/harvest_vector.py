@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm.plant.tree import tree_map
@@ -14,14 +13,15 @@ from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState
 from pickenv.envs.harvesting.harvest_env import LONGEST
 from pickenv.envs.harvesting.harvest_task import OPTIONS, HarvestTask, given_zones, harvest_spaces, make_harvest_task
-from pickenv.envs.shared.stream_vector import Flags, Information, Rows, StreamVectorEnv
-from pickenv.envs.shared.task import Compensate, checked_action
+from pickenv.envs.shared.arm_env import Information
+from pickenv.envs.shared.native_vector import Flags, NativeVectorEnv, Rows
+from pickenv.envs.shared.task import checked_action
 
 if TYPE_CHECKING:
     from pickenv.pictures.stage import Stage
 
 
-class HarvestVectorEnv(StreamVectorEnv):
+class HarvestVectorEnv(NativeVectorEnv):
     """Many harvesters at once; environment i is seeded with ``seed + i`` and does not depend on how many there are.
 
     Args:
@@ -46,11 +46,8 @@ class HarvestVectorEnv(StreamVectorEnv):
         """See the class."""
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
         self.task: HarvestTask = make_harvest_task(**arguments)
-        self.single_observation_space, self.single_action_space = harvest_spaces(self.task)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.compensator: Compensate | None = None
-        self.state: HarvestState | None = None
+        self._set_spaces(*harvest_spaces(self.task))
+        self.state: HarvestState
 
     def _checked(self, actions: ArrayLike) -> NDArray[Any]:
         return checked_action(actions, (self.num_envs, self.task.machine.joints), self.task.most_action)
@@ -58,34 +55,29 @@ class HarvestVectorEnv(StreamVectorEnv):
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
         given = given_zones(self.task, options, self.num_envs, rows)
         fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows], given)
-        if self.state is None:
-            self.state = fresh
-        else:
+        if self._begun:
             self.state.put(rows, fresh)
+        else:
+            self.state = fresh
 
-    def _act(self, actions: NDArray[Any], going: Flags) -> NDArray[Any]:
-        rewards, rows = np.zeros(self.num_envs), np.flatnonzero(going)
+    def _act(self, actions: NDArray[Any], live: Flags) -> NDArray[Any]:
+        rewards, rows = np.zeros(self.num_envs), np.flatnonzero(live)
         if rows.size:
-            assert self.state is not None
             some: HarvestState = tree_map(lambda values: values[rows], self.state)
             rewards[rows] = batch.step(self.task, some, actions[rows], [self._rngs[i] for i in rows], self.compensator)
             self.state.put(rows, some)
         return rewards
 
     def _finished(self) -> Flags:
-        assert self.state is not None
         return batch.finished(self.state)
 
     def _observation(self) -> NDArray[np.float32]:
-        assert self.state is not None
         return batch.observe(self.task, self.state)
 
     def _information(self) -> Information:
-        assert self.state is not None
         return dict(batch.information(self.state))
 
     def _stage(self, row: int) -> Stage:
         from pickenv.envs.harvesting.harvest_drawing import draw_harvest
 
-        assert self.state is not None
         return draw_harvest(self.task, self.state, self.compensator, row=row)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant
@@ -14,16 +13,17 @@ from pickenv.base import InputError
 from pickenv.envs.picking.pick_arm import reach_of
 from pickenv.envs.picking.pick_batch import BELIEVED, TOOL, PickBatch
 from pickenv.envs.picking.pick_scene import LONGEST, PICK_OPTIONS, Asked, PickStart, draw_starts, make_pick, pick_spaces
+from pickenv.envs.shared.arm_env import Information
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.stream_vector import Flags, Information, Rows, StreamVectorEnv
+from pickenv.envs.shared.native_vector import Flags, NativeVectorEnv, Rows
 from pickenv.envs.shared.streams import state_of_words, words_of_state
-from pickenv.envs.shared.task import Compensate, Task
+from pickenv.envs.shared.task import Task
 
 if TYPE_CHECKING:
     from pickenv.pictures.stage import Stage
 
 
-class PickVectorEnv(StreamVectorEnv):
+class PickVectorEnv(NativeVectorEnv):
     """N environments `pickenv/Pick-v0` in one.
 
     Environment i is the same, number by number, as a single `pickenv/Pick-v0` with seed ``seed + i``, whatever N is: to
@@ -73,11 +73,9 @@ class PickVectorEnv(StreamVectorEnv):
         self.task: Task = task
         self.metadata["render_fps"] = task.situation.frames_per_second
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        seen, self.single_action_space = pick_spaces(task)
-        self.single_observation_space, self._bounds = seen, (seen.low, seen.high)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.compensator: Compensate | None = None
+        observations, actions = pick_spaces(task)
+        self._set_spaces(observations, actions)
+        self._bounds = observations.low, observations.high
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
         self._next: list[tuple[Any, PickStart] | None] = [None] * self.num_envs
@@ -86,11 +84,6 @@ class PickVectorEnv(StreamVectorEnv):
     def plant(self) -> Plant:
         """The true arm, or arms."""
         return self.batch.plant
-
-    @property
-    def increment(self) -> Array:
-        """Largest increment of each joint in one action, rad or m."""
-        return np.array(self.task.increment)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint."""
@@ -163,8 +156,8 @@ class PickVectorEnv(StreamVectorEnv):
                 self._rngs[row].bit_generator.state = waiting[0]
                 self._next[row] = None
 
-    def _act(self, actions: Array, going: Flags) -> NDArray[Any]:
-        return self.batch.advance(actions, going, self.compensator)
+    def _act(self, actions: Array, live: Flags) -> NDArray[Any]:
+        return self.batch.advance(actions, live, self.compensator)
 
     def _finished(self) -> Flags:
         return self.batch.finished()

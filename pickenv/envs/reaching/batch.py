@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.tree import leaves, tree_map
-from pickenv.envs.shared.arm_batch import ArmBatch, Columns, Flags, NumpyArms, Rows, Words
+from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Rows, Words
 from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.simulation import (
     GOAL_NUMBERS,
@@ -31,7 +31,6 @@ from pickenv.envs.shared.simulation import (
     true_reward,
 )
 from pickenv.envs.shared.situation import drawn_start
-from pickenv.envs.shared.spaces import final_rows
 from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task
 
@@ -105,20 +104,14 @@ class Batch(ArmBatch):
         """What the environments ``rows`` show at the beginning of their episodes."""
 
     @abstractmethod
-    def advance(self, actions: Scalar, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Scalar, moments: Words, compensate: Compensate | None) -> Views:
         """Act in all environments.
 
         Args:
             actions: Component by component, ``(n, N)``.
             moments: Number of the step in each one's episode.
-            live: Where time passes; None: everywhere. Elsewhere an episode has just begun: the action is ignored and
-                the reward is zero.
             compensate: Turns joint targets into joint commands, or None.
         """
-
-    @abstractmethod
-    def final_observations(self, observations: Any, rows: Rows) -> Any:
-        """The last observations of ``rows`` as infos give them."""
 
     def restart(self, rows: Rows, how: Start, compensate: Compensate | None) -> None:
         """Begin an episode in the environments ``rows``."""
@@ -154,15 +147,10 @@ class Batch(ArmBatch):
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
         """What all show, with the environments ``rows`` replaced; in memory of its own."""
-        out = self.copied(out)
-        self.scatter(out, rows, some)
-        return out
-
-    def scatter(self, out: Views, rows: Rows, some: Views) -> None:
-        """Put what the environments ``rows`` show into what all show."""
-        where = self.indices(rows)
+        out, where = self.copied(out), self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):
             all_[..., where] = few
+        return out
 
     def state_of(self, columns: Columns) -> ReachState:
         """The state that columns hold."""
@@ -202,28 +190,15 @@ class NumpyBatch(NumpyArms, Batch):
         self.make_plants()
         self.remember()
 
-    def advance(self, actions: Array, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Array, moments: Words, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
-        out, rested = self._empty(self.count), np.empty(0, dtype=np.intp)
-        if live is not None:
-            actions = actions * live
-            rested = np.flatnonzero(~live) if self.remembers else rested
-        before = [column[rested] for column in self.columns] if len(rested) else []
-        self.step(out, actions, moments, compensate)
-        if len(rested):  # a plant with memory must not live through a step that never was
-            self.write(self.columns, rested, before)
-            self.scatter(out, rested, self.show(rested, compensate))
-        if live is not None:
-            out.reward[~live] = 0.0
-        return out
-
-    def step(self, out: Views, actions: Array, moments: Words, compensate: Compensate | None) -> None:
-        """Act in all environments, and put what they show into ``out``."""
+        out = self._empty(self.count)
         for block, plant in zip(self._blocks, self._plants, strict=True):
             state = self.state_of([column[block] for column in self.columns])
             state = act(self.x, self.task, state, list(actions[:, block]))
             period = self.task.situation.value("period", state.drawn)
             self._show(out, block, block, state, plant, compensate, moments[block], period)
+        return out
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
         """What the environments ``rows`` show at the beginning of their episodes."""
@@ -233,10 +208,6 @@ class NumpyBatch(NumpyArms, Batch):
             state = self.state_of([column[some] for column in self.columns])
             self._show(out, slice(a, b), some, state, self.plant_of(some), compensate, still, 0.0)
         return out
-
-    def final_observations(self, observations: Any, rows: Rows) -> NDArray[np.object_]:
-        """The observations of ``rows`` in an object array of all, as `SyncVectorEnv` gives them."""
-        return final_rows(observations, rows, self.count)
 
     def _show(
         self,

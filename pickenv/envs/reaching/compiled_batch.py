@@ -72,8 +72,9 @@ class CompiledBatch(NumpyBatch):
         vars(self).update(state)
         self._side_by_side()
 
-    def step(self, out: Views, actions: Array, moments: Words, compensate: Compensate | None) -> None:
-        """Act in all environments, and put what they show into ``out``."""
+    def advance(self, actions: Array, moments: Words, compensate: Compensate | None) -> Views:
+        """Act in all environments; see `pickenv.envs.reaching.batch.Batch.advance`."""
+        out = self._empty(self.count)
         arrays: dict[str, NDArray[Any]] = {
             **{"columns": self._table, "arms": self._arms, "keys": self.keys, "moments": moments, "actions": actions},
             **{f"observation{i}": part for i, part in enumerate(out.observation)},
@@ -81,11 +82,12 @@ class CompiledBatch(NumpyBatch):
         }
         if compensate is None:
             self._run("step", arrays)
-            return
+            return out
         self._run("act", arrays)
         targets = self._table[: self.task.joints].T
         arrays["commands"] = np.ascontiguousarray(np.asarray(self._fast(compensate)(targets), dtype=float).T)
         self._run("look", arrays)
+        return out
 
     def _fast(self, compensate: Compensate) -> Compensate:
         """The compensator, compiled where it can be; only the last one is kept."""

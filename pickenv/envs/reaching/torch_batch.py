@@ -134,36 +134,24 @@ class TorchBatch(Batch):
         low, high = torch.aminmax(actions) if self.device.type == "cpu" else (0.0, 0.0)
         return actions.T.to(self.dtype, copy=True).contiguous(), float(low), float(high)
 
-    def advance(self, actions: Tensor, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Tensor, moments: Words, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
-        n, fixed, alive, given = self.task.joints, self.fixed, None, self.task.situation
-        rested, before = np.empty(0, dtype=np.intp), []
-        dt: Scalar = given.period.low
-        if live is not None:
-            alive = self.flags(live).to(self.dtype)
-            actions = actions * alive
-            if given.late:
-                rested = np.flatnonzero(~live)
-                before = [column[self.indices(rested)] for column in self.columns]
+        n, fixed, situation = self.task.joints, self.fixed, self.task.situation
+        dt: Scalar = situation.period.low
         if self.plant.has_state:
-            dt = given.value("period", self.state_of(self.columns).drawn)
-            dt = dt if given.period.varies else self.numbers(np.full(self.count, dt))
-            dt = dt if alive is None else dt * alive
-        noisy = self.task.camera_noise or given.joint_noise.high
-        rest = (self.keys, self.words(moments) if noisy else self.keys, dt)
+            dt = situation.value("period", self.state_of(self.columns).drawn)
+            dt = dt if situation.period.varies else self.numbers(np.full(self.count, dt))
+        noisy = self.task.camera_noise or situation.joint_noise.high
+        common = (self.keys, self.words(moments) if noisy else self.keys, dt)
         if compensate is None:
-            out = self._step(self.columns, list(actions), *rest)
+            out = self._step(self.columns, list(actions), *common)
         else:
             state = simulation.act(self.x, self.task, self.state_of(self.columns), list(actions))
-            moved = state.columns
-            out = [*state.target, *self._see(moved, self.commands(compensate, moved[:n]), *rest)]
-        held = len(self.columns) - fixed
-        self.columns = [*out[:n], *self.columns[n:fixed], *out[n : n + held]]
-        shown = self._outcome(out[n + held :], self.columns[n + 9 : n + 12])
-        if len(rested):
-            self.write(self.columns, self.indices(rested), before)
-            shown = self.merged(shown, rested, self.show(rested, compensate))
-        return shown if alive is None else shown._replace(reward=shown.reward * alive)
+            columns = state.columns
+            out = [*state.target, *self._see(columns, self.commands(compensate, columns[:n]), *common)]
+        memory = len(self.columns) - fixed
+        self.columns = [*out[:n], *self.columns[n:fixed], *out[n : n + memory]]
+        return self._outcome(out[n + memory :], self.columns[n + 9 : n + 12])
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
         """What the environments ``rows`` show at the beginning of their episodes."""
@@ -174,10 +162,6 @@ class TorchBatch(Batch):
         held = len(columns) - self.fixed
         self.write(self.columns[self.fixed :], where, out[:held])
         return self._outcome(out[held:], columns[n + 9 : n + 12])
-
-    def final_observations(self, observations: Any, rows: Rows) -> Any:
-        """The observations as they are: a batch, of which `_final_obs` marks the rows that count."""
-        return observations
 
     def _act(self, columns: Columns, actions: Columns, *rest: Any) -> Columns:
         """One step of all environments, without a compensator: new targets, then what `_shown` gives."""

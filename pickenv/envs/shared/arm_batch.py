@@ -78,11 +78,6 @@ class ArmBatch(ABC):
         self._widths = list(widths)
         self.columns = list(self.numbers(np.zeros((sum(self._widths) + sum(self._plant_widths), self.count))))
 
-    @property
-    def remembers(self) -> bool:
-        """Whether a step that never was would leave a trace."""
-        return self.plant.has_state or self.task.situation.late
-
     def numbers(self, values: Array) -> Scalar:
         """NumPy's numbers where the executor computes, one component ``(count,)`` per row."""
         return np.ascontiguousarray(values)
@@ -96,8 +91,8 @@ class ArmBatch(ABC):
         return rows
 
     def flags(self, flags: Flags) -> Scalar:
-        """Truth values where the executor computes."""
-        return flags
+        """Truth values where the executor computes, in memory of their own."""
+        return flags.copy()
 
     def host(self, values: Scalar) -> NDArray[Any]:
         """The executor's numbers as a NumPy array."""

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
-from numpy.typing import NDArray
 
 from pickenv.base import InputError
 from pickenv.envs.shared.given_goals import GOALS
@@ -88,42 +87,3 @@ def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str,
     if unknown:
         raise InputError(f"unknown reset option '{unknown[0]}'; {f'give {names}' if names else 'there is none'}")
     return dict(options)
-
-
-def given_mask(mask: Any, count: int) -> NDArray[np.bool_]:
-    """Which of ``count`` environments a reset is about: all where nothing is given.
-
-    Raises:
-        InputError: If it is not one truth value each, at least one of them True.
-    """
-    flags = np.ones(count, dtype=np.bool_) if mask is None else np.array(mask)
-    if flags.dtype != np.bool_ or flags.shape != (count,) or not flags.any():
-        raise InputError(
-            f"reset_mask has shape {flags.shape} and type {flags.dtype}; give {count} truth values, at least one of "
-            "them True"
-        )
-    return flags
-
-
-def given_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """A seed for each of ``count`` environments, ``seed + i`` for the i-th; None goes on with its stream.
-
-    Raises:
-        InputError: If another number of seeds is given.
-    """
-    if seed is None or isinstance(seed, int | np.integer):
-        return [None if seed is None else int(seed) + i for i in range(count)]
-    if len(seed) != count:
-        raise InputError(f"{len(seed)} seeds were given for {count} environments; give one for each")
-    return list(seed)
-
-
-def final_rows(observations: Any, rows: NDArray[np.intp], count: int) -> NDArray[np.object_]:
-    """The observations of ``rows`` in an object array of all, as `SyncVectorEnv` gives them."""
-    final = np.full(count, None, dtype=object)
-    for row in rows:
-        if isinstance(observations, dict):
-            final[row] = {key: value[row].copy() for key, value in observations.items()}
-        else:
-            final[row] = observations[row].copy()
-    return final
