@@ -1,9 +1,7 @@
-from .harvesting.harvest_env import HarvestEnv as HarvestEnv
-from .harvesting.harvest_vector import HarvestVectorEnv as HarvestVectorEnv
+from .harvesting.harvest_env import HarvestEnv as HarvestEnv, HarvestVectorEnv as HarvestVectorEnv
 from .picking.pick import PickEnv as PickEnv
 from .picking.pick_vector import PickVectorEnv as PickVectorEnv
-from .reaching.reach import ReachEnv as ReachEnv
-from .reaching.reach_goal import ReachGoalEnv as ReachGoalEnv, ReachIdealEnv as ReachIdealEnv
+from .reaching.reach import ReachEnv as ReachEnv, ReachGoalEnv as ReachGoalEnv, ReachIdealEnv as ReachIdealEnv
 from .reaching.vector import (
     ReachGoalVectorEnv as ReachGoalVectorEnv,
     ReachIdealVectorEnv as ReachIdealVectorEnv,

@@ -22,11 +22,10 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, Geometry, joint_jacobian
 from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.base import InputError
-from pickenv.envs.shared.backends import NUMPY
+from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.native_vector import checked_seeds, final_rows
 from pickenv.envs.shared.simulation import NUMBER_KEYS, goal_attempt
 from pickenv.envs.shared.spaces import given_options
-from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_count, check_number
 
 SEEN_MM = 5.0

@@ -15,6 +15,7 @@ from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
 from pickenv.base import InputError
 from pickenv.envs.harvesting.harvest_task import AS_DRAWN, GivenZones, HarvestTask, drawn_zone
+from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import Compensate
 from pickenv.harvester import pick_point
@@ -26,8 +27,6 @@ HANGING, COLLECTED, LOST = 0, 1, 2
 
 HALF_AND_WHOLE = np.array([0.5, 1.0]).reshape(2, 1, 1, 1)
 """Shares of a move at which arms must be clear of each other."""
-
-Flags = NDArray[np.bool_]
 
 
 @dataclass(eq=False)

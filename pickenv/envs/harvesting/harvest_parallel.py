@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.base import InputError
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import HarvestState
-from pickenv.envs.harvesting.harvest_env import LONGEST
+from pickenv.envs.harvesting.harvest_env import LONGEST, draw_harvest
 from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
 from pickenv.envs.shared.arm_env import checked_render_mode, drawn
 from pickenv.envs.shared.task import Compensate, checked_action
@@ -107,8 +107,6 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         """The whole machine, as in `pickenv/Harvest-v0`."""
         if self.render_mode is None:
             return None
-        from pickenv.envs.harvesting.harvest_drawing import draw_harvest
-
         seen = None if self._state is None else draw_harvest(self.task, self._state, self.compensator)
         return drawn(seen)
 

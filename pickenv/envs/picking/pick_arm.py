@@ -8,22 +8,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import chain
 from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from pickenv.arm import Array, Geometry, Plant, PlantState, Pose, forward, inverse
+from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.base import InputError
 from pickenv.envs.shared import situation
-from pickenv.envs.shared.backends import Executor
-from pickenv.envs.shared.simulation import DEGREES, length, move, nominal_frames, nominal_readings, scaled
+from pickenv.envs.shared.backends import Executor, Flags
+from pickenv.envs.shared.simulation import (
+    DEGREES,
+    ArmState,
+    Components,
+    length,
+    move,
+    nominal_frames,
+    nominal_readings,
+    scaled,
+)
 from pickenv.envs.shared.task import Task, inexact
 
 # Which points an arm reaches from below with its tool upright: where fruit can be picked. Base frame, m.
@@ -34,8 +41,6 @@ ITERATIONS = 8
 
 UP = np.array([0.0, 0.0, 1.0])
 """The way that the tool takes to a fruit, and how it stands there."""
-
-Flags = NDArray[np.bool_]
 
 
 class Reach:
@@ -86,33 +91,8 @@ def _upright(rotation: Array) -> Array:
     return np.stack([x, np.cross(UP, x), UP], axis=-1)
 
 
-Components = tuple[Scalar, ...]
-
 STIRRED = 1e-9
 """A joint target that moves by more than this does not stand still, rad or m."""
-
-
-class PickMotion(NamedTuple):
-    """What the arm remembers between two actions.
-
-    Attributes:
-        target: Nominal joint target that the actions have built up, n.
-        drawn: What was drawn for the episode, in the order of `Situation.drawn`.
-        sent: Actions under way, the latest first.
-        sensed: Readings under way, the latest first.
-        plant: What the true arm remembers.
-    """
-
-    target: Components
-    drawn: Components
-    sent: Components
-    sensed: Components
-    plant: PlantState
-
-    @property
-    def columns(self) -> list[Scalar]:
-        """All its numbers, one after the other."""
-        return list(chain(*self[:-1], *self.plant))
 
 
 class PickSight(NamedTuple):
@@ -133,21 +113,9 @@ class PickSight(NamedTuple):
     tilt: Scalar
 
 
-def begin_arm(
-    x: Executor, task: Task, plant: Plant, key: Scalar, start: Sequence[Scalar], command: Sequence[Scalar]
-) -> PickMotion:
-    """State at the start of an episode; arguments as in `pickenv.envs.shared.simulation.begin`."""
-    given = task.situation
-    drawn = situation.drawn_values(x, given, key)
-    _, sent, late = given.widths(task.joints + 1, task.joints)
-    rest = start[0] * 0.0
-    memory = situation.warmed_up(x, given, drawn, plant, plant.initial_state(x.m, command), command)
-    return PickMotion(tuple(start), drawn, (rest,) * sent, (rest,) * late, memory)
-
-
 def act_arm(
-    x: Executor, task: Task, state: PickMotion, action: Sequence[Scalar]
-) -> tuple[PickMotion, Scalar, Scalar, Scalar]:
+    x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]
+) -> tuple[ArmState, Scalar, Scalar, Scalar]:
     """An action, late where actions are, on the joint target.
 
     Returns:
@@ -168,22 +136,19 @@ def look_at_arm(
     x: Executor,
     task: Task,
     plant: Plant,
-    state: PickMotion,
+    state: ArmState,
     command: Sequence[Scalar],
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[PickMotion, PickSight]:
+) -> tuple[ArmState, PickSight]:
     """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`."""
-    given = task.situation
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = nominal_readings(x, plant, plant_state, state.target, command)
-    read = situation.with_joint_noise(x, given, state.drawn, key, moment, read)
-    begins = isinstance(dt, float) and dt == 0.0
-    shown, late = situation.sensed(x, given, state.drawn, state.sensed, read, begins)
-    believed, tool = nominal_frames(x, task, list(shown))[1], inexact(ended)
+    arrived, late = situation.sensed(x, task.situation, state.drawn, state.sensed, key, moment, read, (), dt)
+    believed, tool = nominal_frames(x, task, list(arrived))[1], inexact(ended)
     return state._replace(sensed=late, plant=plant_state), PickSight(
-        readings=scaled(x, task, shown),
+        readings=scaled(x, task, arrived),
         believed=believed,
         turn=upright_turn(x.m, believed[6:9]),
         tool=tool,

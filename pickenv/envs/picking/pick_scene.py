@@ -20,7 +20,8 @@ from pickenv import orchard as trees
 from pickenv.arm import Array, Frame
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.base import InputError
-from pickenv.envs.picking.pick_arm import UP, Flags, Reach
+from pickenv.envs.picking.pick_arm import UP, Reach
+from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.spaces import box
 from pickenv.envs.shared.task import Task, as_numbers, check_count, check_number, make_task
 from pickenv.orchard import DRAWS
@@ -519,46 +520,34 @@ class PickStart:
     key: int
 
 
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """What is asked of an episode, and what there was before.
-
-    Attributes:
-        arm: The environment's arm so far, or None.
-        again: Whether a new seed was given: then arms "per_env" are drawn anew, too.
-        fruit: Positions in place of drawn ones, as `reset` takes them, or None.
-        wanted: Number of the arm that was asked for, or None.
-    """
-
-    arm: int | None
-    again: bool = False
-    fruit: Any = None
-    wanted: int | None = None
-
-
 def draw_starts(
-    task: Task, orchard: PickSetting, reach: Reach, rngs: Sequence[np.random.Generator], asked: Sequence[Asked]
+    task: Task,
+    orchard: PickSetting,
+    reach: Reach,
+    rngs: Sequence[np.random.Generator],
+    before: Sequence[int | None],
+    fruit: Sequence[Any],
+    arms: Sequence[int | None],
 ) -> list[PickStart]:
-    """Draw episodes, each from a generator of its own.
+    """Draw episodes, each from a generator of its own; sequences have one entry for each.
 
     Args:
         task: The arm's task.
         orchard: What kind of fruit.
         reach: Where the arm gets.
-        rngs: Source of every random draw of each.
-        asked: What is asked of each.
+        rngs: Sources of every random draw.
+        before: Numbers of the true arms so far; None where arms "per_env" are drawn, too.
+        fruit: Positions in place of drawn ones, as `reset` takes them, or None.
+        arms: Numbers of arms in place of drawn ones, or None.
 
     Raises:
         InputError: If none of the fruit is within reach, or there is no such arm.
     """
-    scenes = draw_scenes(orchard, reach, rngs, [each.fruit for each in asked])
     starts = []
-    for scene, rng, each in zip(scenes, rngs, asked, strict=True):
-        arm = each.arm
-        if task.arms != "fixed" or each.wanted is not None:
-            if each.again or arm is None or task.arms == "per_episode":
-                arm = int(rng.integers(task.population))
-            if each.wanted is not None:
-                arm = task.given_arm(each.wanted)
+    for scene, rng, arm, number in zip(draw_scenes(orchard, reach, rngs, fruit), rngs, before, arms, strict=True):
+        if (task.arms != "fixed" or number is not None) and (arm is None or task.arms == "per_episode"):
+            arm = int(rng.integers(task.population))
+        if number is not None:
+            arm = task.given_arm(number)
         starts.append(PickStart(scene, arm, 0 if task.situation.plain else int(rng.integers(2**63))))
     return starts

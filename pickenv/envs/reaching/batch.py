@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.tree import leaves, tree_map
-from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Rows, Words
-from pickenv.envs.shared.backends import Scalar
+from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Words
+from pickenv.envs.shared.backends import GOAL, Rows, Scalar, episode_key, stream_key
 from pickenv.envs.shared.simulation import (
     GOAL_NUMBERS,
-    ReachState,
+    ArmState,
     View,
     act,
     begin,
@@ -30,8 +30,6 @@ from pickenv.envs.shared.simulation import (
     nominal_frames,
     true_reward,
 )
-from pickenv.envs.shared.situation import drawn_start
-from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task
 
 
@@ -85,16 +83,6 @@ class Batch(ArmBatch):
         super().__init__(task, count, task.joints)
         self.goal_dict, self.poses = goal_dict, poses
 
-    def remember(self) -> None:
-        """Make room for the state: everything in `ReachState`, one column per number."""
-        n, camera = self.task.joints, 3 * self.task.camera
-        self.make_room(n, 12, 3, *self.task.situation.widths(n, n + camera))
-
-    @property
-    def fixed(self) -> int:
-        """Columns up to which nothing changes during an episode, but the joint target."""
-        return sum(self._widths[:4])
-
     def copied(self, out: Views) -> Views:
         """The same, in memory of its own."""
         return cast(Views, tree_map(self.copy, out))
@@ -115,19 +103,15 @@ class Batch(ArmBatch):
 
     def restart(self, rows: Rows, how: Start, compensate: Compensate | None) -> None:
         """Begin an episode in the environments ``rows``."""
-        x, task, n, where = self.x, self.task, self.task.joints, self.indices(rows)
+        x, task, where = self.x, self.task, self.indices(rows)
         keys = episode_key(x, self.words(how.seeds), self.words(how.episodes))
         self.keys[where] = keys
         if task.arms != "fixed":
             arms = drawn_arm(x, task, self.words(how.seeds), keys) if how.arm is None else how.arm
             self.take_arms(rows, self.host(arms).astype(np.intp))
-        middle = np.broadcast_to(np.array(task.middle), (len(rows), n))
         for a, b in self.blocks(len(rows)):
             some, key = where[a:b], keys[a:b]
-            if how.start is None and task.situation.spread:
-                start = drawn_start(x, task.situation, key, task.lower, task.upper)
-            else:
-                start = list(self.numbers((middle if how.start is None else how.start)[a:b].T))
+            start = self.starts(key, None if how.start is None else how.start[a:b])
             if how.wanted is None:
                 goal = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
                 wanted = nominal_frames(x, task, goal)[1]
@@ -151,11 +135,6 @@ class Batch(ArmBatch):
         for all_, few in zip(leaves(out), leaves(some), strict=True):
             all_[..., where] = few
         return out
-
-    def state_of(self, columns: Columns) -> ReachState:
-        """The state that columns hold."""
-        target, goal, seen, drawn, sent, sensed, *memory = self.parts_of(columns)
-        return ReachState(target, goal, seen, drawn, sent, sensed, tuple(memory))
 
     def widths(self) -> tuple[int, ...]:
         """Numbers in each part of the observation."""
@@ -188,7 +167,7 @@ class NumpyBatch(NumpyArms, Batch):
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
         super().__init__(task, count, goal_dict, poses)
         self.make_plants()
-        self.remember()
+        self.make_room(12, 3)
 
     def advance(self, actions: Array, moments: Words, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
@@ -214,7 +193,7 @@ class NumpyBatch(NumpyArms, Batch):
         out: Views,
         place: slice,
         where: Any,
-        state: ReachState,
+        state: ArmState,
         plant: Plant,
         compensate: Compensate | None,
         moments: Words,

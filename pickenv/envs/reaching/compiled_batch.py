@@ -20,7 +20,7 @@ from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared.arm_batch import Words, naming_effects
 from pickenv.envs.shared.backends import MASK, Executor
 from pickenv.envs.shared.simulation import (
-    ReachState,
+    ArmState,
     act,
     flat_observation,
     goal_observation,
@@ -115,13 +115,13 @@ class CompiledBatch(NumpyBatch):
             outputs += self._looked(trace, state, command)
         return Compiled(trace, outputs, self.count)
 
-    def _remembered(self, state: ReachState) -> list[Outputs]:
+    def _remembered(self, state: ArmState) -> list[Outputs]:
         """What changes in the state."""
         columns = state.columns
         changed = Outputs("columns", columns[self.fixed :], DOUBLE, self.fixed)
         return [Outputs("columns", columns[: self.task.joints]), changed]
 
-    def _looked(self, trace: Trace, state: ReachState, command: Sequence[Traced]) -> list[Outputs]:
+    def _looked(self, trace: Trace, state: ArmState, command: Sequence[Traced]) -> list[Outputs]:
         """What is remembered and shown after a command."""
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)

@@ -18,8 +18,8 @@ from pickenv.arm import Array, Plant, plants_on
 from pickenv.base import InputError
 from pickenv.envs.reaching.batch import Batch, Views
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_batch import Columns, Flags, Rows, Words, naming_effects
-from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
+from pickenv.envs.shared.arm_batch import Columns, Words, naming_effects
+from pickenv.envs.shared.backends import Executor, Flags, Rows, Scalar, torch_executor
 from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -70,7 +70,7 @@ class TorchBatch(Batch):
             state = self.plant.initial_state(torch, middle)
             self.plant.advance(torch, state, middle, 0.0)
             self.plant.readings(torch, state, middle)
-        self.remember()
+        self.make_room(12, 3)
         self.columns = [column.clone() for column in self.columns]
         self._compiled = compiled
         self._make_step()

@@ -15,14 +15,12 @@ from pickenv.arm.plant.named_plants import IDEAL
 from pickenv.base import InputError, is_there, register, require
 from pickenv.base.registry import get, names
 from pickenv.envs.reaching.batch import Batch, NumpyBatch, Start, Views
-from pickenv.envs.reaching.reach import draw_reach
-from pickenv.envs.reaching.reach_goal import GOAL_KEYS, rewards_of_goals
+from pickenv.envs.reaching.reach import GOAL_KEYS, draw_reach, rewards_of_goals
+from pickenv.envs.shared.backends import Flags, Rows, fresh_seed, seed_word
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.given_goals import given_goals
-from pickenv.envs.shared.native_vector import Flags, NativeVectorEnv, Rows
+from pickenv.envs.shared.native_vector import NativeVectorEnv
 from pickenv.envs.shared.simulation import NUMBER_KEYS
-from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, goal_space
-from pickenv.envs.shared.streams import fresh_seed, seed_word
+from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, given_goals, goal_space
 from pickenv.envs.shared.task import Task, check_choice, make_task
 from pickenv.pictures.stage import Stage
 

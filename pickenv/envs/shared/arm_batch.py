@@ -13,12 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, Plant, plants_on
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.base import InputError
-from pickenv.envs.shared.backends import NUMPY, Executor, Scalar
+from pickenv.envs.shared.backends import NUMPY, Executor, Flags, Rows, Scalar
+from pickenv.envs.shared.simulation import ArmState
+from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.task import Compensate, Task, as_numbers, bounds_of, exact_plant
 
-Flags = NDArray[np.bool_]
 Words = NDArray[np.uint64]
-Rows = NDArray[np.intp]
 Columns = list[Scalar]
 
 
@@ -71,12 +71,22 @@ class ArmBatch(ABC):
         self._widths: list[int] = []
         self._plant_widths: list[int] = []
 
-    def make_room(self, *widths: int) -> None:
-        """Make room for parts of so many numbers, and for what the plants remember."""
-        middle = list(self.numbers(np.array([self.task.middle]).T))
+    def make_room(self, goal: int, seen: int) -> None:
+        """Make room for the arms' states, one column per number, and for what the plants remember.
+
+        Args:
+            goal: Numbers of a goal.
+            seen: Numbers of the goal as it was seen.
+        """
+        n, middle = self.task.joints, list(self.numbers(np.array([self.task.middle]).T))
         self._plant_widths = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
-        self._widths = list(widths)
+        self._widths = [n, goal, seen, *self.task.situation.widths(self.actions, n + 3 * self.task.camera)]
         self.columns = list(self.numbers(np.zeros((sum(self._widths) + sum(self._plant_widths), self.count))))
+
+    @property
+    def fixed(self) -> int:
+        """Columns up to which nothing changes during an episode, but the joint target."""
+        return sum(self._widths[:4])
 
     def numbers(self, values: Array) -> Scalar:
         """NumPy's numbers where the executor computes, one component ``(count,)`` per row."""
@@ -149,13 +159,21 @@ class ArmBatch(ABC):
         """The true arms of some environments."""
         return plants_on(self.plant, lambda values: values[where])
 
-    def parts_of(self, columns: Columns) -> list[tuple[Scalar, ...]]:
-        """The parts that columns hold: those of `make_room`, then what the plants remember."""
+    def state_of(self, columns: Columns) -> ArmState:
+        """The state that columns hold."""
         parts, first = [], 0
         for width in (*self._widths, *self._plant_widths):
             parts.append(tuple(columns[first : first + width]))
             first += width
-        return parts
+        target, goal, seen, drawn, sent, late, *memory = parts
+        return ArmState(target, goal, seen, drawn, sent, late, tuple(memory))
+
+    def starts(self, keys: Scalar, joints: Array | None) -> Columns:
+        """Joint targets of episodes: as given ``(episodes, n)``, drawn, or mid-range."""
+        task = self.task
+        if joints is None and task.situation.spread:
+            return drawn_start(self.x, task.situation, keys, task.lower, task.upper)
+        return list(self.numbers((np.repeat([task.middle], len(keys), axis=0) if joints is None else joints).T))
 
     def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
         """What the drives get for joint targets; a compensator works on NumPy."""

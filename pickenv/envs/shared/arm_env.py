@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +13,8 @@ from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on
 from pickenv.arm.kinematics.forward import true_points
 from pickenv.base import InputError, require
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
+from pickenv.envs.shared.simulation import ArmState
+from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import PlainSpec
 from pickenv.envs.shared.task import Compensate, Task, check_choice, exact_plant
 from pickenv.pictures.arm_shapes import (
@@ -25,11 +27,8 @@ from pickenv.pictures.arm_shapes import (
     ghost_solids,
     joined_solids,
 )
-from pickenv.pictures.stage import Dial, Eye, Mesh, Rgb, Stage, Words
+from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words
 from pickenv.pictures.tree_shapes import ground_around, pedestal
-
-if TYPE_CHECKING:
-    from pickenv.pictures.stage import Pixels, Stage
 
 # What environments that can be drawn have in common: render modes, pictures, and the window that shows them.
 
@@ -128,6 +127,20 @@ class ArmEnv(DrawnEnv):
         if self._x is NUMPY:
             self.plant = exact_plant(self.plant)
         self.compensator: Compensate | None = None
+        self._state: ArmState | None = None
+        self._arm: int | None = None
+        self._key: Scalar = 0
+        self._step = 0
+
+    @property
+    def joint_target(self) -> Array:
+        """The nominal joint target that the actions have built up, rad or m."""
+        return np.array(self.task.middle if self._state is None else self._plain(self._state.target))
+
+    @property
+    def arm(self) -> int:
+        """Number of the true arm in its population; 0 for a fixed one."""
+        return self._arm or 0
 
     @property
     def increment(self) -> Array:
@@ -136,10 +149,20 @@ class ArmEnv(DrawnEnv):
 
     def _use_arm(self, number: int) -> None:
         """Make one arm of the population the true one."""
+        self._arm = number
         if self._x is FLOATS:
             self.plant = plant_at(self.task.plant, number)
         else:
             self.plant = exact_plant(plants_on(self.task.plant, lambda values: values[number : number + 1]))
+
+    def _start(self, joints: Any) -> Sequence[Scalar]:
+        """Joint target to start from: as it is asked for, drawn, or mid-range."""
+        task = self.task
+        if joints is not None:
+            return self._numbers(task.given_joints("start_joints", joints).tolist())
+        if task.situation.spread:
+            return drawn_start(self._x, task.situation, self._key, task.lower, task.upper)
+        return self._numbers(task.middle)
 
     def _command(self, target: Sequence[Scalar]) -> Sequence[Scalar]:
         """What the drives get for a joint target."""

@@ -16,12 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array
 from pickenv.base import InputError
 from pickenv.envs.shared.arm_env import Information, checked_render_mode, drawn
+from pickenv.envs.shared.backends import Flags, Rows
 from pickenv.envs.shared.spaces import PlainSpec, given_options
 from pickenv.envs.shared.task import Compensate, check_choice, check_count
 from pickenv.pictures.stage import Stage
-
-Flags = NDArray[np.bool_]
-Rows = NDArray[np.intp]
 
 
 class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):

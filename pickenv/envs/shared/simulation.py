@@ -18,8 +18,7 @@ from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
 from pickenv.envs.shared import situation
-from pickenv.envs.shared.backends import Executor
-from pickenv.envs.shared.streams import ARM, CAMERA, FRUIT, episode_key, normal, stream_key, uniform
+from pickenv.envs.shared.backends import ARM, CAMERA, FRUIT, Executor, episode_key, normal, stream_key, uniform
 from pickenv.envs.shared.task import GOAL_MARGIN, Task, inexact
 
 DEGREES = 57.29577951308232
@@ -33,13 +32,13 @@ NUMBER_KEYS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", 
 Components = tuple[Scalar, ...]
 
 
-class ReachState(NamedTuple):
-    """What a reach environment remembers between two actions.
+class ArmState(NamedTuple):
+    """What an environment of one arm remembers of it between two actions.
 
     Attributes:
         target: Nominal joint target that the actions have built up, n.
-        goal: Frame of the fruit with the wanted attitude.
-        seen: Fruit position as the camera saw it, 3.
+        goal: Frame of the fruit with the wanted attitude, 12; empty in Pick, whose fruit are elsewhere.
+        seen: Fruit position as the camera saw it, 3; empty in Pick.
         drawn: What was drawn for the episode, in the order of `Situation.drawn`.
         sent: Actions under way, the latest first.
         sensed: Readings under way, the latest first.
@@ -159,9 +158,10 @@ def begin(
     plant: Plant,
     key: Scalar,
     start: Sequence[Scalar],
-    wanted: Frame,
+    goal: Frame,
     command: Sequence[Scalar],
-) -> ReachState:
+    gripper: int = 0,
+) -> ArmState:
     """State at the start of an episode.
 
     Args:
@@ -170,18 +170,19 @@ def begin(
         plant: The true arm, or arms.
         key: Key of the episode.
         start: Joint target to start from.
-        wanted: Frame of the fruit with the wanted attitude.
+        goal: Frame of the fruit with the wanted attitude, or nothing.
         command: What the drives get for ``start``.
+        gripper: Numbers of an action after the joints'.
     """
-    given, seen = task.situation, wanted[9:]
+    given, seen = task.situation, goal[9:]
     if task.fruit_noise:
         fruit = stream_key(x, key, FRUIT)
         seen = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(seen))
     drawn = situation.drawn_values(x, given, key)
-    _, sent, late = given.widths(task.joints, task.joints + 3 * task.camera)
-    rest = start[0] * 0.0
+    _, sent, late = given.widths(task.joints + gripper, task.joints + 3 * task.camera)
+    zero = start[0] * 0.0
     memory = situation.warmed_up(x, given, drawn, plant, plant.initial_state(x.m, command), command)
-    return ReachState(tuple(start), wanted, seen, drawn, (rest,) * sent, (rest,) * late, memory)
+    return ArmState(tuple(start), goal, seen, drawn, (zero,) * sent, (zero,) * late, memory)
 
 
 def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
@@ -191,7 +192,7 @@ def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Sca
     return tuple(moved)
 
 
-def act(x: Executor, task: Task, state: ReachState, action: Sequence[Scalar]) -> ReachState:
+def act(x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]) -> ArmState:
     """The state after an action: its joint target is that of `move`, late where actions are."""
     given, drawn = task.situation, state.drawn
     action, sent = situation.acted(x, given, drawn, state.sent, action)
@@ -203,12 +204,12 @@ def look(
     x: Executor,
     task: Task,
     plant: Plant,
-    state: ReachState,
+    state: ArmState,
     command: Sequence[Scalar],
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[ReachState, View]:
+) -> tuple[ArmState, View]:
     """Hold the joint command for ``dt`` seconds and see where the true tool is.
 
     Args:
@@ -236,20 +237,18 @@ def look(
             first = x.times(moment, 3)
             noise = (normal(x, stream, x.plus(first, x.word(i))) for i in range(3))
             camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
-    shown = situation.with_joint_noise(x, given, state.drawn, key, moment, read)
-    begins = isinstance(dt, float) and dt == 0.0
-    arrived, late = situation.sensed(x, given, state.drawn, state.sensed, (*shown, *camera), begins)
-    shown, camera = list(arrived[: task.joints]), tuple(arrived[task.joints :])
-    links, believed = nominal_frames(x, task, shown)
+    arrived, late = situation.sensed(x, given, state.drawn, state.sensed, key, moment, read, camera, dt)
+    readings, camera = list(arrived[: task.joints]), tuple(arrived[task.joints :])
+    links, believed = nominal_frames(x, task, readings)
     lag = rotation_between(m, believed, goal)
     if given.latency.high or given.joint_noise.high:  # the truth has its own
         links, _ = nominal_frames(x, task, read)
     distance_mm = 1e3 * length(x, (dx, dy, dz))
     angle_deg = DEGREES * length(x, turn)
     noncompensable_deg = DEGREES * _lost_angle(x, task, links, turn)
-    rest = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
+    square = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
     return state._replace(sensed=late, plant=plant_state), View(
-        readings=scaled(x, task, shown),
+        readings=scaled(x, task, readings),
         believed=believed[9:],
         attitude=(*believed[6:9], *believed[:3]),
         wanted=(*goal[6:9], *goal[:3]),
@@ -263,7 +262,7 @@ def look(
         distance_mm=distance_mm,
         angle_deg=angle_deg,
         noncompensable_deg=noncompensable_deg,
-        compensable_deg=m.sqrt(clipped(m, rest, 0.0, math.inf)),
+        compensable_deg=m.sqrt(clipped(m, square, 0.0, math.inf)),
         success=in_capture_region(task, distance_mm, angle_deg),
     )
 

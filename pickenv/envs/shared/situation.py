@@ -19,8 +19,7 @@ from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.base import InputError
 from pickenv.base.limits import shown
-from pickenv.envs.shared.backends import Executor
-from pickenv.envs.shared.streams import DRAWN, JOINTS, START, normal, stream_key, uniform
+from pickenv.envs.shared.backends import DRAWN, JOINTS, START, Executor, normal, stream_key, uniform
 
 CONTROL_PERIOD = 0.1
 """Time between two actions where none is asked for, s: with the arm file's joint speeds it bounds one increment."""
@@ -178,12 +177,31 @@ def in_period(x: Executor, given: Situation, drawn: Components, action: Sequence
 
 
 def sensed(
-    x: Executor, given: Situation, drawn: Components, past: Components, fresh: Sequence[Scalar], first: bool
+    x: Executor,
+    given: Situation,
+    drawn: Components,
+    past: Components,
+    key: Scalar,
+    moment: Scalar,
+    joints: Sequence[Scalar],
+    camera: Components,
+    dt: Scalar,
 ) -> tuple[Sequence[Scalar], Components]:
-    """Readings as they arrive, and those under way, the latest first; at the start all are the first ones."""
+    """Readings of joints, with the encoders' noise, and camera as they arrive, and those under way, the latest first.
+
+    At the start of an episode, where ``dt`` is the plain number 0.0, all under way are the first ones.
+    """
+    fresh = (*joints, *camera)
+    if given.joint_noise.high:
+        stream, most = stream_key(x, key, JOINTS), given.value("joint_noise", drawn)
+        first = x.times(moment, len(joints))
+        noisy = [q + most * normal(x, stream, x.plus(first, x.word(i))) for i, q in enumerate(joints)]
+        fresh = (*noisy, *camera)
     if not given.latency.high:
         return fresh, past
-    return _late(x, given, "latency", drawn, tuple(fresh) * int(given.latency.high) if first else past, fresh)
+    if isinstance(dt, float) and dt == 0.0:
+        past = fresh * int(given.latency.high)
+    return _late(x, given, "latency", drawn, past, fresh)
 
 
 def _late(
@@ -199,14 +217,3 @@ def _late(
         older = queue[steps * width : (steps + 1) * width]
         out = [chosen(x.m, lag >= steps, old, new) for old, new in zip(older, out, strict=True)]
     return out, rest
-
-
-def with_joint_noise(
-    x: Executor, given: Situation, drawn: Components, key: Scalar, moment: Scalar, readings: list[Scalar]
-) -> list[Scalar]:
-    """Joint readings with the encoders' noise."""
-    if not given.joint_noise.high:
-        return readings
-    stream, most = stream_key(x, key, JOINTS), given.value("joint_noise", drawn)
-    first = x.times(moment, len(readings))
-    return [q + most * normal(x, stream, x.plus(first, x.word(i))) for i, q in enumerate(readings)]

@@ -12,8 +12,8 @@ from pickenv.arm import forward
 from pickenv.base import InputError
 from pickenv.envs import ReachEnv
 from pickenv.envs.shared.difficulty import LADDER_VERSION, on_ladder
-from pickenv.envs.shared.given_goals import given_goals
 from pickenv.envs.shared.situation import make_situation
+from pickenv.envs.shared.spaces import given_goals
 
 LIMITS = {
     "control_period_s": (1e-3, 10.0),
