@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import leaves
 from pickenv.base import InputError
-from pickenv.envs.harvesting.harvest_task import AS_DRAWN, GivenZones, HarvestTask, drawn_zone
+from pickenv.envs.harvesting.harvest_task import HarvestTask, drawn_zone
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import Compensate
@@ -86,51 +86,58 @@ class HarvestState:
             mine[rows] = theirs
 
 
-def begin_zones(task: HarvestTask, rngs: Sequence[np.random.Generator], given: GivenZones = AS_DRAWN) -> HarvestState:
+def begin_zones(
+    task: HarvestTask, rngs: Sequence[np.random.Generator], fruit: Array | None = None, joints: Array | None = None
+) -> HarvestState:
     """Draw a zone for each generator; the master stands at its pick point, the slaves rest, or as is asked for.
+
+    Args:
+        task: What stays the same.
+        rngs: One per machine.
+        fruit: Positions in place of drawn ones ``(machines, fruit, 3)``, base frame, or None.
+        joints: Joints of whole machines to start from ``(machines, joints)``, or None.
 
     Raises:
         InputError: If the cameras find no fruit in many zones, or arms stand too near each other.
     """
-    machine, n, wanted = task.machine, len(rngs), task.fruit
-    fruit, believed, still = np.zeros((3, n, wanted, 3))
-    located = np.zeros((n, wanted), dtype=bool)
-    diameters, joints = np.empty((n, wanted)), np.empty((n, machine.joints))
+    machine, n = task.machine, len(rngs)
+    positions, believed, zeros = np.zeros((3, n, task.fruit, 3))
+    located = np.zeros((n, task.fruit), dtype=bool)
+    diameters, start = np.empty((n, task.fruit)), np.empty((n, machine.joints))
     for i, rng in enumerate(rngs):
-        asked = None if given.fruit is None else given.fruit[i]
-        fruit[i], diameters[i], sight = drawn_zone(task, rng, asked)
+        positions[i], diameters[i], sight = drawn_zone(task, rng, None if fruit is None else fruit[i])
         believed[i], located[i] = sight.believed, sight.located
-        if given.joints is not None:
-            joints[i] = given.joints[i]
-            continue
-        master = pick_point(machine, sight.believed[sight.located]).master
-        joints[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
-    if given.joints is not None and (distances(task, joints) < machine.body.clearance).any():
+        if joints is not None:
+            start[i] = joints[i]
+        else:
+            master = pick_point(machine, sight.believed[sight.located]).master
+            start[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
+    if joints is not None and (distances(task, start) < machine.body.clearance).any():
         raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")
-    reachable = np.asarray(machine.reach(joints[:, :3], believed).any(axis=1)) & located
-    begun = HarvestState(
-        joints=joints,
-        fruit=fruit,
-        shift=still,
-        swing=still.copy(),
-        velocity=still.copy(),
+    reachable = np.asarray(machine.reach(start[:, :3], believed).any(axis=1)) & located
+    state = HarvestState(
+        joints=start,
+        fruit=positions,
+        shift=zeros,
+        swing=zeros.copy(),
+        velocity=zeros.copy(),
         diameters=diameters,
         masses=fruit_masses(task.orchard.size, diameters),
         believed=believed,
-        error=believed - fruit,
+        error=believed - positions,
         located=located,
         reachable=reachable,
-        status=np.zeros((n, wanted), dtype=np.int64),
+        status=np.zeros((n, task.fruit), dtype=np.int64),
         busy=np.zeros((n, machine.arms), dtype=np.int64),
         tried=np.full((n, machine.arms), -1),
         periods=np.zeros(n, dtype=np.int64),
         held=np.zeros(n, dtype=np.int64),
-        closest=distances(task, joints),
+        closest=distances(task, start),
         attempts=np.zeros(n, dtype=np.int64),
         left=np.zeros(n),
     )
-    begun.left = work_left(task, begun)
-    return begun
+    state.left = work_left(task, state)
+    return state
 
 
 def distances(task: HarvestTask, joints: Array) -> Array:

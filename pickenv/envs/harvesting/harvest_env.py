@@ -14,7 +14,7 @@ from pickenv.base import InputError
 from pickenv.envs.harvesting import harvest_batch as batch
 from pickenv.envs.harvesting.harvest_batch import COLLECTED, HANGING, HarvestState
 from pickenv.envs.harvesting.harvest_task import OPTIONS, HarvestTask, given_zones, harvest_spaces, make_harvest_task
-from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information, staged
+from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information
 from pickenv.envs.shared.backends import Flags, Rows
 from pickenv.envs.shared.native_vector import NativeVectorEnv
 from pickenv.envs.shared.situation import CONTROL_PERIOD
@@ -168,8 +168,8 @@ class HarvestEnv(DrawnEnv):
     ) -> tuple[NDArray[np.float32], Information]:
         """Start with another zone; see the class for `options`."""
         super().reset(seed=seed)
-        given = given_zones(self.task, given_options(options, OPTIONS), 1)
-        self.state = batch.begin_zones(self.task, [self.np_random], given)
+        zones = given_zones(self.task, given_options(options, OPTIONS), 1)
+        self.state = batch.begin_zones(self.task, [self.np_random], **zones)
         if self.render_mode == "human":
             self.render()
         return batch.observe(self.task, self.state)[0], self._information()
@@ -232,8 +232,8 @@ class HarvestVectorEnv(NativeVectorEnv):
         return checked_action(actions, (self.num_envs, self.task.machine.joints), self.task.most_action)
 
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
-        given = given_zones(self.task, options, self.num_envs, rows)
-        fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows], given)
+        zones = given_zones(self.task, options, self.num_envs, rows)
+        fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows], **zones)
         if self._begun:
             self.state.put(rows, fresh)
         else:
@@ -305,7 +305,7 @@ def draw_harvest(
         Words(f"{seconds:.1f} s", "top right"),
         Words(GHOST_WORDS, "bottom left"),
     )
-    return staged(solids, _surroundings(task, state, dark), _eye(state), words, None, dark)
+    return Stage(_eye(state), *solids, still=_surroundings(task, state, dark), words=words, dark=dark)
 
 
 def _slaves(joints: Array, machine: Machine) -> Array:

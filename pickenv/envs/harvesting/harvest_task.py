@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 from gymnasium.spaces import Box
@@ -38,43 +38,36 @@ DRAWS = 100
 """Draws of a zone until some of its fruit is located."""
 
 
-class GivenZones(NamedTuple):
-    """What is asked for in place of draws, one entry per machine; None where nothing is.
+def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows: Any = slice(None)) -> dict[str, Array]:
+    """Fruit ``(machines, fruit, 3)`` and joints to start from ``(machines, joints)`` that options of `reset` ask for.
 
-    Attributes:
-        fruit: Positions ``(machines, fruit, 3)``, base frame.
-        joints: Joints of whole machines to start from ``(machines, joints)``.
-    """
+    Args:
+        task: The task.
+        options: The options; each is given once, or for each of the machines.
+        count: Number of machines.
+        rows: Of them those that are asked for.
 
-    fruit: Array | None = None
-    joints: Array | None = None
-
-
-AS_DRAWN = GivenZones()
-
-
-def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows: Any = slice(None)) -> GivenZones:
-    """The options of `reset` for ``count`` machines, given once or for each; of them those in ``rows``.
+    Returns:
+        "fruit" and "joints", as far as they are given, as `begin_zones` takes them.
 
     Raises:
         InputError: If a shape is wrong or a number impossible.
     """
-    machine, found = task.machine, list[Any]()
-    for name, shape in (("fruit", (task.fruit, 3)), ("start_joints", (machine.joints,))):
+    machine, zones = task.machine, dict[str, Array]()
+    for key, name, shape in (("fruit", "fruit", (task.fruit, 3)), ("joints", "start_joints", (machine.joints,))):
         if options.get(name) is None:
-            found.append(None)
             continue
-        given = as_numbers(f"option {name}", options[name])
-        if given.shape not in (shape, (count, *shape)):
-            raise InputError(f"option {name} has shape {given.shape}; give finite numbers of shape {shape}")
-        if not np.isfinite(given).all():
-            raise InputError(f"option {name} is {shown(given.tolist())}; give finite numbers of shape {shape}")
-        found.append(np.broadcast_to(given, (count, *shape))[rows])
-    fruit, joints = found
+        values = as_numbers(f"option {name}", options[name])
+        if values.shape not in (shape, (count, *shape)):
+            raise InputError(f"option {name} has shape {values.shape}; give finite numbers of shape {shape}")
+        if not np.isfinite(values).all():
+            raise InputError(f"option {name} is {shown(values.tolist())}; give finite numbers of shape {shape}")
+        zones[key] = np.broadcast_to(values, (count, *shape))[rows]
+    joints = zones.get("joints")
     if joints is not None and not np.all((joints >= machine.lower) & (joints <= machine.upper)):
         limits = f"{np.round(machine.lower, 3).tolist()} to {np.round(machine.upper, 3).tolist()}"
         raise InputError(f"option start_joints lies outside the joint limits; give joints (rad, m) from {limits}")
-    return GivenZones(fruit, joints)
+    return zones
 
 
 def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None = None) -> tuple[Array, Array, Sight]:

@@ -24,7 +24,7 @@ from pickenv.envs.picking.pick_scene import (
     pick_spaces,
     to_base,
 )
-from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, arm_at_work, staged, standing, tool_dial
+from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, arm_at_work, standing, tool_dial
 from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.simulation import begin
@@ -354,15 +354,15 @@ def draw_pick(
         camera_solids(orchard),
     )
     missed = scene.attempted & ~scene.attached
-    words = [
+    words = (
         Words(f"picked {funnel['collected']} of {funnel['reachable']}", "top left", large=True),
         Words(f"missed {int(missed.sum())}", "top left"),
         Words(f"{1e3 * float(np.linalg.norm(offset)):.1f} mm from the fruit", "top right"),
         Words(GHOST_WORDS, "bottom left"),
-    ]
+    )
     still = (*standing(nominal, ground_of(orchard), dark), *trees_of(orchard))
     dial = tool_dial(axis, offset, 1e3 * lateral_tolerance(orchard.gripper))
-    return staged(solids, still, pick_eye(orchard), tuple(words), dial, dark)
+    return Stage(pick_eye(orchard), *solids, still=still, words=words, dial=dial, dark=dark)
 
 
 def gripper_solids(orchard: PickSetting, point: Array, axis: Array, closed: bool) -> Solids:

@@ -41,7 +41,7 @@ class Start(NamedTuple):
         episodes: Numbers of the episodes.
         start: Joint targets ``(count, n)``, or None for mid-range.
         goal: Joints of wanted poses ``(count, n)``, or None.
-        wanted: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
+        frames: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
         arm: Numbers of true arms ``(count,)``, or None to draw them.
     """
 
@@ -49,7 +49,7 @@ class Start(NamedTuple):
     episodes: Words
     start: Array | None = None
     goal: Array | None = None
-    wanted: Array | None = None
+    frames: Array | None = None
     arm: NDArray[np.intp] | None = None
 
 
@@ -112,12 +112,12 @@ class Batch(ArmBatch):
         for a, b in self.blocks(len(rows)):
             some, key = where[a:b], keys[a:b]
             start = self.starts(key, None if how.start is None else how.start[a:b])
-            if how.wanted is None:
-                goal = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
-                wanted = nominal_frames(x, task, goal)[1]
+            if how.frames is None:
+                joints = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
+                goal = nominal_frames(x, task, joints)[1]
             else:
-                wanted = tuple(self.numbers(how.wanted[a:b].T))
-            state = begin(x, task, self.plant_of(some), key, start, wanted, self.commands(compensate, start))
+                goal = tuple(self.numbers(how.frames[a:b].T))
+            state = begin(x, task, self.plant_of(some), key, start, goal, self.commands(compensate, start))
             self.write(self.columns, some, state.columns)
 
     def scene(self, row: int, compensate: Compensate | None) -> View:

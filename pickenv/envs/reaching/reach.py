@@ -18,7 +18,6 @@ from pickenv.envs.shared.arm_env import (
     Information,
     arm_at_work,
     ground_below,
-    staged,
     standing,
     tool_dial,
 )
@@ -62,7 +61,8 @@ def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) 
         Words(GHOST_WORDS, "bottom left"),
     )
     still = standing(nominal, ground_below(look, nominal), dark)
-    return staged(solids, still, reach_eye(nominal), words, tool_dial(axis, tool - fruit, tolerance_mm), dark)
+    dial = tool_dial(axis, tool - fruit, tolerance_mm)
+    return Stage(reach_eye(nominal), *solids, still=still, words=words, dial=dial, dark=dark)
 
 
 def reach_eye(geometry: Geometry) -> Eye:
@@ -326,16 +326,17 @@ class ReachEnv(ArmEnv):
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
         """Frame of the wanted pose: as it is asked for, or of the first pose drawn that is wanted."""
-        x, task, given = self._x, self.task, given_goals(self.task, options)
-        if given.frames is not None:
-            return tuple(self._numbers(given.frames.tolist()))
-        if given.joints is not None:
-            return simulation.nominal_frames(x, task, self._numbers(given.joints.tolist()))[1]
+        x, task = self._x, self.task
+        joints, frame = given_goals(task, options)
+        if frame is not None:
+            return tuple(self._numbers(frame.tolist()))
+        if joints is not None:
+            return simulation.nominal_frames(x, task, self._numbers(joints.tolist()))[1]
         stream = stream_key(x, self._key, GOAL)
         for attempt in range(GOAL_ATTEMPTS):
-            joints, fits = simulation.goal_attempt(x, task, stream, attempt)
+            pose, fits = simulation.goal_attempt(x, task, stream, attempt)
             if fits:
-                return simulation.nominal_frames(x, task, joints)[1]
+                return simulation.nominal_frames(x, task, pose)[1]
         raise task.no_goal()
 
 

@@ -144,10 +144,10 @@ class ReachVectorEnv(NativeVectorEnv):
 
     def _asked(self, options: dict[str, Any], rows: Rows) -> dict[str, Any]:
         """Starts, goals and arms that options ask for in the environments ``rows``, as `Start` takes them."""
-        goals = given_goals(self.task, options, self.num_envs)
+        joints, frames = given_goals(self.task, options, self.num_envs)
         how: dict[str, Any] = {
-            "goal": None if goals.joints is None else goals.joints[rows],
-            "wanted": None if goals.frames is None else goals.frames[rows],
+            "goal": None if joints is None else joints[rows],
+            "frames": None if frames is None else frames[rows],
         }
         if options.get("start_joints") is not None:
             how["start"] = self.task.given_joints("start_joints", options["start_joints"], self.num_envs)[rows]

@@ -27,7 +27,7 @@ from pickenv.pictures.arm_shapes import (
     ghost_solids,
     joined_solids,
 )
-from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words
+from pickenv.pictures.stage import Dial, Mesh, Pixels, Rgb, Stage
 from pickenv.pictures.tree_shapes import ground_around, pedestal
 
 # What environments that can be drawn have in common: render modes, pictures, and the window that shows them.
@@ -231,10 +231,3 @@ def across(axis: Array, offset: Array) -> Array:
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
     """Where the true tool is, seen from the fruit along the tool's axis."""
     return Dial(across(axis, offset)[None], tolerance_mm, MARK)
-
-
-def staged(
-    solids: Solids, still: tuple[Mesh, ...], eye: Eye, words: tuple[Words, ...], dial: Dial | None, dark: bool
-) -> Stage:
-    """A stage of these solids."""
-    return Stage(eye, *solids, still=still, words=words, dial=dial, dark=dark)

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from pathlib import PurePath
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -101,42 +101,37 @@ POOL, NEAREST = 2**14, 16
 """Poses among which one near a position is sought, and how many of them are tried."""
 
 
-class GivenGoals(NamedTuple):
-    """Wanted poses, one row per environment; one of the two is None, or both where none is given.
-
-    Attributes:
-        joints: Joints of the nominal arm that stand there ``(..., n)``.
-        frames: Frames ``(..., 12)``, axes and origin.
-    """
-
-    joints: Array | None = None
-    frames: Array | None = None
+Goals = tuple[Array | None, Array | None]
+"""Goals that options ask for, one row per environment; at most one of the two, and neither where none is given: joints
+of the nominal arm that stand there ``(..., n)``, or frames ``(..., 12)``, axes and origin."""
 
 
-def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> GivenGoals:
+def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> Goals:
     """The goals that options ask for: of one environment, or of ``count``.
 
     Raises:
         InputError: If more than one way is used, a shape is wrong, or the nominal arm cannot get to a position.
     """
-    asked = [name for name in GOALS if options.get(name) is not None]
-    if len(asked) > 1:
-        raise InputError(f"options {' and '.join(asked)} both say where the goal is; give one of them")
-    if not asked:
-        return GivenGoals()
-    name, given = asked[0], options[asked[0]]
+    names = [name for name in GOALS if options.get(name) is not None]
+    if len(names) > 1:
+        raise InputError(f"options {' and '.join(names)} both say where the goal is; give one of them")
+    if not names:
+        return None, None
+    (name,) = names
     if name == "goal_joints":
-        return GivenGoals(joints=task.given_joints(name, given, count))
-    width, what = (3, "x, y, z in m") if name == "goal_position" else (6, "x, y, z in m and a rotation vector in rad")
-    rows = as_numbers(f"option {name}", given)
+        return task.given_joints(name, options[name], count), None
+    width, columns = (
+        (3, "x, y, z in m") if name == "goal_position" else (6, "x, y, z in m and a rotation vector in rad")
+    )
+    rows = as_numbers(f"option {name}", options[name])
     shapes = [(width,)] if count is None else [(width,), (count, width)]
     if rows.shape not in shapes:
-        raise InputError(f"option {name} has shape {rows.shape}; give {' or '.join(map(str, shapes))}: {what}")
+        raise InputError(f"option {name} has shape {rows.shape}; give {' or '.join(map(str, shapes))}: {columns}")
     if not np.isfinite(rows).all():
-        raise InputError(f"option {name} is {shown(rows.tolist())}; give finite numbers: {what}")
+        raise InputError(f"option {name} is {shown(rows.tolist())}; give finite numbers: {columns}")
     goals = np.array([_reached(task, row) if width == 3 else _framed(task, row) for row in np.atleast_2d(rows)])
     goals = goals[0] if count is None else np.broadcast_to(goals, (count, goals.shape[1]))
-    return GivenGoals(joints=goals) if width == 3 else GivenGoals(frames=goals)
+    return (goals, None) if width == 3 else (None, goals)
 
 
 def _reached(task: Task, position: Array) -> Array:
