@@ -86,7 +86,7 @@ def save_checkpoint(
     }
     stored = io.BytesIO()
     torch.save(state, stored)
-    header = {"training": asdict(training), "inputs": asdict(inputs), "evaluations": evaluations}
+    header = {"training": asdict(training), "inputs": inputs, "evaluations": evaluations}
     return write_container(path, KIND, header, {}, {STATE: stored.getvalue()}, version=FORMAT)
 
 
@@ -97,7 +97,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
         InputError: If it is missing, damaged in any byte, or of another version.
     """
     if not path.exists():
-        raise InputError(f"there is no checkpoint {path} to go on from; start the training without --resume")
+        raise InputError(f"there is no checkpoint {path} to go on from; start the training without `resume`")
     container = read_container(path, KIND, remake=AGAIN, version=FORMAT, limit=LIMIT)
     with refusing_damage(path, "a checkpoint", AGAIN):
         header, settings = container.header, container.header["training"]
@@ -108,7 +108,8 @@ def read_checkpoint(path: Path) -> Checkpoint:
         if set(state) != PARTS:
             raise ValueError("its state is not that of a training")
         rows = [{str(key): float(value) for key, value in row.items()} for row in header["evaluations"]]
-        return Checkpoint(path, Training(**settings), Inputs(**header["inputs"]), rows, state)
+        inputs = {name: header["inputs"][name] for name in ("arms", "calibration")}
+        return Checkpoint(path, Training(**settings), inputs, rows, state)
 
 
 def _is_a(value: Any, kind: Any) -> bool:

@@ -233,7 +233,7 @@ def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: If it is not.
     """
-    otherwise = f"{folder} %s; take it away to have it made anew, or give another --out"
+    otherwise = f"{folder} %s; take it away to have it made anew, or give another `out`"
     try:
         card: dict[str, Any] = json.loads((folder / CARD).read_text(encoding="utf-8"))
         changed = card["sha256"] != _hashes(folder)

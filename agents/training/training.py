@@ -26,9 +26,8 @@ from pickenv.agents.training.training_setup import (
     inputs_of,
     judge,
     make_model,
-    write_evaluations,
 )
-from pickenv.base import InputError, locked, torch_on_one_thread
+from pickenv.base import InputError, locked, torch_on_one_thread, write_json
 from pickenv.wrappers import Sb3Vec
 
 # What happens during a training: checkpoints between rollouts, and evaluations in millimetres.
@@ -96,7 +95,7 @@ def judged(
     check_inputs(training, inputs)
     rows[:] = [row for row in rows if row["steps"] < steps]
     rows.append({"steps": float(steps)} | judge(policy, training))
-    write_evaluations(out, rows)
+    write_json(out / "evaluations.json", rows)
     return rows[-1]
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
 import importlib.util
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,9 +15,8 @@ from pickenv.agents.evaluation.contenders import load_compensator
 from pickenv.agents.evaluation.reaches import FRUIT, pick_canopies
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
-from pickenv.agents.training.hyperparams import check_algorithm, class_named, tuned
 from pickenv.arm.files.arm import content_sha256
-from pickenv.base import InputError, check_limit, file_sha256, npz_path, versions, write_json
+from pickenv.base import InputError, check_limit, file_sha256, npz_path, versions
 from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
 from pickenv.wrappers import GapScalingVector, SameArmVector, ToolSteppingVector
 from pickenv.wrappers.gap import Scaling
@@ -37,7 +38,7 @@ class Training:
     """What is trained, and how.
 
     Attributes:
-        algorithm: One of `pickenv.agents.training.hyperparams.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
+        algorithm: One of `pickenv.agents.training.training_setup.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
             `pickenv.wrappers.SameArmVector`.
         env_id: Id of the environment.
         steps: Environment steps; the tuned number when None.
@@ -95,17 +96,9 @@ class Training:
         return self.steps or int(self.chosen["n_timesteps"])
 
 
-@dataclass(frozen=True)
-class Inputs:
-    """What a training is made with besides its options.
-
-    Attributes:
-        arms: Hash of the numbers of its true arms: plant, arm and tolerance class.
-        calibration: SHA-256 of the calibration file, or None.
-    """
-
-    arms: str
-    calibration: str | None
+Inputs = dict[str, str | None]
+"""What a training is made with besides its options: "arms", a hash of the numbers of its true arms (plant, arm and
+tolerance class), and "calibration", the SHA-256 of the calibration file, or None."""
 
 
 def make_environment(training: Training, count: int, mode: str) -> Native:
@@ -136,7 +129,7 @@ def inputs_of(training: Training) -> Inputs:
     """
     arms = make_environment(training, 1, "Disabled").task.plant
     calibration = None if training.compensate is None else file_sha256(npz_path(training.compensate))
-    return Inputs(content_sha256(arms), calibration)
+    return {"arms": content_sha256(arms), "calibration": calibration}
 
 
 def check_inputs(training: Training, begun: Inputs) -> None:
@@ -145,18 +138,18 @@ def check_inputs(training: Training, begun: Inputs) -> None:
     Raises:
         InputError: If the calibration or the plant has changed or is missing; names it.
     """
-    restore = "put back what the training was begun with, or begin another with another --out"
+    restore = "put back what the training was begun with, or begin another in another folder (`out`)"
     if training.compensate is not None:
         path = npz_path(training.compensate)
         if not path.is_file():
-            raise InputError(f"calibration {path} (--compensate) is missing; {restore}")
-        if file_sha256(path) != begun.calibration:
-            raise InputError(f"calibration {path} (--compensate) is another file than it was; {restore}")
+            raise InputError(f"calibration {path} (`compensate`) is missing; {restore}")
+        if file_sha256(path) != begun["calibration"]:
+            raise InputError(f"calibration {path} (`compensate`) is another file than it was; {restore}")
     plant = str(training.arguments.get("plant", "of the environment"))
     if plant.endswith(".toml") and not Path(plant).is_file():
-        raise InputError(f"plant {plant} (--plant) is missing; {restore}")
-    if inputs_of(training).arms != begun.arms:
-        raise InputError(f"plant {plant} (--plant, or its tolerances) has other numbers than it had; {restore}")
+        raise InputError(f"plant {plant} (`plant`) is missing; {restore}")
+    if inputs_of(training)["arms"] != begun["arms"]:
+        raise InputError(f"plant {plant} (`plant`, or its tolerances) has other numbers than it had; {restore}")
 
 
 def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
@@ -278,6 +271,49 @@ def words_of(row: dict[str, float]) -> str:
     return f"{row['collected']:.2f} of {row['reachable']:.2f} reachable fruit per held-out canopy"
 
 
-def write_evaluations(out: Path, rows: list[dict[str, float]]) -> None:
-    """Write the evaluations of a run."""
-    write_json(out / "evaluations.json", rows)
+# Tuned parameters read from `pickenv.zoo.hyperparams`, strings in the notation of RL Zoo included; nothing is run.
+
+
+ALGORITHMS = ("ppo", "sac", "tqc", "ppo_lstm", "ppo_history")
+
+
+def check_algorithm(algorithm: str) -> None:
+    """Refuse an unknown algorithm.
+
+    Raises:
+        InputError: If it is not one of `ALGORITHMS`.
+    """
+    if algorithm not in ALGORITHMS:
+        raise InputError(f"unknown algorithm '{algorithm}'; give one of {', '.join(ALGORITHMS)}")
+
+
+def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
+    """Parameters of an algorithm on an environment.
+
+    Raises:
+        InputError: If the algorithm is unknown, or was never tuned on the environment.
+    """
+    check_algorithm(algorithm)
+    known: dict[str, dict[str, Any]] = importlib.import_module(f"pickenv.zoo.hyperparams.{algorithm}").hyperparams
+    if env_id not in known:
+        raise InputError(f"{algorithm} has no tuned parameters for '{env_id}'; give one of {', '.join(known)}")
+    return {key: _value(value) for key, value in known[env_id].items()}
+
+
+def class_named(policy: str) -> Any:
+    """A policy as stable-baselines3 takes it: the class that a dotted name stands for, or one of its own names."""
+    module, _, name = policy.rpartition(".")
+    return getattr(importlib.import_module(module), name) if module else policy
+
+
+def _value(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    if value.startswith("lin_"):
+        start = float(value[4:])
+        return lambda remaining: remaining * start  # a schedule that falls evenly to zero
+    if value.startswith("dict("):
+        call = ast.parse(value, mode="eval").body
+        assert isinstance(call, ast.Call)
+        return {word.arg: ast.literal_eval(word.value) for word in call.keywords}
+    return value

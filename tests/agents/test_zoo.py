@@ -15,7 +15,7 @@ from stable_baselines3.common.env_util import make_vec_env
 
 import pickenv  # noqa: F401
 from pickenv.agents.policies.foreign import foreign_policy
-from pickenv.agents.training.hyperparams import class_named, tuned
+from pickenv.agents.training.training_setup import class_named, tuned
 from pickenv.envs import ReachVectorEnv
 from pickenv.wrappers import make_sb3_vec
 
