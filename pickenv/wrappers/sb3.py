@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.base import InputError, seed_words, stream
 from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper
-from pickenv.wrappers.scaled import ScaledVector
+from pickenv.wrappers.gap import ScaledVector
 
 
 def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = None, **arguments: Any) -> Sb3Vec:

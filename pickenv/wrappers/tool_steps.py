@@ -21,7 +21,7 @@ from pickenv.arm import Array, Geometry, joint_jacobian
 from pickenv.base import InputError
 from pickenv.envs.picking.pick_scene import CLOSE, PickSetting
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
-from pickenv.wrappers.scaled import ScaledEnv, ScaledVector
+from pickenv.wrappers.gap import Rescaling, ScaledEnv, ScaledVector
 
 LARGEST = 0.03
 """Step of the tool in one period that an action of 1 adds, m; at 10 Hz 0.3 m/s."""
@@ -55,7 +55,7 @@ MOVES = 2
 
 
 @dataclass(frozen=True, eq=False)
-class ToolSteps:
+class ToolSteps(Rescaling):
     """Formulas on the observations of `pickenv/Pick-v0`.
 
     Attributes:
@@ -65,6 +65,7 @@ class ToolSteps:
 
     geometry: Geometry
     increment: Array
+    home = "it in pickenv/Pick-v0, with the arm"
 
     @property
     def joints(self) -> int:
@@ -91,18 +92,6 @@ class ToolSteps:
         """Numbers that it answers."""
         return MOVES + 1
 
-    def check(self, width: int) -> None:
-        """Refuse observations of another length.
-
-        Raises:
-            InputError: If ``width`` is not `inputs`.
-        """
-        if width != self.inputs:
-            raise InputError(
-                f"the policy was trained on observations of {self.inputs} numbers, but the environment gives {width}; "
-                "use it in pickenv/Pick-v0, with the arm of its training"
-            )
-
     def observe(self, values: Any, xp: Any = np) -> Any:
         """What the policy sees, ``(..., features)``."""
         n = self.joints
@@ -112,10 +101,6 @@ class ToolSteps:
         decades = (xp.log10(xp.maximum(size, ARRIVED) / NEAR) / 2.0 for size in (far, aside))
         shares = (both / xp.maximum(far, ARRIVED), both / (both * both + NEAR**2) ** 0.5, *decades)
         return xp.concatenate((values[..., :n], *shares, xp.clip(_length(turn) ** 2, 0.0, 1.0), rest), -1)
-
-    def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:
-        """`observe` as an environment shows it."""
-        return np.asarray(self.observe(values), dtype=np.float32)
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Joint increments and gripper ``(..., n + 1)`` for steps of the tool and gripper ``(..., 3)``.
