@@ -133,27 +133,24 @@ def take_checkpoint(checkpoint: Checkpoint, model: Any, env: Sb3Vec) -> None:
     Raises:
         InputError: If the state does not fit the training.
     """
+    content = checkpoint.state
     with refusing_damage(checkpoint.path, "a checkpoint of this training", AGAIN):
-        _take(checkpoint.state, model, env)
-
-
-def _take(content: dict[str, Any], model: Any, env: Sb3Vec) -> None:
-    model.set_parameters(content["parameters"], exact_match=True)
-    for key, value in content["variables"].items():
-        getattr(model, key).data.copy_(value)
-    for key in COUNTS:
-        setattr(model, key, content["counts"][key])
-    model._last_obs = _arrays(content["last"])
-    model._last_episode_starts = content["starts"].numpy().copy()
-    env.take_state(_arrays(content["env"]))
-    _take_buffer(model, content["buffer"])
-    if content["memory"]:
-        kept = model._last_lstm_states
-        model._last_lstm_states = type(kept)(*(tuple(part) for part in content["memory"]))
-    model.action_space.np_random.bit_generator.state = json.loads(content["action_random"])
-    name, keys, position, has_gauss, gauss = content["numpy_random"]
-    np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))
-    torch.set_rng_state(content["torch_random"])
+        model.set_parameters(content["parameters"], exact_match=True)
+        for key, value in content["variables"].items():
+            getattr(model, key).data.copy_(value)
+        for key in COUNTS:
+            setattr(model, key, content["counts"][key])
+        model._last_obs = _arrays(content["last"])
+        model._last_episode_starts = content["starts"].numpy().copy()
+        env.take_state(_arrays(content["env"]))
+        _take_buffer(model, content["buffer"])
+        if content["memory"]:
+            kept = model._last_lstm_states
+            model._last_lstm_states = type(kept)(*(tuple(part) for part in content["memory"]))
+        model.action_space.np_random.bit_generator.state = json.loads(content["action_random"])
+        name, keys, position, has_gauss, gauss = content["numpy_random"]
+        np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))
+        torch.set_rng_state(content["torch_random"])
 
 
 def _memory(model: Any) -> list[list[torch.Tensor]]:

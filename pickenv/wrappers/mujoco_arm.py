@@ -31,7 +31,10 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
     Raises:
         InputError: If MuJoCo, the site or a joint is missing, a joint does not move the site, or is a ball.
     """
-    mujoco = mujoco_or_sentence()
+    try:
+        mujoco: Any = import_module("mujoco")
+    except ImportError as error:
+        raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
     if number < 0:
         raise InputError(f"the model has no site '{site}'; name the one at the arm's tool")
@@ -73,18 +76,6 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
 def joints_in_mujoco(model: Any, data: Any, geometry: Geometry) -> Array:
     """Present displacements ``(n,)`` of an arm that `geometry_in_mujoco` found, rad or m."""
     return np.array([data.qpos[model.joint(name).qposadr[0]] for name in geometry.joint_names])
-
-
-def mujoco_or_sentence() -> Any:
-    """MuJoCo.
-
-    Raises:
-        InputError: If it is not installed.
-    """
-    try:
-        return import_module("mujoco")
-    except ImportError as error:
-        raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
 
 
 # A real arm's error in somebody else's environment: success is judged where the true tool is, not where it seems.

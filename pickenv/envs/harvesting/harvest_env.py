@@ -141,24 +141,10 @@ class HarvestEnv(DrawnEnv):
       fruit to a millimetre. Returns from before cannot be compared.
     """
 
-    def __init__(
-        self,
-        *,
-        slaves: int | None = None,
-        spacing_mm: float | None = None,
-        fruit: int = 8,
-        ideal: bool = False,
-        vision: str = "measured_errors",
-        detector: str = "li2016",
-        canopy: str | None = None,
-        out_of_range: str = "clip",
-        render_mode: str | None = None,
-    ) -> None:
+    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         super().__init__(render_mode)
-        self.task: HarvestTask = make_harvest_task(
-            slaves, spacing_mm, fruit, ideal, vision, detector, canopy, out_of_range
-        )
+        self.task: HarvestTask = make_harvest_task(**arguments)
         self.compensator: Compensate | None = None
         self.observation_space, self.action_space = harvest_spaces(self.task)
         self.state: HarvestState | None = None

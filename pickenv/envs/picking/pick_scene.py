@@ -23,7 +23,7 @@ from pickenv.base import InputError
 from pickenv.envs.picking.pick_arm import UP, Reach
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.spaces import box
-from pickenv.envs.shared.task import Task, as_numbers, check_count, check_number, make_task
+from pickenv.envs.shared.task import Task, as_numbers, check_choice, check_count, check_number, make_task
 from pickenv.orchard import DRAWS
 
 FATES = ("attempted", "attached", "detached", "collected", "damaged")
@@ -61,46 +61,6 @@ ORDERS: dict[str, tuple[float, float, float] | None] = {
 
 PUBLISHED = "published"
 """The vision that goes by what is published of a camera; the others are those of `pickenv.orchard.VISIONS`."""
-
-
-def make_setting(
-    canopy: str,
-    fruit_map: str,
-    fruit_size: str,
-    camera: str,
-    gripper: str,
-    fruit: float,
-    looks: int,
-    vision: str = PUBLISHED,
-    detector: str = "li2016",
-    order: str = "nearest",
-) -> PickSetting:
-    """Read the presets; ``fruit`` is the mean number of fruit in the section before the arm."""
-    if order not in ORDERS:
-        raise InputError(f"order is {order!r}; give one of {', '.join(ORDERS)}")
-    if vision not in (PUBLISHED, *trees.VISIONS):
-        raise InputError(f"unknown vision '{vision}'; give one of {', '.join((PUBLISHED, *trees.VISIONS))}")
-    whole, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
-    station = trees.load_station("qiao2026")
-    section = replace(
-        whole,
-        width=min(station.width, whole.width),
-        depth=min(station.depth, whole.depth),
-        top=min(whole.bottom + station.height, whole.top),
-    )
-    return PickSetting(
-        canopy=section,
-        fruit_map=crop.scaled(fruit / section.width),
-        size=trees.load_fruit_size(fruit_size),
-        camera=trees.load_camera(camera),
-        gripper=trees.load_gripper(gripper),
-        branch=trees.load_branch("apple"),
-        detachment=trees.load_detachment("apple"),
-        station=station,
-        looks=looks,
-        eyes=None if vision == PUBLISHED else trees.load_eyes(vision, section, detector),
-        order=order,
-    )
 
 
 def to_base(orchard: PickSetting, positions: Array) -> Array:
@@ -482,7 +442,30 @@ def make_pick(
     check_count("looks", looks)
     drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
     task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **drawn, **situation)
-    return task, make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks, vision, detector, order)
+    check_choice("order", order, tuple(ORDERS))
+    if vision not in (PUBLISHED, *trees.VISIONS):
+        raise InputError(f"unknown vision '{vision}'; give one of {', '.join((PUBLISHED, *trees.VISIONS))}")
+    row, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
+    station = trees.load_station("qiao2026")
+    section = replace(
+        row,
+        width=min(station.width, row.width),
+        depth=min(station.depth, row.depth),
+        top=min(row.bottom + station.height, row.top),
+    )
+    return task, PickSetting(
+        canopy=section,
+        fruit_map=crop.scaled(fruit / section.width),
+        size=trees.load_fruit_size(fruit_size),
+        camera=trees.load_camera(camera),
+        gripper=trees.load_gripper(gripper),
+        branch=trees.load_branch("apple"),
+        detachment=trees.load_detachment("apple"),
+        station=station,
+        looks=looks,
+        eyes=None if vision == PUBLISHED else trees.load_eyes(vision, section, detector),
+        order=order,
+    )
 
 
 def pick_spaces(task: Task) -> tuple[spaces.Box, spaces.Box]:

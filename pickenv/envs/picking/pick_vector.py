@@ -96,7 +96,8 @@ class PickVectorEnv(NativeVectorEnv):
         self._bounds = observations.low, observations.high
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
-        self._next: list[tuple[Any, PickStart] | None] = [None] * self.num_envs
+        self._ahead: dict[int, tuple[Any, PickStart]] = {}
+        """Episodes drawn ahead, and the states of the generators before."""
 
     @property
     def plant(self) -> Plant:
@@ -105,8 +106,9 @@ class PickVectorEnv(NativeVectorEnv):
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint."""
-        ahead = {row: each[0] for row, each in enumerate(self._next) if each is not None}
-        states = [ahead.get(row, rng.bit_generator.state) for row, rng in enumerate(self._rngs)]
+        states = [
+            self._ahead[row][0] if row in self._ahead else rng.bit_generator.state for row, rng in enumerate(self._rngs)
+        ]
         own: dict[str, NDArray[Any]] = {"rngs": np.array([words_of_state(state) for state in states], dtype=np.uint64)}
         own |= {"elapsed": self._elapsed, "over": self._over, "armed": self._armed}
         return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
@@ -117,23 +119,25 @@ class PickVectorEnv(NativeVectorEnv):
         for rng, words in zip(self._rngs, state["rngs"], strict=True):
             rng.bit_generator.state = state_of_words(words)
         self._elapsed, self._over, self._armed = (state[key].copy() for key in ("elapsed", "over", "armed"))
-        self._next, self._begun = [None] * self.num_envs, True
+        self._ahead, self._begun = {}, True
         self.batch.take_state_arrays(state)
 
     def _checked(self, actions: ArrayLike) -> Array:
         return np.asarray(np.clip(self.batch.numbers_of_actions(actions), -1.0, 1.0))
 
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
-        for row in rows[seeded[rows]].tolist():
-            self._next[row] = None
-        joints = options.get("start_joints")
+        joints, numbers = options.get("start_joints"), rows.tolist()
         if joints is not None:
             joints = self.task.given_joints("start_joints", joints, self.num_envs)[rows]
+        for row in rows[seeded[rows]].tolist():
+            self._ahead.pop(row, None)
         if options.get("fruit") is None and options.get("arm") is None and not seeded[rows].any() and self._armed.all():
-            self._draw_ahead(rows)
-            starts = [self._taken(row) for row in rows.tolist()]
+            if not self._ahead.keys() >= set(numbers):
+                self._draw_ahead()
+            starts = [self._ahead.pop(row)[1] for row in numbers]
         else:
-            self._draw_back(rows)
+            for row in self._ahead.keys() & set(numbers):  # as if they had never been drawn
+                self._rngs[row].bit_generator.state = self._ahead.pop(row)[0]
             starts = self._drawn(rows, options, seeded)
         self._armed[rows] = True
         self.batch.restart(rows, starts, joints, self.compensator)
@@ -153,32 +157,15 @@ class PickVectorEnv(NativeVectorEnv):
             [arms[row] for row in numbers],
         )
 
-    def _draw_ahead(self, rows: Rows) -> None:
+    def _draw_ahead(self) -> None:
         """Draw the next episodes of all environments that have none waiting, as soon as one needs it.
 
         Drawing many canopies takes little longer than drawing one, and nothing else draws from their generators.
         """
-        if all(self._next[row] is not None for row in rows.tolist()):
-            return
-        without = np.array([row for row, each in enumerate(self._next) if each is None])
-        before = [self._rngs[row].bit_generator.state for row in without]
-        starts = self._drawn(without, {}, np.zeros(self.num_envs, dtype=np.bool_))
-        for row, state, start in zip(without.tolist(), before, starts, strict=True):
-            self._next[row] = state, start
-
-    def _taken(self, row: int) -> PickStart:
-        waiting = self._next[row]
-        assert waiting is not None
-        self._next[row] = None
-        return waiting[1]
-
-    def _draw_back(self, rows: Rows) -> None:
-        """Forget episodes that were drawn ahead, as if they had never been drawn."""
-        for row in rows.tolist():
-            waiting = self._next[row]
-            if waiting is not None:
-                self._rngs[row].bit_generator.state = waiting[0]
-                self._next[row] = None
+        rows = np.array([row for row in range(self.num_envs) if row not in self._ahead])
+        before = [self._rngs[row].bit_generator.state for row in rows]
+        starts = self._drawn(rows, {}, np.zeros(self.num_envs, dtype=np.bool_))
+        self._ahead |= zip(rows.tolist(), zip(before, starts, strict=True), strict=True)
 
     def _act(self, actions: Array, live: Flags) -> NDArray[Any]:
         return self.batch.advance(actions, live, self.compensator)
