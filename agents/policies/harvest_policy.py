@@ -107,10 +107,10 @@ class ScriptedHarvest:
             if not cutting and (arm.waited > PATIENCE or not hangs[arm.fruit]):
                 arm.phase = "back"
         if arm.phase == "back":
-            rest = np.array([here[0], *home[1:]])
-            if np.abs(here - rest).max() < ARRIVED:
+            drawn_in = np.array([here[0], *home[1:]])
+            if np.abs(here - drawn_in).max() < ARRIVED:
                 arm.fruit = None
-            return rest
+            return drawn_in
         return {"travel": below, "out": out, "rise": np.asarray(at)}[arm.phase]
 
     def _clear(self, i: int, fruit: int) -> bool:

@@ -58,12 +58,12 @@ class Actor:
         self, path: str | Path, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Array]
     ) -> Path:
         """Write one verified file (`pickenv.base.container`), whole or not at all; ``.npz`` is appended if missing."""
-        own = {"algorithm": self.algorithm, "arm": self.arm, "arm_fingerprint": self.arm_fingerprint}
+        texts = {"algorithm": self.algorithm, "arm": self.arm, "arm_fingerprint": self.arm_fingerprint}
         layers = {"weight": self.weights, "bias": self.biases}
-        named = {f"{name}{i}": part for name, parts in layers.items() for i, part in enumerate(parts)}
-        single = {name: np.asarray(part, dtype=np.float32) for name, part in (*arrays.items(), *named.items())}
+        layered = {f"{name}{i}": part for name, parts in layers.items() for i, part in enumerate(parts)}
+        single = {name: np.asarray(part, dtype=np.float32) for name, part in (*arrays.items(), *layered.items())}
         return write_container(
-            npz_path(path), kind, {**own, **header, "record": dict(self.record)}, single, version=version
+            npz_path(path), kind, {**texts, **header, "record": dict(self.record)}, single, version=version
         )
 
 

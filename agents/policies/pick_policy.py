@@ -66,9 +66,9 @@ class ScriptedPick(ReachController):
         """
         super().__init__(env)
         gentle = GENTLE * env.unwrapped.orchard.station.bruise_speed
-        self.settle, self.approach, self.aim = (np.asarray(each, dtype=float) for each in (settle, approach, aim))
+        self.settle, self.approach, self.aim = (np.asarray(value, dtype=float) for value in (settle, approach, aim))
         self.tool_speed = np.asarray(gentle if tool_speed is None else tool_speed, dtype=float)
-        self.gain, self.arrived, self.patience = (np.asarray(each, dtype=float) for each in (gain, arrived, patience))
+        self.gain, self.arrived, self.patience = (np.asarray(value, dtype=float) for value in (gain, arrived, patience))
         self.iterations = iterations
         self.reset()
 
@@ -89,23 +89,23 @@ class ScriptedPick(ReachController):
             self._begin(len(values))
         n, rows = self.geometry.joints, np.arange(len(values))
         joints = self.geometry.lower + (values[:, :n] + 1.0) / 2.0 * (self.geometry.upper - self.geometry.lower)
-        seen, turn, still = values[:, n + 3 : n + 6], values[:, n + 9 : n + 12], values[:, n + 12]
+        fruit, turn, still = values[:, n + 3 : n + 6], values[:, n + 9 : n + 12], values[:, n + 12]
         hanging, off = values[:, n + 14] > 0.5, values[:, n + 15] > 0.5
         seeking = ~(hanging | off)
-        new = np.flatnonzero(seeking & ~np.isclose(seen, self._fruit, atol=1e-6).all(axis=-1))
+        new = np.flatnonzero(seeking & ~np.isclose(fruit, self._fruit, atol=1e-6).all(axis=-1))
         if single and new.size:
-            self._plan(0, joints[0], seen[0], turn[0])
+            self._plan(0, joints[0], fruit[0], turn[0])
         elif new.size:
-            self._plan(new, joints[new], seen[new], turn[new])
+            self._plan(new, joints[new], fruit[new], turn[new])
         for _ in (OUT, BELOW):
             near = self._away(joints, self._way[rows, self._place]) < self.arrived * PASSED
             self._place += seeking & (self._place < AT) & near
         goals = self._way[rows, np.where(off, BELOW, self._place)]
         # Standing still is asked of the command: corrections smaller than the encoders' counts would never end.
-        there = seeking & (self._place == AT) & (self._away(joints, goals) < self.arrived)
-        stays = hanging | there | np.isnan(goals[:, 0])
+        arrived = seeking & (self._place == AT) & (self._away(joints, goals) < self.arrived)
+        stays = hanging | arrived | np.isnan(goals[:, 0])
         late = seeking & (self._spent * CONTROL_PERIOD >= self.patience)
-        closes = hanging | late | (there & (still >= self.settle - 1e-3))
+        closes = hanging | late | (arrived & (still >= self.settle - 1e-3))
         self._spent += 1.0
         away = np.where(stays[:, None], 0.0, goals - joints)
         if single:
@@ -114,8 +114,8 @@ class ScriptedPick(ReachController):
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
         """Waypoints: down from the last fruit, below the next one, and up to it."""
-        here = forward(self.geometry, joints)
-        upright = displace_pose(here, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
+        believed_pose = forward(self.geometry, joints)
+        upright = displace_pose(believed_pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
         aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
         down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
         at = self._solve(seen + aim, upright, joints)
@@ -135,8 +135,8 @@ class ScriptedPick(ReachController):
 
     def _shares(self, joints: Array, away: Array) -> Array:
         """Shares of the joints' increments, in step with each other, so that the tool's way is nearly straight."""
-        wanted = self.gain[..., None] * away
-        share = wanted / self.increment
-        way = np.linalg.norm((joint_jacobian(self.geometry, joints)[..., :3, :] @ wanted[..., None])[..., 0], axis=-1)
+        step = self.gain[..., None] * away
+        share = step / self.increment
+        way = np.linalg.norm((joint_jacobian(self.geometry, joints)[..., :3, :] @ step[..., None])[..., 0], axis=-1)
         most = np.maximum(np.abs(share).max(axis=-1), way / (self.tool_speed * CONTROL_PERIOD))
         return np.asarray(share / np.maximum(1.0, most)[..., None])

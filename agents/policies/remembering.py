@@ -52,19 +52,19 @@ def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -
         that is filled ``(N, features)``.
     """
     n, window = memory.joints, memory.window
-    here = seen[:, :n]
+    goal = seen[:, :n]
     tokens = seen[:, n:].reshape(-1, window, memory.token)
-    joints, error, known = tokens[..., :n], tokens[..., n : n + 3], tokens[..., n + 3]
+    joints, error, filled = tokens[..., :n], tokens[..., n : n + 3], tokens[..., n + 3]
     near = xp.tanh(joints @ given["near"] + given["near_bias"])
     key = (near @ given["key"]).reshape(-1, window, HEADS, given["key"].shape[1] // HEADS)
-    asked = xp.tanh(here @ given["near"] + given["near_bias"]) @ given["query"]
-    query = asked.reshape(-1, 1, HEADS, key.shape[-1])
-    weights = xp.exp(xp.clip((key * query).sum(-1), -STEEPEST, STEEPEST)) * known[..., None]
+    question = xp.tanh(goal @ given["near"] + given["near_bias"]) @ given["query"]
+    query = question.reshape(-1, 1, HEADS, key.shape[-1])
+    weights = xp.exp(xp.clip((key * query).sum(-1), -STEEPEST, STEEPEST)) * filled[..., None]
     weights = weights / (weights.sum(1)[:, None] + 1e-12)
-    made = xp.tanh(xp.concatenate((near, error), -1) @ given["value"] + given["value_bias"])
-    value = xp.concatenate((error, made), -1)
+    features = xp.tanh(xp.concatenate((near, error), -1) @ given["value"] + given["value_bias"])
+    value = xp.concatenate((error, features), -1)
     pooled = (weights[..., None] * value[:, :, None]).sum(1)
-    return xp.concatenate((here, pooled.reshape(len(seen), -1), known.sum(1)[:, None] / window), -1)
+    return xp.concatenate((goal, pooled.reshape(len(seen), -1), filled.sum(1)[:, None] / window), -1)
 
 
 def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
@@ -165,8 +165,8 @@ class RememberingReach(LookingReach):
     def _corrected(self, joints: Array) -> Array:
         if len(self._tokens) != len(joints):
             self._tokens, self._state = self.policy.memory.empty(len(joints)), self.policy.begin(len(joints))
-        seen = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens)
-        actions, self._state = self.policy.aim(seen, self._state)
+        observations = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens)
+        actions, self._state = self.policy.aim(observations, self._state)
         return self.policy.memory.aim(self.geometry, joints, actions)
 
     def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:

@@ -51,9 +51,9 @@ class ScriptedReach(ReachController):
 
     def wanted_pose(self, reading: ObservationParts) -> Pose:
         """The pose that the tool shall have: the fruit with its attitude."""
-        believed = forward(self.geometry, reading.joints)
+        pose = forward(self.geometry, reading.joints)
         lag = np.concatenate([np.zeros_like(reading.turn), reading.turn], axis=-1)
-        return Pose(reading.seen, displace_pose(believed, lag).rotation)
+        return Pose(reading.seen, displace_pose(pose, lag).rotation)
 
     def wanted_joints(self, reading: ObservationParts) -> Array:
         """Joints that bring the nominal arm's tool to the fruit."""
@@ -172,13 +172,13 @@ class ServoReach(ScriptedReach):
             self._wanted = self.wanted_joints(reading)
             self._back: Array = truncated_inverse(joint_jacobian(self.geometry, self._wanted))[..., :3]
         if len(self._pictures) > self.delay:
-            picture, known = self._pictures[0], self._correction
-            self._correction = picture if known is None else known + self.gain * (picture - known)
-        wanted = self._wanted
+            picture, before = self._pictures[0], self._correction
+            self._correction = picture if before is None else before + self.gain * (picture - before)
+        target = self._wanted
         if self._correction is not None:
-            wanted = wanted + np.einsum("...ij,...j->...i", self._back, self._correction)
-        wanted = wanted.clip(self.geometry.lower, self.geometry.upper)
-        return self.action(wanted - reading.joints)
+            target = target + np.einsum("...ij,...j->...i", self._back, self._correction)
+        target = target.clip(self.geometry.lower, self.geometry.upper)
+        return self.action(target - reading.joints)
 
 
 # The same by name, for comparisons: how each is made for an environment.

@@ -115,7 +115,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
 def _is_a(value: Any, kind: Any) -> bool:
     """Whether a value is of an annotated kind, such as int | None; what a list or a dict holds is not looked at."""
     kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
-    return type(value) in {get_origin(each) or each for each in kinds}
+    return type(value) in {get_origin(option) or option for option in kinds}
 
 
 def check_checkpoint(path: str | Path) -> str | None:
@@ -145,8 +145,8 @@ def take_checkpoint(checkpoint: Checkpoint, model: Any, env: Sb3Vec) -> None:
         env.take_state(_arrays(content["env"]))
         _take_buffer(model, content["buffer"])
         if content["memory"]:
-            kept = model._last_lstm_states
-            model._last_lstm_states = type(kept)(*(tuple(part) for part in content["memory"]))
+            states = model._last_lstm_states
+            model._last_lstm_states = type(states)(*(tuple(part) for part in content["memory"]))
         model.action_space.np_random.bit_generator.state = json.loads(content["action_random"])
         name, keys, position, has_gauss, gauss = content["numpy_random"]
         np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))

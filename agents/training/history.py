@@ -45,16 +45,16 @@ class HistoryFeatures(BaseFeaturesExtractor):
             "key": (width, width),
             "value": (width + 3, made),
         }
-        given = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
-        for value in given.values():
+        arrays = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
+        for value in arrays.values():
             th.nn.init.orthogonal_(value, 1.0 if value.shape[0] != value.shape[1] else np.sqrt(2.0))
-        given |= {f"{name}_bias": th.nn.Parameter(th.zeros(sizes[name][1])) for name in ("near", "value")}
-        self.given = th.nn.ParameterDict(given)
+        arrays |= {f"{name}_bias": th.nn.Parameter(th.zeros(sizes[name][1])) for name in ("near", "value")}
+        self.given = th.nn.ParameterDict(arrays)
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Features ``(N, features)``."""
-        found: th.Tensor = attended(th, dict(self.given.items()), self.memory, observations)
-        return found
+        features: th.Tensor = attended(th, dict(self.given.items()), self.memory, observations)
+        return features
 
 
 class HistoryPolicy(ActorCriticPolicy):

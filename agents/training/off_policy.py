@@ -33,19 +33,19 @@ class ScaledFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: Any) -> th.Tensor:
         """Features ``(N, features)``."""
-        seen: th.Tensor = self.scaling.observe(joined_observation(observations, th), th)
-        return seen
+        features: th.Tensor = self.scaling.observe(joined_observation(observations, th), th)
+        return features
 
     def share(self, observations: Any) -> th.Tensor:
         """The scaling's share ``(N, 1)``."""
-        found: th.Tensor = self.scaling.share(joined_observation(observations, th), th)
-        return found
+        share: th.Tensor = self.scaling.share(joined_observation(observations, th), th)
+        return share
 
 
 def _scaling(module: Any) -> ScaledFeatures:
-    found = module.features_extractor
-    assert isinstance(found, ScaledFeatures)
-    return found
+    features = module.features_extractor
+    assert isinstance(features, ScaledFeatures)
+    return features
 
 
 class _ScaledActions:

@@ -70,8 +70,8 @@ def arguments_of(units: Array) -> dict[str, Array]:
     """The script's arguments for points ``(..., 9)`` of the search, in spreads from where it starts."""
     values: dict[str, Array] = {}
     for at, (name, knob) in zip(np.moveaxis(units, -1, 0), KNOBS.items(), strict=True):
-        moved = knob.spread * at
-        values[name] = np.clip(knob.start * np.exp(moved) if knob.factor else knob.start + moved, knob.low, knob.high)
+        change = knob.spread * at
+        values[name] = np.clip(knob.start * np.exp(change) if knob.factor else knob.start + change, knob.low, knob.high)
     aim = np.stack([values.pop(f"aim_{axis}") for axis in "xyz"], axis=-1)
     return values | {"aim": aim}
 
@@ -124,15 +124,16 @@ def search(
         policy = ScriptedPick(
             envs, iterations=QUICK, **arguments_of(np.repeat(points, canopies, axis=1).reshape(-1, len(KNOBS)))
         )
-        drawn = (seed_words(stream(seed, "training", number), canopies) * candidates for seed in seeds)
-        found = {name: each.reshape(size) for name, each in pick_canopies(policy, envs, list(chain(*drawn))).items()}
-        order = np.argsort(-found["reward"].mean(axis=2), axis=1, kind="stable")[:, : round(BEST * candidates), None]
+        words = (seed_words(stream(seed, "training", number), canopies) * candidates for seed in seeds)
+        picks = pick_canopies(policy, envs, list(chain(*words)))
+        outcome = {name: values.reshape(size) for name, values in picks.items()}
+        order = np.argsort(-outcome["reward"].mean(axis=2), axis=1, kind="stable")[:, : round(BEST * candidates), None]
         best = np.take_along_axis(points, order, axis=1)
         spread = np.sqrt(KEPT * spread**2 + (1.0 - KEPT) * np.mean((best - mean[:, None]) ** 2, axis=1))
         spread = np.maximum(spread, LEAST_SPREAD)
         mean = KEPT * mean + (1.0 - KEPT) * best.mean(axis=1)
         means.append(mean)
-        rewards.append(found["reward"].mean(axis=(1, 2)))
-        steps.append(steps[-1] + found["steps"].sum(axis=(1, 2)))
+        rewards.append(outcome["reward"].mean(axis=(1, 2)))
+        steps.append(steps[-1] + outcome["steps"].sum(axis=(1, 2)))
     envs.close()
     return Searches(np.array(steps), np.array(means), np.array(rewards))

@@ -80,8 +80,8 @@ class Training:
     @property
     def wrapper(self) -> tuple[str | None, dict[str, Any]]:
         """Name of the wrapper that the algorithm learns behind, as RL Zoo names it, and its arguments."""
-        named = self.chosen.get("env_wrapper")
-        ((name, settings),) = named.items() if isinstance(named, dict) else [(named, {})]
+        entry = self.chosen.get("env_wrapper")
+        ((name, settings),) = entry.items() if isinstance(entry, dict) else [(entry, {})]
         return name, settings
 
     @property
@@ -163,10 +163,10 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
 
     from pickenv.wrappers import Sb3Vec
 
-    chosen, remembering, settings = training.chosen, training.remembering, training.wrapper[1]
+    parameters, remembering, settings = training.chosen, training.remembering, training.wrapper[1]
     for key in ("n_timesteps", "env_kwargs", "env_wrapper"):
-        chosen.pop(key, None)
-    inner = make_environment(training, int(chosen.pop("n_envs")), "SameStep")
+        parameters.pop(key, None)
+    inner = make_environment(training, int(parameters.pop("n_envs")), "SameStep")
     logs = str(out / "logs") if out is not None and importlib.util.find_spec("tensorboard") is not None else None
     common: dict[str, Any] = {"seed": training.seed, "device": "cpu", "tensorboard_log": logs, "verbose": 0}
     goals = isinstance(inner, ReachVectorEnv) and inner.goal_dict
@@ -179,10 +179,10 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     else:
         env = Sb3Vec(inner if goals else GapScalingVector(inner, training.scaled_actions))
     if goals:
-        chosen["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
-        chosen["replay_buffer_class"] = HerReplayBuffer
+        parameters["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
+        parameters["replay_buffer_class"] = HerReplayBuffer
     kinds: dict[str, Any] = {"ppo": PPO, "sac": SAC, "tqc": TQC, "ppo_lstm": RecurrentPPO, "ppo_history": PPO}
-    return kinds[training.algorithm](class_named(chosen.pop("policy")), env, **chosen, **common), env
+    return kinds[training.algorithm](class_named(parameters.pop("policy")), env, **parameters, **common), env
 
 
 def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | RememberingPolicy:
@@ -217,8 +217,8 @@ def memory_arrays(policy: Any) -> dict[str, Any]:
     """What a torch policy remembers by, as `RememberingPolicy` has it."""
     lstm = getattr(policy, "lstm_actor", None)
     if lstm is None:
-        given = policy.features_extractor.given
-        return {name: value.detach().numpy().astype(float) for name, value in given.items()}
+        arrays = policy.features_extractor.given
+        return {name: value.detach().numpy().astype(float) for name, value in arrays.items()}
     parts = (lstm.weight_ih_l0.T, lstm.bias_ih_l0, lstm.weight_hh_l0.T, lstm.bias_hh_l0)
     return {name: part.detach().numpy().astype(float) for name, part in zip(LSTM, parts, strict=True)}
 
@@ -235,12 +235,12 @@ def judge(
     """
     if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
         envs: Any = make_environment(training, episodes or 16, "NextStep")
-        found = pick_canopies(policy, envs, HELD_OUT)
-        return {name: float(found[name].mean()) for name in FRUIT}
+        outcome = pick_canopies(policy, envs, HELD_OUT)
+        return {name: float(outcome[name].mean()) for name in FRUIT}
     env: Any = make_environment(training, episodes or 256, "Disabled")
     if isinstance(policy, RememberingPolicy):
-        found = _picked(policy, SameArmVector(env, **(training.remembering or {})))
-        error, success = found["position_error_mm"], found["is_success"]
+        outcome = _picked(policy, SameArmVector(env, **(training.remembering or {})))
+        error, success = outcome["position_error_mm"], outcome["is_success"]
     else:
         observation, infos = env.reset(seed=HELD_OUT)
         for _ in range(60):
@@ -255,13 +255,13 @@ def judge(
 
 def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
     """Infos ``(picks, arms)`` of one run of every arm."""
-    seen, _ = envs.reset(seed=HELD_OUT)
-    state, found = policy.begin(envs.num_envs), []
+    observations, _ = envs.reset(seed=HELD_OUT)
+    state, rows = policy.begin(envs.num_envs), []
     for _ in range(envs.run.picks):
-        action, state = policy.aim(seen, state)
-        seen, _, _, _, infos = envs.step(action)
-        found.append(infos.get("final_info", infos))
-    return {key: np.array([each[key] for each in found]) for key in ("position_error_mm", "is_success")}
+        action, state = policy.aim(observations, state)
+        observations, _, _, _, infos = envs.step(action)
+        rows.append(infos.get("final_info", infos))
+    return {key: np.array([row[key] for row in rows]) for key in ("position_error_mm", "is_success")}
 
 
 def words_of(row: dict[str, float]) -> str:
@@ -294,10 +294,10 @@ def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
         InputError: If the algorithm is unknown, or was never tuned on the environment.
     """
     check_algorithm(algorithm)
-    known: dict[str, dict[str, Any]] = importlib.import_module(f"pickenv.zoo.hyperparams.{algorithm}").hyperparams
-    if env_id not in known:
-        raise InputError(f"{algorithm} has no tuned parameters for '{env_id}'; give one of {', '.join(known)}")
-    return {key: _value(value) for key, value in known[env_id].items()}
+    parameters: dict[str, dict[str, Any]] = importlib.import_module(f"pickenv.zoo.hyperparams.{algorithm}").hyperparams
+    if env_id not in parameters:
+        raise InputError(f"{algorithm} has no tuned parameters for '{env_id}'; give one of {', '.join(parameters)}")
+    return {key: _value(value) for key, value in parameters[env_id].items()}
 
 
 def class_named(policy: str) -> Any:

@@ -158,8 +158,8 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Act in the policy's scale."""
         before = self.raw
-        given = self.scaling.act(before, actions, self._most)
-        self.raw, rewards, terminations, truncations, infos = self.env.step(given)
+        commands = self.scaling.act(before, actions, self._most)
+        self.raw, rewards, terminations, truncations, infos = self.env.step(commands)
         last = self.raw
         if "final_obs" in infos:
             final, last = infos["final_obs"].copy(), np.array(self.raw)
@@ -219,8 +219,8 @@ class Scaling(Rescaling):
         n = self.joints
         if self.goal:
             numbers = [values[..., i] for i in range(n + 3, self.inputs)]
-            left = goal_gap(xp, numbers[:GOAL_NUMBERS], numbers[GOAL_NUMBERS:])
-            return xp.stack(left[:3], -1), xp.stack(left[3:], -1)
+            gap = goal_gap(xp, numbers[:GOAL_NUMBERS], numbers[GOAL_NUMBERS:])
+            return xp.stack(gap[:3], -1), xp.stack(gap[3:], -1)
         return values[..., n + 12 :] if self.camera else values[..., n + 6 : n + 9], values[..., n + 9 : n + 12]
 
     def size(self, values: Any, xp: Any) -> Any:
@@ -257,11 +257,11 @@ class Scaling(Rescaling):
 
         Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are: it refuses them.
         """
-        given = as_numbers("actions", actions)
-        if given.shape != (*values.shape[:-1], self.joints):
-            return given
-        scaled = np.clip(given, -1.0, 1.0) * self.share(values, np)
-        return np.where(np.abs(given) <= most, scaled, given).astype(np.float32)
+        numbers = as_numbers("actions", actions)
+        if numbers.shape != (*values.shape[:-1], self.joints):
+            return numbers
+        scaled = np.clip(numbers, -1.0, 1.0) * self.share(values, np)
+        return np.where(np.abs(numbers) <= most, scaled, numbers).astype(np.float32)
 
 
 def joined_observation(observation: Any, xp: Any = np) -> Any:

@@ -101,12 +101,12 @@ def begin_zones(
         InputError: If the cameras find no fruit in many zones, or arms stand too near each other.
     """
     machine, n = task.machine, len(rngs)
-    positions, believed, zeros = np.zeros((3, n, task.fruit, 3))
+    positions, sightings, zeros = np.zeros((3, n, task.fruit, 3))
     located = np.zeros((n, task.fruit), dtype=bool)
     diameters, start = np.empty((n, task.fruit)), np.empty((n, machine.joints))
     for i, rng in enumerate(rngs):
         positions[i], diameters[i], sight = drawn_zone(task, rng, None if fruit is None else fruit[i])
-        believed[i], located[i] = sight.believed, sight.located
+        sightings[i], located[i] = sight.believed, sight.located
         if joints is not None:
             start[i] = joints[i]
         else:
@@ -114,7 +114,7 @@ def begin_zones(
             start[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
     if joints is not None and (distances(task, start) < machine.body.clearance).any():
         raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")
-    reachable = np.asarray(machine.reach(start[:, :3], believed).any(axis=1)) & located
+    reachable = np.asarray(machine.reach(start[:, :3], sightings).any(axis=1)) & located
     state = HarvestState(
         joints=start,
         fruit=positions,
@@ -123,8 +123,8 @@ def begin_zones(
         velocity=zeros.copy(),
         diameters=diameters,
         masses=fruit_masses(task.orchard.size, diameters),
-        believed=believed,
-        error=believed - positions,
+        believed=sightings,
+        error=sightings - positions,
         located=located,
         reachable=reachable,
         status=np.zeros((n, task.fruit), dtype=np.int64),
@@ -166,11 +166,11 @@ def step(
     """
     machine = task.machine
     before = state.left
-    wanted = actions * task.increment
+    motion = actions * task.increment
     if state.busy.any():
-        wanted[:, 3:] *= (state.busy == 0).repeat(3, axis=1)
-        wanted[:, :3] *= (state.busy == 0).all(axis=1)[:, None]  # the master stands while a blade cuts
-    target = np.minimum(np.maximum(state.joints + wanted, machine.lower), machine.upper)
+        motion[:, 3:] *= (state.busy == 0).repeat(3, axis=1)
+        motion[:, :3] *= (state.busy == 0).all(axis=1)[:, None]  # the master stands while a blade cuts
+    target = np.minimum(np.maximum(state.joints + motion, machine.lower), machine.upper)
     state.held, apart = _guard(task, state.joints, target)
     state.joints = target
     state.busy = np.maximum(state.busy - 1, 0)
@@ -197,24 +197,24 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
     """
     machine, n = task.machine, len(start)
     arms = machine.arms
-    held = np.zeros((n, arms), dtype=bool)
+    blocked = np.zeros((n, arms), dtype=bool)
     if arms < 2:
-        return np.asarray(held.sum(axis=1)), distances(task, target)
+        return np.asarray(blocked.sum(axis=1)), distances(task, target)
     i, j = pairs_of(arms)
     old, new = start[:, 3:].reshape(n, arms, 3), target[:, 3:].reshape(n, arms, 3).copy()
     for _ in range(arms + 1):
         between, after = arm_distances(machine, old + HALF_AND_WHOLE * (new - old))
         bad = np.minimum(between, after) < machine.body.clearance
         if bad.any():
-            bad &= ~(held[:, i] & held[:, j])
+            bad &= ~(blocked[:, i] & blocked[:, j])
         if not bad.any():
             break
         for pair, (a, b) in enumerate(zip(i.tolist(), j.tolist(), strict=True)):
-            held[:, a] |= bad[:, pair]
-            held[:, b] |= bad[:, pair]
-        new = np.where(held[..., None], old, new)
+            blocked[:, a] |= bad[:, pair]
+            blocked[:, b] |= bad[:, pair]
+        new = np.where(blocked[..., None], old, new)
     target[:, 3:] = new.reshape(n, -1)
-    return np.asarray(held.sum(axis=1)), np.asarray(after.min(axis=-1))
+    return np.asarray(blocked.sum(axis=1)), np.asarray(after.min(axis=-1))
 
 
 def attempts(
@@ -243,11 +243,11 @@ def attempts(
     inside &= (state.status == HANGING)[:, None, :] & free[:, :, None]
     for machine in np.flatnonzero(inside.any(axis=(1, 2))).tolist():
         arms, some = _nearest(np.where(inside[machine], lateral[machine], np.inf))
-        fruit, moved, diameters = state.fruit[machine], state.moved[machine, some], state.diameters[machine, some]
+        fruit, offsets, diameters = state.fruit[machine], state.moved[machine, some], state.diameters[machine, some]
         others = state.status[machine] == HANGING
         others[some] = False
         luck = draw_luck(rngs[machine], len(some))
-        outcome = attempt(model, tips[machine, arms], fruit[some], moved, diameters, fruit[others], luck)
+        outcome = attempt(model, tips[machine, arms], fruit[some], offsets, diameters, fruit[others], luck)
         became = np.where(outcome.collected, COLLECTED, np.where(outcome.detached, LOST, HANGING))
         state.attempts[machine] += len(some)
         state.tried[machine, arms], state.busy[machine, arms] = some, task.lead
@@ -300,10 +300,10 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
     sin, cos = np.sin(heading)[:, None], np.cos(heading)[:, None]
     right = away[..., 0] * sin - away[..., 1] * cos
     ahead = away[..., 0] * cos + away[..., 1] * sin
-    shown = pickable(state)
-    fruit = np.empty((*shown.shape, 4))
-    fruit[..., 0], fruit[..., 1], fruit[..., 2] = right * shown, ahead * shown, away[..., 2] * shown
-    fruit[..., 3] = shown
+    visible = pickable(state)
+    fruit = np.empty((*visible.shape, 4))
+    fruit[..., 0], fruit[..., 1], fruit[..., 2] = right * visible, ahead * visible, away[..., 2] * visible
+    fruit[..., 3] = visible
     parts = [scaled, state.busy / task.lead, fruit.reshape(len(scaled), -1)]
     low, high = task.bounds
     return np.asarray(np.minimum(np.maximum(np.concatenate(parts, axis=1), low), high), dtype=np.float32)

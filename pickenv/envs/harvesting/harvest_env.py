@@ -269,7 +269,7 @@ def draw_harvest(
     state: HarvestState = tree_map(lambda values: values[row : row + 1], states)
     machine, target = task.machine, state.joints
     command = target if compensate is None else compensate(target)
-    believed = machine.tips(target[:, :3], _slaves(target, machine))[0]
+    ghosts = machine.tips(target[:, :3], _slaves(target, machine))[0]
     tips = task.true.tips(command[:, :3], _slaves(command, machine))[0]
     drawn_in = _slaves(command, machine).copy()
     drawn_in[..., 1:] = 0.0
@@ -278,7 +278,7 @@ def draw_harvest(
     solids = joined_solids(
         _master(machine, command[0], pivots),
         slave_solids(pivots, tips, machine.body.radius / 2),
-        _ghosts(pivots, tips + GAIN * (believed - tips), machine.body.radius / 2),
+        _ghosts(pivots, tips + GAIN * (ghosts - tips), machine.body.radius / 2),
         *(cup_solids(tip, UP, CUP_RADIUS) for tip in tips),
         zone_fruit(state),
         crate(_eye(state), SIZE, picked, float(state.diameters[0].mean()), -machine.base_height),
@@ -331,12 +331,12 @@ def _ghosts(pivots: Array, tips: Array, radius: float) -> Solids:
 
 def zone_fruit(state: HarvestState) -> Solids:
     """Fruit that hangs: ripe where it is in reach; lost fruit in another colour where it hung."""
-    there = state.status[0] != COLLECTED
+    hanging = state.status[0] != COLLECTED
     colours = fruit_colours(state.fruit.shape[1])
     colours[~state.reachable[0]] = GREEN
     colours[(state.status[0] != HANGING) & (state.status[0] != COLLECTED)] = MISSED_FRUIT
     places = state.fruit[0] + state.moved[0]
-    return fruit_solids(places[there], state.diameters[0][there], colours[there])
+    return fruit_solids(places[hanging], state.diameters[0][hanging], colours[hanging])
 
 
 def _cameras(task: HarvestTask, joints: Array) -> Solids:

@@ -86,15 +86,15 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         over = bool(batch.finished(self._state)[0])
         late = bool(self._state.periods[0] >= self.max_cycles)
         names = self.agents
-        seen, told = self._seen(), self._told()
+        observations, infos = self._seen(), self._told()
         if over or late:
             self.agents = []
         return (
-            seen,
+            observations,
             dict.fromkeys(names, float(rewards[0])),
             dict.fromkeys(names, over),
             dict.fromkeys(names, late),
-            told,
+            infos,
         )
 
     def state(self) -> NDArray[np.float32]:
@@ -107,8 +107,8 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         """The whole machine, as in `pickenv/Harvest-v0`."""
         if self.render_mode is None:
             return None
-        seen = None if self._state is None else draw_harvest(self.task, self._state, self.compensator)
-        return drawn(seen)
+        stage = None if self._state is None else draw_harvest(self.task, self._state, self.compensator)
+        return drawn(stage)
 
     def close(self) -> None:
         """Nothing to close."""
@@ -120,8 +120,8 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
 
     def _told(self) -> dict[str, dict[str, Any]]:
         assert self._state is not None
-        known = {key: values[0].item() for key, values in batch.information(self._state).items()}
-        return {name: dict(known) for name in self.possible_agents}
+        infos = {key: values[0].item() for key, values in batch.information(self._state).items()}
+        return {name: dict(infos) for name in self.possible_agents}
 
 
 pettingzoo.register("parallel", ID, entry_point=HarvestParallelEnv, max_cycles=LONGEST)

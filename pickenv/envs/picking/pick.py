@@ -198,8 +198,8 @@ class PickEnv(ArmEnv):
         task, self.orchard = make_pick(**on_ladder("Pick", difficulty, split, arguments))
         super().__init__(task, render_mode, executor)
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        seen, self.action_space = pick_spaces(task)
-        self.observation_space, self._bounds = seen, (seen.low, seen.high)
+        space, self.action_space = pick_spaces(task)
+        self.observation_space, self._bounds = space, (space.low, space.high)
         self.scene: PickScene | None = None
         self._sight: PickSight | None = None
 
@@ -222,9 +222,9 @@ class PickEnv(ArmEnv):
         target = self._start(joints)
         self._step, self._still = 0, STILL
         self._state = begin(self._x, task, self.plant, self._key, target, (), self._command(target), gripper=1)
-        believed, _ = self._look(0.0)
+        pose, _ = self._look(0.0)
         self._number = 0
-        self._choose(believed)
+        self._choose(pose)
         if self.render_mode == "human":
             self.render()
         return self._observation(), self._information()
@@ -241,16 +241,16 @@ class PickEnv(ArmEnv):
         scene, x, task = self.scene, self._x, self.task
         collected, damaged = scene.tally()
         numbers = self._numbers(values.tolist())
-        self._state, command, moved, period = act_arm(x, task, self._state, numbers)
+        self._state, command, stirred, period = act_arm(x, task, self._state, numbers)
         gripper, dt = self._plain((command, period))
-        self._still = 0.0 if moved else min(STILL, self._still + dt)
+        self._still = 0.0 if stirred else min(STILL, self._still + dt)
         self._step += 1
         before = tuple(self._plain(self._sight.tool))
-        believed, tool = self._look(period)
+        pose, tool = self._look(period)
         scene.advance(before, tool, self._number, dt)
-        scene.work_gripper(gripper, self._number, believed, tool)
+        scene.work_gripper(gripper, self._number, pose, tool)
         if scene.held is None and not scene.waiting[self._number]:
-            self._choose(believed)
+            self._choose(pose)
         now_collected, now_damaged = scene.tally()
         reward = pick_reward(now_collected - collected, now_damaged - damaged)
         terminated = scene.held is None and not scene.waiting.any()
@@ -262,8 +262,8 @@ class PickEnv(ArmEnv):
         if self.scene is None or self._state is None or self._sight is None:
             return None
         command = np.array(self._plain(self._command(self._state.target)))
-        tool, believed = tuple(self._plain(self._sight.tool)), tuple(self._plain(self._sight.believed))
-        return draw_pick(self.task.plant.arm.nominal, command, tool, believed, self.scene, self._number, self.dark)
+        tool, pose = tuple(self._plain(self._sight.tool)), tuple(self._plain(self._sight.believed))
+        return draw_pick(self.task.plant.arm.nominal, command, tool, pose, self.scene, self._number, self.dark)
 
     def _look(self, dt: Scalar) -> tuple[Frame, Frame]:
         """Let time pass at the present joint target; frames of the believed and the true tool."""
@@ -284,12 +284,12 @@ class PickEnv(ArmEnv):
     def _observation(self) -> NDArray[np.float32]:
         scene, sight = self.scene, self._sight
         assert scene is not None and sight is not None
-        seen, tool = scene.seen[self._number], np.array(self._plain(sight.believed)[9:])
+        fruit, tool = scene.seen[self._number], np.array(self._plain(sight.believed)[9:])
         parts = [
             self._plain(sight.readings),
             tool,
-            seen,
-            seen - tool,
+            fruit,
+            fruit - tool,
             self._plain(sight.turn),
             [
                 self._still,
@@ -374,18 +374,18 @@ def gripper_solids(orchard: PickSetting, point: Array, axis: Array, closed: bool
 
 def canopy_fruit(scene: PickScene) -> Solids:
     """Fruit that hangs or is in the gripper: ripe where it can still be tried, another colour where it was missed."""
-    there = ~scene.collected & ~(scene.damaged & scene.detached)
+    present = ~scene.collected & ~(scene.damaged & scene.detached)
     if scene.held is not None:
-        there[scene.held] = True
+        present[scene.held] = True
     colours = fruit_colours(len(scene.rest))
     colours[~scene.reachable] = GREEN
     colours[scene.attempted & ~scene.attached] = MISSED_FRUIT
-    held = there & scene.detached
-    hanging = there & ~held
+    gripped = present & scene.detached
+    hanging = present & ~gripped
     places, sizes = scene.positions, scene.diameters
     return joined_solids(
         fruit_solids(places[hanging], sizes[hanging], colours[hanging]),
-        fruit_solids(places[held], sizes[held], colours[held], stems=False),
+        fruit_solids(places[gripped], sizes[gripped], colours[gripped], stems=False),
     )
 
 

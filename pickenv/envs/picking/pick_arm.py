@@ -121,15 +121,15 @@ def act_arm(
     Returns:
         The state with its new target, the gripper's command, whether the target moved, and the time that passes (s).
     """
-    given, drawn = task.situation, state.drawn
-    arrived, sent = situation.acted(x, given, drawn, state.sent, action)
+    setting, values = task.situation, state.drawn
+    arrived, sent = situation.acted(x, setting, values, state.sent, action)
     *moves, gripper = arrived
-    target = move(x, task, state.target, situation.in_period(x, given, drawn, moves))
+    target = move(x, task, state.target, situation.in_period(x, setting, values, moves))
     away = [abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)]
-    moved = away[0]
+    stirred = away[0]
     for joint in away[1:]:
-        moved = moved | joint
-    return state._replace(target=target, sent=sent), gripper, moved, given.value("period", drawn)
+        stirred = stirred | joint
+    return state._replace(target=target, sent=sent), gripper, stirred, setting.value("period", values)
 
 
 def look_at_arm(
@@ -146,11 +146,11 @@ def look_at_arm(
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = nominal_readings(x, plant, plant_state, state.target, command)
     arrived, late = situation.sensed(x, task.situation, state.drawn, state.sensed, key, moment, read, (), dt)
-    believed, tool = nominal_frames(x, task, list(arrived))[1], inexact(ended)
+    pose, tool = nominal_frames(x, task, list(arrived))[1], inexact(ended)
     return state._replace(sensed=late, plant=plant_state), PickSight(
         readings=scaled(x, task, arrived),
-        believed=believed,
-        turn=upright_turn(x.m, believed[6:9]),
+        believed=pose,
+        turn=upright_turn(x.m, pose[6:9]),
         tool=tool,
         tilt=DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0)),
     )

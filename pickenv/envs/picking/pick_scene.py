@@ -211,12 +211,12 @@ class PickScene:
             self.displacement[:], self.velocity[:] = trees.swing(
                 self.orchard.branch, self.displacement, self.velocity, self.masses, dt
             )
-        point, moved = np.array(tool[9:]), np.array(tool[9:]) - np.array(before[9:])
+        point, way = np.array(tool[9:]), np.array(tool[9:]) - np.array(before[9:])
         if self.holds_hanging:
-            self.carry(point, moved)
-        found = contact(self.orchard.station, self.positions, self.diameters, point, np.array(tool[6:9]))
-        if found.touched.any():
-            self.meet(found, target, moved, dt)
+            self.carry(point, way)
+        contacts = contact(self.orchard.station, self.positions, self.diameters, point, np.array(tool[6:9]))
+        if contacts.touched.any():
+            self.meet(contacts, target, way, dt)
 
     def carry(self, point: Array, moved: Array) -> None:
         """Take the fruit in the gripper along, and its branch."""
@@ -300,9 +300,9 @@ class PickScene:
 
     def _push(self, contact: Array, push: Array) -> None:
         """Displace the fruit around ``contact``; fruit in or past the gripper stays."""
-        moved = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
-        far = np.linalg.norm(moved, axis=1, keepdims=True)
-        self.displacement[:] = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
+        displacement = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
+        far = np.linalg.norm(displacement, axis=1, keepdims=True)
+        self.displacement[:] = displacement * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
 
 
 def draw_scenes(
@@ -319,29 +319,28 @@ def draw_scenes(
     Raises:
         InputError: If none of the given fruit is found within reach, or none in many draws.
     """
-    centres = [None if each is None else _given_fruit(each) for each in given]
+    centres = [None if positions is None else _given_fruit(positions) for positions in given]
     scenes: dict[int, PickScene] = {}
     for attempt in range(ATTEMPTS):
-        drawn: dict[int, PickScene] = {}
+        fresh: dict[int, PickScene] = {}
         for i, rng in enumerate(rngs):
             if i in scenes or (centres[i] is not None and attempt >= GIVEN_ATTEMPTS):
                 continue
             scene = _seen_scene(orchard, rng, centres[i])
             if scene is not None:
-                drawn[i] = scene
-        if drawn:
-            wanted = [scene.reachable for scene in drawn.values()]
-            reached = reach(np.concatenate([scene.seen[scene.reachable] for scene in drawn.values()]))
-            ends = np.cumsum([flags.sum() for flags in wanted])[:-1]
-            for (i, scene), found in zip(drawn.items(), np.split(reached, ends), strict=True):
-                scene.reachable[scene.reachable] = found
-                if found.any():
+                fresh[i] = scene
+        if fresh:
+            reached = reach(np.concatenate([scene.seen[scene.reachable] for scene in fresh.values()]))
+            ends = np.cumsum([scene.reachable.sum() for scene in fresh.values()])[:-1]
+            for (i, scene), inside in zip(fresh.items(), np.split(reached, ends), strict=True):
+                scene.reachable[scene.reachable] = inside
+                if inside.any():
                     scenes[i] = scene
         if len(scenes) == len(rngs):
             return [scenes[i] for i in range(len(rngs))]
     missing = next(i for i in range(len(rngs)) if i not in scenes)
-    where = "none of the fruit given" if given[missing] is not None else f"no fruit in {ATTEMPTS} draws of the orchard"
-    raise InputError(f"{where} is both seen and within the arm's reach from below; move the fruit or add some")
+    fruit = "none of the fruit given" if given[missing] is not None else f"no fruit in {ATTEMPTS} draws of the orchard"
+    raise InputError(f"{fruit} is both seen and within the arm's reach from below; move the fruit or add some")
 
 
 def _given_fruit(given: Any) -> Array:
@@ -354,13 +353,13 @@ def _given_fruit(given: Any) -> Array:
 def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
     """Fruit drawn or given, and looked at; reachable is what is seen with a free way from below. None without fruit."""
     if given is None:
-        drawn = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
-        positions, diameters = drawn.positions, drawn.diameters
+        sample = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
+        positions, diameters = sample.positions, sample.diameters
         if not len(positions):
             return None
     else:
         positions, diameters = to_orchard(orchard, given), trees.sample_diameters(orchard.size, len(given), rng)
-    believed, visible = looked_at(orchard, rng, positions, diameters)
+    sightings, visible = looked_at(orchard, rng, positions, diameters)
     clear = trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
     return PickScene(
         orchard=orchard,
@@ -369,7 +368,7 @@ def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | N
         masses=trees.fruit_masses(orchard.size, diameters),
         strength=trees.sample_strength(orchard.detachment, len(positions), rng),
         chance=rng.random(len(positions)),
-        seen=to_base(orchard, believed),
+        seen=to_base(orchard, sightings),
         visible=visible,
         reachable=visible & clear,
     )
@@ -387,10 +386,10 @@ def looked_at(
         sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=orchard.looks)
         return sight.believed, sight.located
     hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
-    found = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), hidden.visible)
+    probability = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), hidden.visible)
     draws = rng.normal(size=(count, DRAWS))
     draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
-    believed = trees.measured_positions(
+    sightings = trees.measured_positions(
         camera,
         positions,
         viewpoint,
@@ -399,7 +398,7 @@ def looked_at(
         diameters=diameters,
         visible_side=hidden.visible_side,
     )
-    return believed, (rng.random(count) < found) & trees.in_image(camera, positions, viewpoint, ahead)
+    return sightings, (rng.random(count) < probability) & trees.in_image(camera, positions, viewpoint, ahead)
 
 
 # What `pickenv/Pick-v0` is made with: its arguments, checked, as a task of the arm and a setting of fruit.
@@ -440,8 +439,8 @@ def make_pick(
     """
     check_number("fruit", fruit, positive=True)
     check_count("looks", looks)
-    drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
-    task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **drawn, **situation)
+    arguments: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
+    task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **arguments, **situation)
     check_choice("order", order, tuple(ORDERS))
     if vision not in (PUBLISHED, *trees.VISIONS):
         raise InputError(f"unknown vision '{vision}'; give one of {', '.join((PUBLISHED, *trees.VISIONS))}")

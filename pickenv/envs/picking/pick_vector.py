@@ -109,9 +109,9 @@ class PickVectorEnv(NativeVectorEnv):
         states = [
             self._ahead[row][0] if row in self._ahead else rng.bit_generator.state for row, rng in enumerate(self._rngs)
         ]
-        own: dict[str, NDArray[Any]] = {"rngs": np.array([words_of_state(state) for state in states], dtype=np.uint64)}
-        own |= {"elapsed": self._elapsed, "over": self._over, "armed": self._armed}
-        return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
+        arrays: dict[str, NDArray[Any]] = {"elapsed": self._elapsed, "over": self._over, "armed": self._armed}
+        arrays["rngs"] = np.array([words_of_state(state) for state in states], dtype=np.uint64)
+        return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`, in an environment made with the same arguments."""
@@ -182,19 +182,19 @@ class PickVectorEnv(NativeVectorEnv):
 
     def _stage(self, row: int) -> Stage:
         batch, nominal, n = self.batch, self.task.plant.arm.nominal, self.task.joints
-        tool, believed = (tuple(batch.sight[part][:, row].tolist()) for part in (TOOL, BELIEVED))
+        tool, pose = (tuple(batch.sight[part][:, row].tolist()) for part in (TOOL, BELIEVED))
         command = batch.sight[-n:, row]
-        return draw_pick(nominal, command, tool, believed, batch.fruit.scenes[row], int(batch.number[row]), dark=False)
+        return draw_pick(nominal, command, tool, pose, batch.fruit.scenes[row], int(batch.number[row]), dark=False)
 
 
 def _each(options: Information, name: str, count: int, rank: int) -> list[Any]:
     """An option for each environment: what was given once for all, or once for each."""
-    given = options.get(name)
-    if given is None or np.ndim(given) < rank:
-        return [given] * count
-    if len(given) != count:
-        raise InputError(f"option {name} was given {len(given)} times; give it once, or {count} times")
-    return list(given) if rank > 1 else [int(value) for value in given]
+    values = options.get(name)
+    if values is None or np.ndim(values) < rank:
+        return [values] * count
+    if len(values) != count:
+        raise InputError(f"option {name} was given {len(values)} times; give it once, or {count} times")
+    return list(values) if rank > 1 else [int(value) for value in values]
 
 
 # Many picking arms before their canopies, side by side on NumPy. Units: m, rad, s.
@@ -232,18 +232,18 @@ class PickBatch(NumpyArms):
     ) -> None:
         """Begin an episode in the environments ``rows``, from joint targets ``(rows, n)`` if they are given."""
         x, task = self.x, self.task
-        self.keys[rows] = keys = np.array([each.key for each in starts], dtype=np.uint64)
+        self.keys[rows] = keys = np.array([start.key for start in starts], dtype=np.uint64)
         if task.arms != "fixed":
-            self.take_arms(rows, np.array([each.arm for each in starts], dtype=np.intp))
+            self.take_arms(rows, np.array([start.arm for start in starts], dtype=np.intp))
         self.still[rows], self.moments[rows] = STILL, 0
         for a, b in self.blocks(len(rows)):
             some = rows[a:b]
-            start = self.starts(keys[a:b], None if joints is None else joints[a:b])
+            targets = self.starts(keys[a:b], None if joints is None else joints[a:b])
             plant = self.plant_of(some)
-            state = begin(x, task, plant, keys[a:b], start, (), self.commands(compensate, start), gripper=1)
+            state = begin(x, task, plant, keys[a:b], targets, (), self.commands(compensate, targets), gripper=1)
             self._look(some, state, plant, compensate, 0.0)
-        for row, each in zip(rows.tolist(), starts, strict=True):
-            self.fruit.adopt(row, each.scene)
+        for row, start in zip(rows.tolist(), starts, strict=True):
+            self.fruit.adopt(row, start.scene)
             self._choose(row)
 
     def advance(self, actions: Array, going: Flags, compensate: Compensate | None) -> Array:
@@ -253,9 +253,9 @@ class PickBatch(NumpyArms):
         self.moments += np.uint64(1)
         for block, plant in zip(self._blocks, self._plants, strict=True):
             state = self.state_of([column[block] for column in self.columns])
-            state, gripper[block], moved, dt = act_arm(self.x, self.task, state, list(actions[:, block]))
+            state, gripper[block], stirred, dt = act_arm(self.x, self.task, state, list(actions[:, block]))
             period[block] = dt
-            self.still[block] = np.where(moved, 0.0, np.minimum(STILL, self.still[block] + dt))
+            self.still[block] = np.where(stirred, 0.0, np.minimum(STILL, self.still[block] + dt))
             self._look(block, state, plant, compensate, dt)
         fruit, tally = self.fruit, self.fruit.tally.copy()
         after, axis = point.T.copy(), self.sight[TOOL][6:9].T.copy()
@@ -266,10 +266,10 @@ class PickBatch(NumpyArms):
         return np.where(going, pick_reward(collected, damaged), 0.0)
 
     def _work_grippers(self, rows: Rows, gripper: Array) -> None:
-        believed, tool = (self.sight[part][:, rows].T.tolist() for part in (BELIEVED, TOOL))
+        poses, tool = (self.sight[part][:, rows].T.tolist() for part in (BELIEVED, TOOL))
         for i, row in enumerate(rows.tolist()):
             scene, number = self.fruit.scenes[row], int(self.number[row])
-            scene.work_gripper(float(gripper[row]), number, believed[i], tool[i])
+            scene.work_gripper(float(gripper[row]), number, poses[i], tool[i])
             self.fruit.note(row)
             if scene.held is None and not scene.waiting[number]:
                 self._choose(row)
@@ -281,11 +281,11 @@ class PickBatch(NumpyArms):
     def observations(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float32]:
         """What the controllers know, ``(N, n + 17)``."""
         n, fruit = self.task.joints, self.fruit
-        seen = fruit.seen[np.arange(self.count), self.number]
+        positions = fruit.seen[np.arange(self.count), self.number]
         out = np.empty((self.count, n + 17))
         out[:, :n] = self.sight[SIGHT : SIGHT + n].T
-        out[:, n : n + 3] = believed = self.sight[BELIEVED][9:].T
-        out[:, n + 3 : n + 6], out[:, n + 6 : n + 9] = seen, seen - believed
+        out[:, n : n + 3] = tools = self.sight[BELIEVED][9:].T
+        out[:, n + 3 : n + 6], out[:, n + 6 : n + 9] = positions, positions - tools
         out[:, n + 9 : n + 12] = self.sight[TURN].T
         out[:, n + 12], out[:, n + 13] = self.still, 1.0 - self.moments / LONGEST
         out[:, n + 14], out[:, n + 15] = (fruit.held >= 0) & ~fruit.off, fruit.off
@@ -294,27 +294,27 @@ class PickBatch(NumpyArms):
 
     def information(self) -> dict[str, NDArray[Any]]:
         """The truth, as `pickenv/Pick-v0` explains it."""
-        n, fruit, each = self.task.joints, self.fruit, np.arange(self.count)
+        n, fruit, rows = self.task.joints, self.fruit, np.arange(self.count)
         tool, funnel = self.sight[TOOL][9:], fruit.funnel()
-        there = fruit.rest[each, self.number] + fruit.displacement[each, self.number]
+        positions = fruit.rest[rows, self.number] + fruit.displacement[rows, self.number]
         return {
             **funnel,
             "damaged": fruit.tally[:, 1].copy(),
             "is_success": funnel["collected"] == funnel["reachable"],
-            "position_error_mm": apart_mm(self.x, list(there.T.copy()), list(tool)),
+            "position_error_mm": apart_mm(self.x, list(positions.T.copy()), list(tool)),
             "grasp_lateral_mm": 1e3 * fruit.miss[:, 0],
             "grasp_axial_mm": 1e3 * fruit.miss[:, 1],
             "tilt_deg": self.sight[TILT].copy(),
             "joint_command": self.sight[SIGHT + n :].T.copy(),
             "tool_position": tool.T.copy(),
-            "fruit_position": there,
+            "fruit_position": positions,
             "fruit_number": self.number.copy(),
         }
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on."""
-        own = {name: getattr(self, name) for name in OWN}
-        return super().state_arrays() | own | self.fruit.state_arrays()
+        arrays = {name: getattr(self, name) for name in OWN}
+        return super().state_arrays() | arrays | self.fruit.state_arrays()
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`."""
@@ -333,8 +333,8 @@ class PickBatch(NumpyArms):
         command = self.commands(compensate, list(state.target))
         state, sight = look_at_arm(x, task, plant, state, command, self.keys[where], self.moments[where], dt)
         self.write(self.columns, where, state.columns)
-        shown = [*sight.believed, *sight.tool, *sight.turn, sight.tilt, *sight.readings, *command]
-        self.write(list(self.sight), where, shown)
+        columns = [*sight.believed, *sight.tool, *sight.turn, sight.tilt, *sight.readings, *command]
+        self.write(list(self.sight), where, columns)
 
 
 # The fruit of many canopies in one set of arrays, of which each `PickScene` holds its own part. What happens to all
@@ -429,10 +429,10 @@ class FruitTable:
         """Let each tool take along what it holds, and push what is in its way; arguments (N, ...)."""
         for row in np.flatnonzero(going & (self.held >= 0) & ~self.off).tolist():
             self.scenes[row].carry(point[row], moved[row])
-        found = contact(self.orchard.station, self.rest + self.displacement, self.diameters, point, axis)
-        for row in np.flatnonzero(going & found.touched.any(axis=1)).tolist():
+        contacts = contact(self.orchard.station, self.rest + self.displacement, self.diameters, point, axis)
+        for row in np.flatnonzero(going & contacts.touched.any(axis=1)).tolist():
             n = self.present[row]
-            across, gap, overlap, touched = found
+            across, gap, overlap, touched = contacts
             mine = Contact(across[row, :n], gap[row, :n], overlap[row, :n], touched[row, :n])
             self.scenes[row].meet(mine, int(targets[row]), moved[row], float(dt[row]))
             self.note(row)
@@ -444,12 +444,12 @@ class FruitTable:
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """All canopies, fruit by fruit, and what their grippers do."""
-        each = [np.column_stack([_part(scene, name) for name in EACH]) for scene in self.scenes]
+        fruit = [np.column_stack([_part(scene, name) for name in EACH]) for scene in self.scenes]
         grips = [
             [-1.0 if scene.held is None else scene.held, *scene.miss, *scene.grip, scene.detached_at]
             for scene in self.scenes
         ]
-        return {"present": self.present, "each": np.concatenate(each), "grips": np.array(grips)}
+        return {"present": self.present, "each": np.concatenate(fruit), "grips": np.array(grips)}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`."""
@@ -461,15 +461,15 @@ class FruitTable:
                 width = NUMBERS.get(name, 0) or 1
                 parts[name] = fruit[:, first : first + width].copy() if width > 1 else fruit[:, first].copy()
                 first += width
-            given: dict[str, Any] = {name: parts[name] for name in ("rest", "diameters", "masses", "chance", "seen")}
-            given |= {name: parts[name].astype(np.bool_) for name in ("visible", "reachable")}
+            arguments = {name: parts[name] for name in ("rest", "diameters", "masses", "chance", "seen")}
+            arguments |= {name: parts[name].astype(np.bool_) for name in ("visible", "reachable")}
             strength = trees.Strength(parts["pull"], parts["twist"])
-            scene = PickScene(orchard=self.orchard, strength=strength, **given)
+            scene = PickScene(orchard=self.orchard, strength=strength, **arguments)
             for name in LOOSE:
                 getattr(scene, name)[:] = parts[name]
-            held, across, along, *rest = grip.tolist()
-            scene.held, scene.miss = None if held < 0 else int(held), (across, along)
-            scene.grip, scene.detached_at = np.array(rest[:3]), rest[3]
+            number, across, along, *others = grip.tolist()
+            scene.held, scene.miss = None if number < 0 else int(number), (across, along)
+            scene.grip, scene.detached_at = np.array(others[:3]), others[3]
             self.adopt(row, scene)
 
     def _make_room(self, most: int) -> None:

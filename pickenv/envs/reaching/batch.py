@@ -103,14 +103,14 @@ class Batch(ArmBatch):
 
     def restart(self, rows: Rows, how: Start, compensate: Compensate | None) -> None:
         """Begin an episode in the environments ``rows``."""
-        x, task, where = self.x, self.task, self.indices(rows)
+        x, task, places = self.x, self.task, self.indices(rows)
         keys = episode_key(x, self.words(how.seeds), self.words(how.episodes))
-        self.keys[where] = keys
+        self.keys[places] = keys
         if task.arms != "fixed":
             arms = drawn_arm(x, task, self.words(how.seeds), keys) if how.arm is None else how.arm
             self.take_arms(rows, self.host(arms).astype(np.intp))
         for a, b in self.blocks(len(rows)):
-            some, key = where[a:b], keys[a:b]
+            some, key = places[a:b], keys[a:b]
             start = self.starts(key, None if how.start is None else how.start[a:b])
             if how.frames is None:
                 joints = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
@@ -122,18 +122,18 @@ class Batch(ArmBatch):
 
     def scene(self, row: int, compensate: Compensate | None) -> View:
         """Everything that can be seen of one environment, on floats; no time passes."""
-        where = self.indices(np.array([row]))
-        state = self.state_of([column[where] for column in self.columns])
-        command, key = self.commands(compensate, list(state.target)), self.keys[where]
-        _, scene = look(self.x, self.task, self.plant_of(where), state, command, key, key * 0, 0.0)
+        place = self.indices(np.array([row]))
+        state = self.state_of([column[place] for column in self.columns])
+        command, key = self.commands(compensate, list(state.target)), self.keys[place]
+        _, scene = look(self.x, self.task, self.plant_of(place), state, command, key, key * 0, 0.0)
         plain = (tuple(map(self._float, part)) if isinstance(part, tuple) else self._float(part) for part in scene)
         return View(*plain)  # type: ignore[arg-type]
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
         """What all show, with the environments ``rows`` replaced; in memory of its own."""
-        out, where = self.copied(out), self.indices(rows)
+        out, places = self.copied(out), self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):
-            all_[..., where] = few
+            all_[..., places] = few
         return out
 
     def widths(self) -> tuple[int, ...]:

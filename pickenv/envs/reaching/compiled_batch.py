@@ -128,15 +128,15 @@ class CompiledBatch(NumpyBatch):
         period = task.situation.value("period", state.drawn)
         state, scene = look(x, task, self._traced_plant(trace), state, command, key, moment, period)
         parts = goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
-        shown = [[trace.single(value) for value in part] for part in parts]
+        observation = [[trace.single(value) for value in part] for part in parts]
         if self.goal_dict:  # of goals as they are returned
-            goals = ([trace.double(value) for value in part] for part in shown[1:])
+            goals = ([trace.double(value) for value in part] for part in observation[1:])
             reward = goal_reward(x, task, *goals)
         else:
             reward = true_reward(x, task, scene)
         return [
             *self._remembered(state),
-            *(Outputs(f"observation{i}", part, SINGLE) for i, part in enumerate(shown)),
+            *(Outputs(f"observation{i}", part, SINGLE) for i, part in enumerate(observation)),
             Outputs("reward", [reward]),
             Outputs("success", [scene.success], FLAG),
             Outputs("numbers", scene.numbers),

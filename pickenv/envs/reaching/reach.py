@@ -248,8 +248,8 @@ class ReachEnv(ArmEnv):
         super().reset(seed=seed)
         options = given_options(options)
         if seed is not None or self._stream is None:
-            given = self.np_random_seed
-            self._stream = seed_word(given if given is not None and given >= 0 else fresh_seed(self.np_random))
+            number = self.np_random_seed
+            self._stream = seed_word(number if number is not None and number >= 0 else fresh_seed(self.np_random))
             self._episode = 0
         else:
             self._episode += 1
@@ -257,8 +257,8 @@ class ReachEnv(ArmEnv):
         self._key = episode_key(x, self._word(self._stream), self._word(self._episode))
         self._take_arm(options.get("arm"))
         start = self._start(options.get("start_joints"))
-        wanted = self._wanted(options)
-        self._state = simulation.begin(x, task, self.plant, self._key, start, wanted, self._command(start))
+        goal = self._wanted(options)
+        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
         self._step = 0
         observation, _, information = self._look(0.0)
         if self.render_mode == "human":
@@ -314,15 +314,15 @@ class ReachEnv(ArmEnv):
         }
         return observation, reward, information
 
-    def _take_arm(self, asked: int | None) -> None:
+    def _take_arm(self, number: int | None) -> None:
         """Choose the true arm of this episode."""
         x, task = self._x, self.task
-        if task.arms == "fixed" and asked is None:
+        if task.arms == "fixed" and number is None:
             return
-        if asked is None:
+        if number is None:
             assert self._stream is not None
-            asked = int(self._plain((simulation.drawn_arm(x, task, self._word(self._stream), self._key),))[0])
-        self._use_arm(task.given_arm(asked))
+            number = int(self._plain((simulation.drawn_arm(x, task, self._word(self._stream), self._key),))[0])
+        self._use_arm(task.given_arm(number))
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
         """Frame of the wanted pose: as it is asked for, or of the first pose drawn that is wanted."""
@@ -503,8 +503,8 @@ class ReachGoalEnv(ReachEnv):
 
 def rewards_of_goals(task: Task, achieved: ArrayLike, desired: ArrayLike) -> Any:
     """Rewards of goals ``(..., 9)`` as they were returned, in float64; every batch gives each row the same bits."""
-    one, other = np.asarray(achieved, dtype=np.float64), np.asarray(desired, dtype=np.float64)
-    shape = np.broadcast_shapes(one.shape, other.shape)
-    have, want = (np.broadcast_to(goals, shape).reshape(-1, GOAL_NUMBERS).T.copy() for goals in (one, other))
+    first, second = np.asarray(achieved, dtype=np.float64), np.asarray(desired, dtype=np.float64)
+    shape = np.broadcast_shapes(first.shape, second.shape)
+    have, want = (np.broadcast_to(goals, shape).reshape(-1, GOAL_NUMBERS).T.copy() for goals in (first, second))
     reward = goal_reward(NUMPY, task, list(have), list(want)).reshape(shape[:-1])
     return reward if reward.ndim else float(reward)

@@ -155,13 +155,13 @@ class TorchBatch(Batch):
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
         """What the environments ``rows`` show at the beginning of their episodes."""
-        n, where = self.task.joints, self.indices(rows)
-        columns, keys = [column[where] for column in self.columns], self.keys[where]
+        n, places = self.task.joints, self.indices(rows)
+        columns, keys = [column[places] for column in self.columns], self.keys[places]
         commands, still = self.commands(compensate, columns[:n]), torch.zeros_like(keys)
-        out = self._shown(columns, commands, keys, still, 0.0, self.plant_of(where))
-        held = len(columns) - self.fixed
-        self.write(self.columns[self.fixed :], where, out[:held])
-        return self._outcome(out[held:], columns[n + 9 : n + 12])
+        out = self._shown(columns, commands, keys, still, 0.0, self.plant_of(places))
+        memory = len(columns) - self.fixed
+        self.write(self.columns[self.fixed :], places, out[:memory])
+        return self._outcome(out[memory:], columns[n + 9 : n + 12])
 
     def _act(self, columns: Columns, actions: Columns, *rest: Any) -> Columns:
         """One step of all environments, without a compensator: new targets, then what `_shown` gives."""

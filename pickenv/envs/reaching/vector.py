@@ -118,9 +118,9 @@ class ReachVectorEnv(NativeVectorEnv):
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint; on NumPy and not in mode "Disabled"."""
-        own: dict[str, NDArray[Any]] = {key: getattr(self, name) for key, name in STATE.items()}
-        own["seeded"] = np.full(self.num_envs, self._begun)
-        return {key: np.array(value) for key, value in (own | self.batch.state_arrays()).items()}
+        arrays: dict[str, NDArray[Any]] = {key: getattr(self, name) for key, name in STATE.items()}
+        arrays["seeded"] = np.full(self.num_envs, self._begun)
+        return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`, in an environment made with the same arguments."""

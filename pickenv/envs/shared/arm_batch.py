@@ -148,10 +148,10 @@ class ArmBatch(ABC):
             raise InputError(f"actions have shape {tuple(values.shape)}; give {shape}, numbers between -1 and 1")
         numbers, low, high = self.components(values)
         if not (high <= most and low >= -most):
-            each = self.host(values)
-            row = int(np.argmin((np.abs(each) <= most).all(axis=1)))
+            rows = self.host(values)
+            row = int(np.argmin((np.abs(rows) <= most).all(axis=1)))
             raise InputError(
-                f"the action of environment {row} is {each[row].tolist()}; give finite numbers{bounds_of(most)}"
+                f"the action of environment {row} is {rows[row].tolist()}; give finite numbers{bounds_of(most)}"
             )
         return numbers
 
@@ -165,8 +165,8 @@ class ArmBatch(ABC):
         for width in (*self._widths, *self._plant_widths):
             parts.append(tuple(columns[first : first + width]))
             first += width
-        target, goal, seen, drawn, sent, late, *memory = parts
-        return ArmState(target, goal, seen, drawn, sent, late, tuple(memory))
+        target, goal, sighting, numbers, sent, late, *memory = parts
+        return ArmState(target, goal, sighting, numbers, sent, late, tuple(memory))
 
     def starts(self, keys: Scalar, joints: Array | None) -> Columns:
         """Joint targets of episodes: as given ``(episodes, n)``, drawn, or mid-range."""
@@ -179,8 +179,8 @@ class ArmBatch(ABC):
         """What the drives get for joint targets; a compensator works on NumPy."""
         if compensate is None:
             return targets
-        given = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
-        return list(self.numbers(np.asarray(compensate(given)).T))
+        joints = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
+        return list(self.numbers(np.asarray(compensate(joints)).T))
 
     def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
         """Write the columns of some environments, the last first: what waits in a queue is moved on before it goes."""
@@ -197,9 +197,9 @@ class ArmBatch(ABC):
         self._exchange_arms(rows)
 
     def _exchange_arms(self, rows: Rows) -> None:
-        where, arms = self.indices(rows), self.indices(self.arm[rows])
+        places, arms = self.indices(rows), self.indices(self.arm[rows])
         for mine, all_ in zip(arrays_of(self.plant), arrays_of(self.population), strict=True):
-            mine[where] = all_[arms]
+            mine[places] = all_[arms]
 
 
 class NumpyArms(ArmBatch):

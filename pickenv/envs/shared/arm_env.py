@@ -168,9 +168,9 @@ class ArmEnv(DrawnEnv):
         """What the drives get for a joint target."""
         if self.compensator is None:
             return target
-        wanted = np.array(self._plain(target))
+        joints = np.array(self._plain(target))
         # As one of many, which is corrected in another order of operations than one alone.
-        command = self.compensator(wanted) if self._x is FLOATS else self.compensator(wanted[None])[0]
+        command = self.compensator(joints) if self._x is FLOATS else self.compensator(joints[None])[0]
         return self._numbers(command.tolist())
 
     def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:

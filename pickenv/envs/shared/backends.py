@@ -103,7 +103,7 @@ def torch_executor() -> Executor:
 
 def executor_named(name: str) -> Executor:
     """One of the executors, by its name."""
-    return torch_executor() if name == "torch" else {one.name: one for one in (FLOATS, NUMPY)}[name]
+    return torch_executor() if name == "torch" else {executor.name: executor for executor in (FLOATS, NUMPY)}[name]
 
 
 def signed(number: int) -> int:

@@ -174,29 +174,29 @@ def begin(
         command: What the drives get for ``start``.
         gripper: Numbers of an action after the joints'.
     """
-    given, seen = task.situation, goal[9:]
+    setting, sighting = task.situation, goal[9:]
     if task.fruit_noise:
         fruit = stream_key(x, key, FRUIT)
-        seen = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(seen))
-    drawn = situation.drawn_values(x, given, key)
-    _, sent, late = given.widths(task.joints + gripper, task.joints + 3 * task.camera)
+        sighting = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(sighting))
+    values = situation.drawn_values(x, setting, key)
+    _, sent, late = setting.widths(task.joints + gripper, task.joints + 3 * task.camera)
     zero = start[0] * 0.0
-    memory = situation.warmed_up(x, given, drawn, plant, plant.initial_state(x.m, command), command)
-    return ArmState(tuple(start), goal, seen, drawn, (zero,) * sent, (zero,) * late, memory)
+    memory = situation.warmed_up(x, setting, values, plant, plant.initial_state(x.m, command), command)
+    return ArmState(tuple(start), goal, sighting, values, (zero,) * sent, (zero,) * late, memory)
 
 
 def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
     """The nominal joint target after an action: clipped shares of the largest increments, kept in the joint limits."""
     m, limits = x.m, zip(target, action, task.increment, task.lower, task.upper, strict=True)
-    moved = [clipped(m, q + clipped(m, share, -1.0, 1.0) * most, low, high) for q, share, most, low, high in limits]
-    return tuple(moved)
+    joints = [clipped(m, q + clipped(m, share, -1.0, 1.0) * most, low, high) for q, share, most, low, high in limits]
+    return tuple(joints)
 
 
 def act(x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]) -> ArmState:
     """The state after an action: its joint target is that of `move`, late where actions are."""
-    given, drawn = task.situation, state.drawn
-    action, sent = situation.acted(x, given, drawn, state.sent, action)
-    target = move(x, task, state.target, situation.in_period(x, given, drawn, action))
+    setting, values = task.situation, state.drawn
+    action, sent = situation.acted(x, setting, values, state.sent, action)
+    target = move(x, task, state.target, situation.in_period(x, setting, values, action))
     return state._replace(target=target, sent=sent)
 
 
@@ -225,7 +225,7 @@ def look(
     Returns:
         The state afterwards, and everything that can be seen.
     """
-    m, target, goal, seen, given = x.m, state.target, state.goal, state.seen, task.situation
+    m, target, goal, sighting, setting = x.m, state.target, state.goal, state.seen, task.situation
     plant_state, ended = plant.advance(m, state.plant, command, dt)
     read, true = nominal_readings(x, plant, plant_state, target, command), inexact(ended)
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
@@ -237,11 +237,11 @@ def look(
             first = x.times(moment, 3)
             noise = (normal(x, stream, x.plus(first, x.word(i))) for i in range(3))
             camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
-    arrived, late = situation.sensed(x, given, state.drawn, state.sensed, key, moment, read, camera, dt)
+    arrived, late = situation.sensed(x, setting, state.drawn, state.sensed, key, moment, read, camera, dt)
     readings, camera = list(arrived[: task.joints]), tuple(arrived[task.joints :])
-    links, believed = nominal_frames(x, task, readings)
-    lag = rotation_between(m, believed, goal)
-    if given.latency.high or given.joint_noise.high:  # the truth has its own
+    links, pose = nominal_frames(x, task, readings)
+    lag = rotation_between(m, pose, goal)
+    if setting.latency.high or setting.joint_noise.high:  # the truth has its own
         links, _ = nominal_frames(x, task, read)
     distance_mm = 1e3 * length(x, (dx, dy, dz))
     angle_deg = DEGREES * length(x, turn)
@@ -249,11 +249,11 @@ def look(
     square = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
     return state._replace(sensed=late, plant=plant_state), View(
         readings=scaled(x, task, readings),
-        believed=believed[9:],
-        attitude=(*believed[6:9], *believed[:3]),
+        believed=pose[9:],
+        attitude=(*pose[6:9], *pose[:3]),
         wanted=(*goal[6:9], *goal[:3]),
-        seen=seen,
-        offset=(seen[0] - believed[9], seen[1] - believed[10], seen[2] - believed[11], *lag),
+        seen=sighting,
+        offset=(sighting[0] - pose[9], sighting[1] - pose[10], sighting[2] - pose[11], *lag),
         camera=camera,
         command=tuple(command),
         tool=true[9:],

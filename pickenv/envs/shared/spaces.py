@@ -34,13 +34,13 @@ class PlainSpec:
         return self._spec
 
     @spec.setter
-    def spec(self, given: EnvSpec | None) -> None:
-        if given is not None and any(isinstance(value, PurePath) for value in given.kwargs.values()):
-            given = copy.copy(given)
-            given.kwargs = {
-                key: str(value) if isinstance(value, PurePath) else value for key, value in given.kwargs.items()
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and any(isinstance(value, PurePath) for value in spec.kwargs.values()):
+            spec = copy.copy(spec)
+            spec.kwargs = {
+                key: str(value) if isinstance(value, PurePath) else value for key, value in spec.kwargs.items()
             }
-        self._spec = given
+        self._spec = spec
 
 
 GOALS = ("goal_joints", "goal_position", "goal_pose")
@@ -142,26 +142,26 @@ def _reached(task: Task, position: Array) -> Array:
     away = np.linalg.norm(poses.position[upright] - position, axis=1)
     near = upright[np.argsort(away, kind="stable")[:NEAREST]]
     targets = Pose(np.broadcast_to(position, (len(near), 3)), poses.rotation[near])
-    found = inverse(geometry, targets, joints[near], position_tolerance=1e-9, attitude_tolerance=np.inf, restarts=0)
-    fits = found.reached & (forward(geometry, found.joints).rotation[:, 2, 2] >= task.min_upright)
+    solution = inverse(geometry, targets, joints[near], position_tolerance=1e-9, attitude_tolerance=np.inf, restarts=0)
+    fits = solution.reached & (forward(geometry, solution.joints).rotation[:, 2, 2] >= task.min_upright)
     if not fits.any():
         tilt = np.degrees(np.arccos(task.min_upright))
         raise _far("goal_position", task, position, f" with its tool within {tilt:.0f} deg of the vertical")
-    return np.asarray(found.joints[np.argmax(fits)])
+    return np.asarray(solution.joints[np.argmax(fits)])
 
 
 def _framed(task: Task, pose: Array) -> Array:
     """Frame ``(12,)`` of a pose ``(6,)``; its attitude is asked for, whether or not the arm has it."""
     position, rotation = pose[:3], rotation_matrix(pose[3:])
-    found = inverse(task.plant.arm.nominal, Pose(position, rotation), position_tolerance=1e-6, position_only=True)
-    if not found.reached:
+    solution = inverse(task.plant.arm.nominal, Pose(position, rotation), position_tolerance=1e-6, position_only=True)
+    if not solution.reached:
         raise _far("goal_pose", task, position)
     return np.array(frame_of(Pose(position, rotation)))
 
 
 def _far(name: str, task: Task, position: Array, how: str = "") -> InputError:
-    where = np.round(position, 4).tolist()
-    return InputError(f"option {name}: arm '{task.plant.arm.name}' does not reach {where} m{how}; move the goal")
+    place = np.round(position, 4).tolist()
+    return InputError(f"option {name}: arm '{task.plant.arm.name}' does not reach {place} m{how}; move the goal")
 
 
 @lru_cache(maxsize=4)
