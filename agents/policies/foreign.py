@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pickenv.agents.policies.policy import Policy
 from pickenv.base import InputError, require
 from pickenv.base.registry import get
-from pickenv.wrappers.gap import Scaling
+from pickenv.wrappers import Scaling
 
 SUFFIXES = (".zip", ".py")
 MAKER = "make_policy"

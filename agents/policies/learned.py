@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Arm, Array, load_arm
 from pickenv.base import InputError, npz_path, read_container, refusing_damage, write_container
-from pickenv.wrappers.gap import Scaling, joined_observation
-from pickenv.wrappers.tool_steps import ToolSteps
+from pickenv.wrappers import Scaling, ToolSteps, joined_observation
 
 KIND = "policy"
 FORMAT = 2

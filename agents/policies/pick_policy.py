@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.agents.policies.policy import ReachController
 from pickenv.arm import Array, Pose, displace_pose, forward, inverse, joint_jacobian
-from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.envs import CONTROL_PERIOD
 
 ARRIVED = 2e-4
 """A joint within this of its goal is there, m or rad."""

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Geometry
 from pickenv.base import InputError
-from pickenv.envs.shared.task import FEEDBACK
+from pickenv.envs import FEEDBACK
 
 
 class Policy(Protocol):

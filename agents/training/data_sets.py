@@ -26,7 +26,7 @@ import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.policies.learned import load_policy
 from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
 from pickenv.base import InputError, check_limit, file_sha256, locked, require, seed_words, stream, versions, write_json
-from pickenv.envs.shared.task import check_choice, check_count
+from pickenv.envs import check_choice, check_count
 
 TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0"}
 """Tasks and the environments that they are recorded on, with default arguments."""

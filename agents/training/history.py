@@ -14,8 +14,7 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from pickenv.agents.policies.remembering import HEADS, attended
-from pickenv.wrappers import PickMemory
-from pickenv.wrappers.same_arm import MOST_SEEN
+from pickenv.wrappers import MOST_SEEN, PickMemory
 
 
 def memory_of(space: spaces.Space[Any]) -> PickMemory:

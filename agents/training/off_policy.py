@@ -15,7 +15,7 @@ from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 
-from pickenv.wrappers.gap import Scaling, joined_observation
+from pickenv.wrappers import Scaling, joined_observation
 
 MOST = 3.0
 """Critics see actions up to this multiple of the share; hindsight puts goals beside the tool, and shares near zero."""

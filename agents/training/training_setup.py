@@ -7,6 +7,7 @@ import importlib
 import importlib.util
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -18,9 +19,7 @@ from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.arm.files.arm import content_sha256
 from pickenv.base import InputError, check_limit, file_sha256, npz_path, versions
 from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
-from pickenv.wrappers import GapScalingVector, SameArmVector, ToolSteppingVector
-from pickenv.wrappers.gap import Scaling
-from pickenv.wrappers.tool_steps import ToolSteps, tool_steps_of
+from pickenv.wrappers import GapScalingVector, SameArmVector, Scaling, ToolSteppingVector, ToolSteps, tool_steps_of
 
 Native = ReachVectorEnv | PickVectorEnv
 ENVIRONMENTS: dict[str, type[Native]] = {
@@ -182,7 +181,9 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
         parameters["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
         parameters["replay_buffer_class"] = HerReplayBuffer
     kinds: dict[str, Any] = {"ppo": PPO, "sac": SAC, "tqc": TQC, "ppo_lstm": RecurrentPPO, "ppo_history": PPO}
-    return kinds[training.algorithm](class_named(parameters.pop("policy")), env, **parameters, **common), env
+    policy = parameters.pop("policy")
+    actor = resolve_name(policy) if "." in policy else policy  # a class by its dotted name, or one of its algorithm's
+    return kinds[training.algorithm](actor, env, **parameters, **common), env
 
 
 def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | RememberingPolicy:
@@ -298,12 +299,6 @@ def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
     if env_id not in parameters:
         raise InputError(f"{algorithm} has no tuned parameters for '{env_id}'; give one of {', '.join(parameters)}")
     return {key: _value(value) for key, value in parameters[env_id].items()}
-
-
-def class_named(policy: str) -> Any:
-    """A policy as stable-baselines3 takes it: the class that a dotted name stands for, or one of its own names."""
-    module, _, name = policy.rpartition(".")
-    return getattr(importlib.import_module(module), name) if module else policy
 
 
 def _value(value: Any) -> Any:

@@ -7,3 +7,13 @@ from .reaching.vector import (
     ReachIdealVectorEnv as ReachIdealVectorEnv,
     ReachVectorEnv as ReachVectorEnv,
 )
+from .shared.difficulty import EYES as EYES, LADDER as LADDER, LADDER_VERSION as LADDER_VERSION, SPLITS as SPLITS
+from .shared.situation import CONTROL_PERIOD as CONTROL_PERIOD
+from .shared.task import (
+    FEEDBACK as FEEDBACK,
+    GOAL_MARGIN as GOAL_MARGIN,
+    check_choice as check_choice,
+    check_count as check_count,
+    check_number as check_number,
+    make_task as make_task,
+)

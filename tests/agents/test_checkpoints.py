@@ -12,10 +12,9 @@ import torch
 from typer import Typer
 from typer.testing import CliRunner
 
-from pickenv.agents import Training, train
-from pickenv.agents.training.checkpoints import check_checkpoint, read_checkpoint, save_checkpoint
-from pickenv.agents.training.training import resumed
-from pickenv.agents.training.training_setup import check_inputs, inputs_of, make_model
+from pickenv.agents import Training, check_checkpoint, make_model, resumed, train
+from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint
+from pickenv.agents.training.training_setup import check_inputs, inputs_of
 from pickenv.arm import load_plant
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.base import InputError, read_container, write_container

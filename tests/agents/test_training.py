@@ -11,10 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.agents import Training, load_policy, train
-from pickenv.agents.training.checkpoints import check_checkpoint
-from pickenv.agents.training.training import resumed
-from pickenv.agents.training.training_setup import make_model, tuned
+from pickenv.agents import Training, check_checkpoint, load_policy, make_model, resumed, train, tuned
 from pickenv.arm import load_plant
 from pickenv.base import InputError
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
@@ -157,7 +154,7 @@ def test_what_the_native_environment_shows_is_what_the_policy_file_sees(short):
     training = short()
     model, env = make_model(training)
     shown = env.reset()
-    from pickenv.agents.training.training_setup import actor_of
+    from pickenv.agents import actor_of
 
     policy = actor_of(model, training, env)
     predicted, _ = model.predict(shown, deterministic=True)

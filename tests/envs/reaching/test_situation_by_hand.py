@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward
 from pickenv.base import InputError
-from pickenv.envs import ReachEnv
-from pickenv.envs.shared.difficulty import LADDER_VERSION, on_ladder
+from pickenv.envs import LADDER_VERSION, ReachEnv
+from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.situation import make_situation
 from pickenv.envs.shared.spaces import given_goals
 
