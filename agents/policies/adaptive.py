@@ -30,7 +30,7 @@ ARRIVED = 0.02
 
 @dataclass(frozen=True)
 class AdaptiveSettings:
-    """How the filter learns.
+    """Settings of the filter.
 
     Attributes:
         camera_std: Standard deviation per axis of what the camera sees, m.

@@ -23,7 +23,7 @@ PATIENCE = 3
 
 @dataclass(eq=False)
 class _Arm:
-    """What one slave is about: its fruit still to pick, and the phase of the present pick."""
+    """State of one slave: its fruit still to pick, and the phase of the present pick."""
 
     queue: list[int] = field(default_factory=list)
     fruit: int | None = None
@@ -87,7 +87,7 @@ class ScriptedHarvest:
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
-        """Where slave ``i`` goes next; moves its phase on."""
+        """The next goal of slave ``i``; moves its phase on."""
         home, work = self.machine.slave_home, self._work
         if arm.fruit is None:
             if not arm.queue or work is None:

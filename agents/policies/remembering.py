@@ -39,7 +39,7 @@ State = tuple[Array, Array]
 
 
 def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -> Any:
-    """What a window's picks say about the next one, on NumPy or torch.
+    """Features of a window's picks for the next one, on NumPy or torch.
 
     Args:
         xp: numpy or torch.
@@ -100,7 +100,7 @@ class RememberingPolicy(Actor):
         return np.zeros((rows, units)), np.zeros((rows, units))
 
     def aim(self, seen: NDArray[Any], state: State) -> tuple[NDArray[np.float32], State]:
-        """How far to aim beside the fruit, as `pickenv.wrappers.SameArmVector` takes it, and the next state.
+        """Shifts beside the fruit to aim by, as `pickenv.wrappers.SameArmVector` takes it, and the next state.
 
         Args:
             seen: Observations ``(N, inputs)`` of that wrapper.

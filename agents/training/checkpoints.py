@@ -35,7 +35,7 @@ PARTS = {
     *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
     *("last", "starts", "env", "buffer", "memory"),
 }
-"""What a state consists of."""
+"""The parts of a state."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,7 @@ POLICIES = {
     ("pick", "medium"): "ScriptedPick with HASTY: full speed, no waiting",
     ("pick", "random"): "actions drawn evenly",
 }
-"""What acts in each data set."""
+"""The policy of each data set."""
 
 COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
 

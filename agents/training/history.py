@@ -18,14 +18,14 @@ from pickenv.wrappers import MOST_SEEN, PickMemory
 
 
 def memory_of(space: spaces.Space[Any]) -> PickMemory:
-    """How the observations of a `pickenv.wrappers.SameArm` are laid out; its largest shift is not among them."""
+    """The layout of the observations of a `pickenv.wrappers.SameArm`; its largest shift is not among them."""
     assert space.shape is not None and isinstance(space, spaces.Box)
     window = int((space.high == MOST_SEEN).sum()) // 3
     return PickMemory((space.shape[0] - 4 * window) // (1 + window), window)
 
 
 class HistoryFeatures(BaseFeaturesExtractor):
-    """What the window's picks say about the next one."""
+    """Features of the window's picks for the next one."""
 
     def __init__(self, observation_space: spaces.Box, width: int = 32, made: int = 16) -> None:
         """See a window.

@@ -22,7 +22,7 @@ MOST = 3.0
 
 
 class ScaledFeatures(BaseFeaturesExtractor):
-    """What the networks see of an observation; nothing in it is learnt."""
+    """An observation as the networks see it; nothing in it is learnt."""
 
     def __init__(self, observation_space: spaces.Dict, actions: bool = True) -> None:
         """See a goal observation; ``actions`` as in `pickenv.wrappers.GapScaling`."""

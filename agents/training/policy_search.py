@@ -78,7 +78,7 @@ def arguments_of(units: Array) -> dict[str, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Searches:
-    """What searches from several seeds went through; they run side by side and share nothing.
+    """The course of searches from several seeds; they run side by side and share nothing.
 
     Attributes:
         steps: Environment steps before each generation and at the end ``(generations + 1, seeds)``.
@@ -92,7 +92,7 @@ class Searches:
 
     @property
     def learnt(self) -> Array:
-        """What each ends with ``(seeds, 9)``: the mean over its second half, for single generations are noisy."""
+        """The end of each search ``(seeds, 9)``: the mean over its second half, for single generations are noisy."""
         return np.asarray(self.means[(len(self.means) + 1) // 2 :].mean(axis=0))
 
 

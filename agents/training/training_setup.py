@@ -1,4 +1,4 @@
-"""What trainings are made of: settings, environments, algorithms, their actors, and how these are judged."""
+"""The parts of a training: settings, environments, algorithms, their actors, and how these are judged."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ HELD_OUT = 2**62
 
 @dataclass(frozen=True)
 class Training:
-    """What is trained, and how.
+    """Settings of a training.
 
     Attributes:
         algorithm: One of `pickenv.agents.training.training_setup.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
@@ -96,7 +96,7 @@ class Training:
 
 
 Inputs = dict[str, str | None]
-"""What a training is made with besides its options: "arms", a hash of the numbers of its true arms (plant, arm and
+"""Files and arms of a training besides its options: "arms", a hash of the numbers of its true arms (plant, arm and
 tolerance class), and "calibration", the SHA-256 of the calibration file, or None."""
 
 
@@ -114,14 +114,14 @@ def make_environment(training: Training, count: int, mode: str) -> Native:
 
 
 def scaling_of(training: Training, env: Native) -> Scaling | ToolSteps:
-    """What the networks make of an environment's observations."""
+    """The scaling that suits an environment's observations."""
     if isinstance(env, PickVectorEnv):
         return tool_steps_of(env)
     return Scaling(env.task.joints, env.task.camera, env.goal_dict, training.scaled_actions)
 
 
 def inputs_of(training: Training) -> Inputs:
-    """What a training is made with, as it is now.
+    """Files and arms that a training is made with, as they are now.
 
     Raises:
         InputError: If the calibration is missing or of another arm, or a plant is impossible.
@@ -215,7 +215,7 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:
-    """What a torch policy remembers by, as `RememberingPolicy` has it."""
+    """Arrays by which a torch policy remembers, as `RememberingPolicy` has it."""
     lstm = getattr(policy, "lstm_actor", None)
     if lstm is None:
         arrays = policy.features_extractor.given
@@ -266,7 +266,7 @@ def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
 
 
 def words_of(row: dict[str, float]) -> str:
-    """What an evaluation says in a line."""
+    """An evaluation in one line of words."""
     if "mean_mm" in row:
         return f"{row['mean_mm']:.3f} mm mean, {row['p95_mm']:.3f} mm p95 on held-out fruit"
     return f"{row['collected']:.2f} of {row['reachable']:.2f} reachable fruit per held-out canopy"

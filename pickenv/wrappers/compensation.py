@@ -143,7 +143,7 @@ def _numpy(values: Any) -> NDArray[Any]:
 
 
 def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
-    """Where a vector environment's compensators sit: in itself, or in each of its environments."""
+    """The places of a vector environment's compensators: in itself, or in each of its environments."""
     inner: Any = env.unwrapped
     return [single.unwrapped for single in inner.envs] if hasattr(inner, "envs") else [inner]
 

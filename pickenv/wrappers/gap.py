@@ -31,7 +31,7 @@ SMALLEST = 1e-6
 """Share of the near gap below which the gap shrinks no further: 0.1 um."""
 
 ROUNDING = 1e-3
-"""What rounding may add to a number that is at most one."""
+"""Largest amount that rounding adds to a number that is at most one."""
 
 
 class Rescaling(ABC):
@@ -63,15 +63,15 @@ class Rescaling(ABC):
 
     @abstractmethod
     def observe(self, values: Any, xp: Any) -> Any:
-        """What the policy sees ``(..., features)``; ``xp`` is numpy or torch."""
+        """Numbers that the policy sees ``(..., features)``; ``xp`` is numpy or torch."""
 
     @abstractmethod
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
-        """What the environment gets for a policy's ``actions``; what it refuses is handed on for it to refuse."""
+        """Commands to the environment for a policy's ``actions``; what it refuses is handed on for it to refuse."""
 
     @abstractmethod
     def potential(self, values: NDArray[Any]) -> Any:
-        """How near an observation is to the goal of the task, for shaping."""
+        """The nearness of an observation to the goal of the task, for shaping."""
 
 
 class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
@@ -178,7 +178,7 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
 
 @dataclass(frozen=True)
 class Scaling(Rescaling):
-    """Where the numbers stand in an observation, and what counts as near.
+    """The layout of an observation, and the gap that counts as near.
 
     Attributes:
         joints: Number of joints n.
@@ -233,19 +233,19 @@ class Scaling(Rescaling):
         return xp.clip(xp.maximum(far, turned), SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
-        """What an action of the network is multiplied by ``(..., 1)``."""
+        """The factor of the network's actions ``(..., 1)``."""
         size = self.size(values, xp)
         return xp.clip(size, None, 1.0) if self.actions else 0.0 * size + 1.0
 
     def observe(self, values: Any, xp: Any) -> Any:
-        """What the networks see ``(..., features)``; ``xp`` is numpy or torch."""
+        """Numbers that the networks see ``(..., features)``; ``xp`` is numpy or torch."""
         gap, turn = self.gap(values, xp)
         size = self.size(values, xp)
         parts = (values[..., : self.joints], gap / (self.near * size), turn / (self.near_turn * size))
         return xp.concatenate((*parts, xp.log10(size) / 2.0), -1)
 
     def commands(self, values: Any, actions: Any) -> Any:
-        """What the environment gets for a network's ``actions``, from -1 to 1."""
+        """Commands to the environment for a network's ``actions``, from -1 to 1."""
         return actions * self.share(values, np)
 
     def potential(self, values: NDArray[Any]) -> Any:
@@ -253,7 +253,7 @@ class Scaling(Rescaling):
         return -np.log10(self.size(values, np))[..., 0]
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
-        """What the environment gets for a policy's ``actions`` at the observations ``values``.
+        """Commands to the environment for a policy's ``actions`` at the observations ``values``.
 
         Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are: it refuses them.
         """

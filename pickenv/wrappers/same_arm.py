@@ -40,7 +40,7 @@ LONGEST_LOOK = 59
 
 @dataclass(frozen=True)
 class PickMemory:
-    """What a policy sees before a pick: where it is to go, and what was seen at the last picks.
+    """A policy's observation before a pick: the joints to go to, and what was seen at the last picks.
 
     Attributes:
         joints: Number of joints n.
@@ -143,7 +143,7 @@ class _Run:
         return self.memory.shown(self.scaled, self.tokens)
 
     def options(self, actions: Any, arms: Any) -> dict[str, Any]:
-        """How the inner environments are reset: standing where the actions aim."""
+        """Options that reset the inner environments: standing where the actions aim."""
         shifts = as_numbers("actions", actions)
         if shifts.shape != (len(self.joints), 3) or not np.isfinite(shifts).all():
             raise InputError(f"actions have shape {shifts.shape}; give {len(self.joints)} times 3 finite numbers")

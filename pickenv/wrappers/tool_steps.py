@@ -39,7 +39,7 @@ CLOSING = 0.015
 """Gap above which the gripper is not closed, m: about where it begins to take fruit at all."""
 
 UPRIGHT = 0.1
-"""What a radian of tilt weighs, m."""
+"""Weight of a radian of tilt, m."""
 
 DAMPING = 1e-4
 """Damping of the Jacobian's inverse, in shares of its mean square."""
@@ -74,7 +74,7 @@ class ToolSteps(Rescaling):
 
     @property
     def header(self) -> dict[str, list[float]]:
-        """What a policy's file says of it; the arm has a name."""
+        """The part of a policy's file about it; the arm has a name."""
         return {"increment": self.increment.tolist()}
 
     @property
@@ -93,7 +93,7 @@ class ToolSteps(Rescaling):
         return MOVES + 1
 
     def observe(self, values: Any, xp: Any = np) -> Any:
-        """What the policy sees, ``(..., features)``."""
+        """Numbers that the policy sees, ``(..., features)``."""
         n = self.joints
         gap, turn, others = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
         far, aside, up = _length(gap), _length(gap[..., :2]), gap[..., 2:]

@@ -77,7 +77,7 @@ class HarvestState:
 
     @property
     def moved(self) -> Array:
-        """How far pushes have moved the fruit, (machines, fruit, 3)."""
+        """Displacement of the fruit by pushes, m, (machines, fruit, 3)."""
         return self.shift + self.swing
 
     def put(self, rows: NDArray[np.intp], other: HarvestState) -> None:
@@ -292,7 +292,7 @@ def finished(state: HarvestState) -> Flags:
 
 
 def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
-    """What the controller knows, (machines, observation_size)."""
+    """Observations of the controllers, (machines, observation_size)."""
     machine = task.machine
     scaled = 2 * (state.joints - machine.lower) / (machine.upper - machine.lower) - 1
     heading = state.joints[:, 0]

@@ -98,7 +98,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         )
 
     def state(self) -> NDArray[np.float32]:
-        """What all agents see together, for centralised training."""
+        """The observation that all agents share, for centralised training."""
         if self._state is None:
             raise InputError("state was called before reset; call reset first")
         return np.asarray(batch.observe(self.task, self._state)[0])

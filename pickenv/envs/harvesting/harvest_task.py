@@ -1,4 +1,4 @@
-"""What stays the same over the harvester's episodes: machine, orchard, eyes, rules and spaces. Units: m, rad, s."""
+"""Constants of the harvester's episodes: machine, orchard, eyes, rules and spaces. Units: m, rad, s."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def load_rules() -> Rules:
 
 @dataclass(frozen=True, eq=False)
 class HarvestTask:
-    """What stays the same over episodes.
+    """Constants of a harvester's episodes.
 
     Attributes:
         machine: The machine as drawn.

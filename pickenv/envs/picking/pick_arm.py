@@ -44,7 +44,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class Reach:
-    """Which points the nominal arm reaches with its tool upright, from ``approach`` m below up to the point."""
+    """Test of points that the nominal arm reaches with its tool upright, from ``approach`` m below up to the point."""
 
     def __init__(self, geometry: Geometry, approach: float) -> None:
         """Sample the arm's upright poses once; each question then starts from the nearest one."""
@@ -96,7 +96,7 @@ STIRRED = 1e-9
 
 
 class PickSight(NamedTuple):
-    """What can be seen of the arm.
+    """The arm as it is seen.
 
     Attributes:
         readings: Joint readings scaled to the joint limits, n.

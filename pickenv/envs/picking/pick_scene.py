@@ -36,7 +36,7 @@ ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
 
 @dataclass(frozen=True, eq=False)
 class PickSetting:
-    """What kind of fruit hangs before the arm, what sees it and what takes it."""
+    """The kind of fruit before the arm, the camera that sees it and the gripper that takes it."""
 
     canopy: trees.Canopy
     fruit_map: trees.FruitMap
@@ -57,7 +57,7 @@ ORDERS: dict[str, tuple[float, float, float] | None] = {
     "highest": (0.0, 0.0, -1.0),
     "foremost": (0.0, -1.0, 0.0),
 }
-"""Which fruit is named next: the nearest to the believed tool, or the first along a direction of the base frame."""
+"""Orders of the fruit: the nearest to the believed tool, or the first along a direction of the base frame."""
 
 PUBLISHED = "published"
 """The vision that goes by what is published of a camera; the others are those of `pickenv.orchard.VISIONS`."""
@@ -79,7 +79,7 @@ def _origin(orchard: PickSetting) -> Array:
 
 
 class Contact(NamedTuple):
-    """How fruit stands to a tool.
+    """Fruit as it stands to a tool.
 
     Attributes:
         across: From the tool's axis to each fruit, m, shape (..., n, 3).
@@ -95,7 +95,7 @@ class Contact(NamedTuple):
 
 
 def contact(station: trees.Station, positions: Array, diameters: Array, point: Array, axis: Array) -> Contact:
-    """Which fruit a tool touches; every canopy gives each fruit the same bits, whatever else is in the arrays.
+    """Contacts of fruit with a tool; every canopy gives each fruit the same bits, whatever else is in the arrays.
 
     Args:
         station: The tool.
@@ -168,7 +168,7 @@ class PickScene:
 
     @property
     def positions(self) -> Array:
-        """Where the fruit is now, (n, 3)."""
+        """Present positions of the fruit, m, (n, 3)."""
         return self.rest + self.displacement
 
     @property
@@ -377,7 +377,7 @@ def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | N
 def looked_at(
     orchard: PickSetting, rng: np.random.Generator, positions: Array, diameters: Array
 ) -> tuple[Array, Flags]:
-    """Where the camera believes fruit of the orchard frame to be (n, 3), and which of it it found."""
+    """Positions of fruit as the camera sees it (n, 3), orchard frame, m, and flags of the fruit that it finds."""
     canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
     viewpoint, ahead = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2]), np.array([0.0, 1.0, 0.0])
     if orchard.eyes is not None:
@@ -484,12 +484,12 @@ def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
 
 
 PICK_OPTIONS = ("fruit", "start_joints", "arm")
-"""What `reset` takes."""
+"""Options of `reset`."""
 
 
 @dataclass(frozen=True, eq=False)
 class PickStart:
-    """What is drawn for an episode.
+    """The draws of an episode.
 
     Attributes:
         scene: The fruit.

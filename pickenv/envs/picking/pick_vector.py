@@ -275,11 +275,11 @@ class PickBatch(NumpyArms):
                 self._choose(row)
 
     def finished(self) -> Flags:
-        """Where no fruit is left to try and the gripper is empty."""
+        """Environments with no fruit left to try and an empty gripper."""
         return (self.fruit.held < 0) & ~self.fruit.waiting().any(axis=1)
 
     def observations(self, low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.float32]:
-        """What the controllers know, ``(N, n + 17)``."""
+        """Observations of the controllers, ``(N, n + 17)``."""
         n, fruit = self.task.joints, self.fruit
         positions = fruit.seen[np.arange(self.count), self.number]
         out = np.empty((self.count, n + 17))
@@ -343,12 +343,12 @@ class PickBatch(NumpyArms):
 
 
 FAR = 1e6
-"""Where fruit hangs that is not there: an array has room for the fullest canopy."""
+"""Coordinate of fruit that is not there: an array has room for the fullest canopy."""
 
 NUMBERS = {"rest": 3, "seen": 3, "diameters": 0, "masses": 0, "displacement": 3, "velocity": 3}
 EMPTY = {"rest": FAR, "masses": 1.0}
 LOOSE = ("displacement", "velocity", *FATES)
-"""What changes during an episode."""
+"""Arrays that change during an episode."""
 EACH = (*NUMBERS, "chance", "pull", "twist", "visible", "reachable", *FATES)
 STAGES = ("visible", "reachable", "attempted", "attached", "detached")
 

@@ -34,7 +34,7 @@ from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task
 
 
 class Start(NamedTuple):
-    """How episodes are to begin, one entry per environment that begins one.
+    """Beginnings of episodes, one entry per environment that begins one.
 
     Attributes:
         seeds: Streams' seeds.
@@ -54,7 +54,7 @@ class Start(NamedTuple):
 
 
 class Views(NamedTuple):
-    """What many environments show, component by component, one column per environment; see `simulation.View`.
+    """Many environments' views, component by component, one column per environment; see `simulation.View`.
 
     Attributes:
         observation: One array ``(k, count)`` per part of the observation, float32.
@@ -89,7 +89,7 @@ class Batch(ArmBatch):
 
     @abstractmethod
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
-        """What the environments ``rows`` show at the beginning of their episodes."""
+        """Views of the environments ``rows`` at the beginning of their episodes."""
 
     @abstractmethod
     def advance(self, actions: Scalar, moments: Words, compensate: Compensate | None) -> Views:
@@ -130,7 +130,7 @@ class Batch(ArmBatch):
         return View(*plain)  # type: ignore[arg-type]
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
-        """What all show, with the environments ``rows`` replaced; in memory of its own."""
+        """Views of all, with those of the environments ``rows`` replaced; in memory of its own."""
         out, places = self.copied(out), self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):
             all_[..., places] = few
@@ -180,7 +180,7 @@ class NumpyBatch(NumpyArms, Batch):
         return out
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
-        """What the environments ``rows`` show at the beginning of their episodes."""
+        """Views of the environments ``rows`` at the beginning of their episodes."""
         out = self._empty(len(rows))
         for a, b in self.blocks(len(rows)):
             some, still = rows[a:b], np.zeros(b - a, dtype=np.uint64)

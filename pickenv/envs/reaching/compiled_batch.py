@@ -116,13 +116,13 @@ class CompiledBatch(NumpyBatch):
         return Compiled(trace, outputs, self.count)
 
     def _remembered(self, state: ArmState) -> list[Outputs]:
-        """What changes in the state."""
+        """Outputs of the state's changes."""
         columns = state.columns
         changed = Outputs("columns", columns[self.fixed :], DOUBLE, self.fixed)
         return [Outputs("columns", columns[: self.task.joints]), changed]
 
     def _looked(self, trace: Trace, state: ArmState, command: Sequence[Traced]) -> list[Outputs]:
-        """What is remembered and shown after a command."""
+        """Outputs of the memory and the views after a command."""
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
         period = task.situation.value("period", state.drawn)

@@ -66,7 +66,7 @@ def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) 
 
 
 def reach_eye(geometry: Geometry) -> Eye:
-    """Where an arm's whole room is seen from."""
+    """The eye that sees an arm's whole room."""
     look = arm_look(geometry)
     low, high = np.minimum(look.low, geometry.base.position), np.maximum(look.high, geometry.base.position)
     corners = np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T

@@ -154,7 +154,7 @@ class TorchBatch(Batch):
         return self._outcome(out[n + memory :], self.columns[n + 9 : n + 12])
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
-        """What the environments ``rows`` show at the beginning of their episodes."""
+        """Views of the environments ``rows`` at the beginning of their episodes."""
         n, places = self.task.joints, self.indices(rows)
         columns, keys = [column[places] for column in self.columns], self.keys[places]
         commands, still = self.commands(compensate, columns[:n]), torch.zeros_like(keys)
@@ -171,7 +171,7 @@ class TorchBatch(Batch):
     def _shown(
         self, columns: Columns, commands: Columns, keys: Tensor, when: Tensor, dt: Scalar, plant: Plant | None = None
     ) -> Columns:
-        """What is remembered, observation, reward, numbers and vectors, all in one number type and side by side.
+        """Memory, observation, reward, numbers and vectors, all in one number type and side by side.
 
         That is what a processor's compiled loop is fast with: stacking, float32 and truth values come afterwards.
         """

@@ -25,7 +25,7 @@ from pickenv.envs.shared.task import Task, check_choice, make_task
 from pickenv.pictures.stage import Stage
 
 AUTO = ("numpy", "compiled")
-"""What "auto" takes where llvmlite is missing, and where it is there."""
+"""Executors of "auto", where llvmlite is missing, and where it is there."""
 
 STATE = {"seeds": "_seeds", "episodes": "_episodes", "elapsed": "_elapsed", "ended": "_over"}
 """Attributes of the environments that a checkpoint holds, by their names there."""
@@ -193,7 +193,7 @@ class ReachVectorEnv(NativeVectorEnv):
 
 
 Settings = Mapping[str, Any]
-"""What the environment says of where it computes: ``device``, ``dtype`` and ``compiled``; only torch asks."""
+"""Settings of the place where an environment computes: ``device``, ``dtype`` and ``compiled``; only torch asks."""
 
 
 @register("backend", "compiled")

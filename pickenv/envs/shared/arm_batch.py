@@ -24,7 +24,7 @@ Columns = list[Scalar]
 
 @contextmanager
 def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
-    """What an executor cannot compute leaves as one sentence, where effects of other packages are among it.
+    """Errors of an executor leave as one sentence, where effects of other packages are among it.
 
     Raises:
         InputError: If anything is raised inside, and the plant has such effects.
@@ -176,7 +176,7 @@ class ArmBatch(ABC):
         return list(self.numbers((np.repeat([task.middle], len(keys), axis=0) if joints is None else joints).T))
 
     def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
-        """What the drives get for joint targets; a compensator works on NumPy."""
+        """Joint commands for joint targets; a compensator works on NumPy."""
         if compensate is None:
             return targets
         joints = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")

@@ -1,4 +1,4 @@
-"""What single environments of one arm have in common: the task, the true arm, its compensator and its arithmetic."""
+"""The common part of single environments of one arm: the task, the true arm, its compensator and its arithmetic."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
             self._window = None
 
     def _stage(self) -> Stage | None:
-        """What there is to see; None before the first reset."""
+        """The picture, to be drawn; None before the first reset."""
         raise NotImplementedError
 
 
@@ -165,7 +165,7 @@ class ArmEnv(DrawnEnv):
         return self._numbers(task.middle)
 
     def _command(self, target: Sequence[Scalar]) -> Sequence[Scalar]:
-        """What the drives get for a joint target."""
+        """The joint command for a joint target."""
         if self.compensator is None:
             return target
         joints = np.array(self._plain(target))
@@ -229,5 +229,5 @@ def across(axis: Array, offset: Array) -> Array:
 
 
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
-    """Where the true tool is, seen from the fruit along the tool's axis."""
+    """The true tool's place, seen from the fruit along the tool's axis."""
     return Dial(across(axis, offset)[None], tolerance_mm, MARK)

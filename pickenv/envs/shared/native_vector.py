@@ -1,4 +1,4 @@
-"""What the native vector environments have in common: seeds, masks, the three autoreset modes, infos and pictures."""
+"""The common part of the native vector environments: seeds, masks, the three autoreset modes, infos and pictures."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
 
 
 def checked_mask(mask: Any, count: int) -> Flags:
-    """Which of ``count`` environments a reset is about: all where nothing is given.
+    """Flags of the environments, of ``count``, that a reset is about: all where nothing is given.
 
     Raises:
         InputError: If it is not one truth value each, at least one of them True.

@@ -33,7 +33,7 @@ Components = tuple[Scalar, ...]
 
 
 class ArmState(NamedTuple):
-    """What an environment of one arm remembers of it between two actions.
+    """The memory of an environment of one arm between two actions.
 
     Attributes:
         target: Nominal joint target that the actions have built up, n.
@@ -100,7 +100,7 @@ class View(NamedTuple):
 
     @property
     def numbers(self) -> Components:
-        """What `NUMBER_KEYS` names."""
+        """The numbers that `NUMBER_KEYS` names."""
         return self.distance_mm, self.angle_deg, self.noncompensable_deg, self.compensable_deg
 
     @property
@@ -322,7 +322,7 @@ def goal_observation(scene: View) -> tuple[Components, Components, Components]:
 
 
 def goal_gap(m: ModuleType, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """What is left from an achieved to a desired goal: position (m) and rotation vector (rad), 6."""
+    """The gap from an achieved to a desired goal: position (m) and rotation vector (rad), 6."""
     return frame_error(m, _frame(achieved), _frame(desired))
 
 

@@ -86,7 +86,7 @@ class Situation:
         return not (self.drawn or self.spread or self.joint_noise.high)
 
     def widths(self, joints: int, sensed: int) -> tuple[int, int, int]:
-        """How many numbers are remembered: drawn for the episode, of late actions, of late readings."""
+        """Counts of the numbers that are remembered: drawn for the episode, of late actions, of late readings."""
         return len(self.drawn), int(self.delay.high) * joints, int(self.latency.high) * sensed
 
     def value(self, name: str, drawn: Components) -> Scalar:
@@ -132,7 +132,7 @@ def _span(name: str, given: Any, least: float, most: float) -> Span:
 
 
 def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
-    """What is drawn for the episode ``key``, in the order of `Situation.drawn`; whole numbers keep a fraction."""
+    """The draws of the episode ``key``, in the order of `Situation.drawn`; whole numbers keep a fraction."""
     values, stream = [], stream_key(x, key, DRAWN)
     for name in setting.drawn:
         low, high = getattr(setting, name)
@@ -153,7 +153,7 @@ def drawn_start(
 def warmed_up(
     x: Executor, setting: Situation, drawn: Components, plant: Plant, state: PlantState, command: Sequence[Scalar]
 ) -> PlantState:
-    """What a plant remembers that has been on for some hours, at its first command."""
+    """The memory of a plant that has been on for some hours, at its first command."""
     if not setting.hours.high:
         return state
     return plant.carried(x.m, state, command, 3600.0 * setting.value("hours", drawn))
@@ -207,7 +207,7 @@ def sensed(
 def _late(
     x: Executor, setting: Situation, name: str, drawn: Components, past: Components, fresh: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
-    """What comes out of a queue into which ``fresh`` goes, and the queue afterwards."""
+    """The end of a queue into which ``fresh`` goes, and the queue afterwards."""
     width, queue = len(fresh), (*fresh, *past)
     lag, queued = setting.value(name, drawn), queue[: len(past)]
     if name not in setting.drawn:

@@ -30,7 +30,7 @@ class PlainSpec:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What it was made by."""
+        """The specification that it was made by."""
         return self._spec
 
     @spec.setter

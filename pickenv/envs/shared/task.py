@@ -1,4 +1,4 @@
-"""What a reach environment simulates: arm, goal, camera, capture region and reward, as validated constants.
+"""The task of a reach environment: arm, goal, camera, capture region and reward, as validated constants.
 
 SI units, except where a name says otherwise.
 """
@@ -174,7 +174,7 @@ class Task:
 
     @cached_property
     def edge_cost(self) -> float:
-        """What the dense reward takes at the farthest corner of the capture region, and once more outside it."""
+        """The cost in the dense reward at the farthest corner of the capture region, and once more outside it."""
         return math.log10(1.0 + self.tolerance_mm) + 0.5 * math.log10(1.0 + self.angle_tolerance_deg)
 
     @cached_property
@@ -375,7 +375,7 @@ def check_name(name: str, value: str | Path, wanted: str) -> None:
 
 
 def as_numbers(name: str, given: Any) -> Array:
-    """What was given as an array of numbers.
+    """A value as an array of numbers.
 
     Raises:
         InputError: If it is something else, such as text, or rows of different lengths.
@@ -405,7 +405,7 @@ def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
 
 
 def bounds_of(most: float) -> str:
-    """What an error says of the range of actions: nothing where they are cut to it."""
+    """The range of actions in the words of an error: nothing where they are cut to it."""
     return " between -1 and 1" if most == MOST_ACTION["refuse"] else ""
 
 
