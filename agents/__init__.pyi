@@ -8,14 +8,12 @@ from .evaluation.reaches import (
 from .evaluation.rollout import Rollout as Rollout, roll_out as roll_out
 from .policies.adaptive import AdaptiveReach as AdaptiveReach, AdaptiveSettings as AdaptiveSettings
 from .policies.foreign import foreign_policy as foreign_policy
-from .policies.harvest_policy import ScriptedHarvest as ScriptedHarvest
 from .policies.learned import (
     BASELINES as BASELINES,
     LearnedPolicy as LearnedPolicy,
     load_policy as load_policy,
     shipped_baselines as shipped_baselines,
 )
-from .policies.pick_policy import HASTY as HASTY, ScriptedPick as ScriptedPick
 from .policies.policy import Policy as Policy, read_observation as read_observation
 from .policies.remembering import (
     RememberingPolicy as RememberingPolicy,
@@ -23,8 +21,11 @@ from .policies.remembering import (
     load_remembering as load_remembering,
 )
 from .policies.scripted import (
+    HASTY as HASTY,
     OracleReach as OracleReach,
     RandomReach as RandomReach,
+    ScriptedHarvest as ScriptedHarvest,
+    ScriptedPick as ScriptedPick,
     ScriptedReach as ScriptedReach,
     ServoReach as ServoReach,
 )

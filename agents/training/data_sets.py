@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.policies.learned import load_policy
-from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
+from pickenv.agents.policies.scripted import HASTY, ScriptedPick
 from pickenv.base import InputError, check_limit, file_sha256, locked, require, seed_words, stream, versions, write_json
 from pickenv.envs import check_choice, check_count
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.agents.evaluation.reaches import pick_canopies
-from pickenv.agents.policies.pick_policy import ScriptedPick
+from pickenv.agents.policies.scripted import ScriptedPick
 from pickenv.arm import Array
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import PickVectorEnv
@@ -51,7 +51,7 @@ KNOBS: Mapping[str, Knob] = {
     "aim_z": Knob(0.0, 2e-3, -0.02, 0.02),
     "patience": Knob(40.0, 1.0, 2.0, 40.0, factor=True),
 }
-"""Arguments of `pickenv.agents.policies.pick_policy.ScriptedPick`; 40 s are all the time there is."""
+"""Arguments of `pickenv.agents.policies.scripted.ScriptedPick`; 40 s are all the time there is."""
 
 BEST = 0.25
 """Share of the candidates to which mean and spread move."""

@@ -11,9 +11,17 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array
 from pickenv.arm.plant.tree import tree_map
 from pickenv.base import InputError
-from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import COLLECTED, HANGING, HarvestState
-from pickenv.envs.harvesting.harvest_task import OPTIONS, HarvestTask, given_zones, harvest_spaces, make_harvest_task
+from pickenv.envs.harvesting import harvest_task as batch
+from pickenv.envs.harvesting.harvest_task import (
+    COLLECTED,
+    HANGING,
+    OPTIONS,
+    HarvestState,
+    HarvestTask,
+    given_zones,
+    harvest_spaces,
+    make_harvest_task,
+)
 from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information
 from pickenv.envs.shared.backends import Flags, Rows
 from pickenv.envs.shared.native_vector import NativeVectorEnv

@@ -15,10 +15,9 @@ import pettingzoo  # type: ignore[import-untyped,import-not-found,unused-ignore]
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.base import InputError
-from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import HarvestState
+from pickenv.envs.harvesting import harvest_task as batch
 from pickenv.envs.harvesting.harvest_env import LONGEST, draw_harvest
-from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
+from pickenv.envs.harvesting.harvest_task import HarvestState, HarvestTask, harvest_spaces, make_harvest_task
 from pickenv.envs.shared.arm_env import checked_render_mode, drawn
 from pickenv.envs.shared.task import Compensate, checked_action
 
