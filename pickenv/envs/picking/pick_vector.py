@@ -418,11 +418,7 @@ class FruitTable:
         rows = np.flatnonzero(moving)
         if rows.size:
             self.displacement[rows], self.velocity[rows] = trees.swing(
-                self.orchard.branch,
-                self.displacement[rows],
-                self.velocity[rows],
-                self.masses[rows],
-                dt[rows, None],
+                self.orchard.branch, self.displacement[rows], self.velocity[rows], self.masses[rows], dt[rows, None]
             )
 
     def meet(self, going: Flags, targets: Rows, point: Array, moved: Array, axis: Array, dt: Array) -> None:

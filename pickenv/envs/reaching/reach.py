@@ -12,15 +12,7 @@ from pickenv.arm import Array, Frame, Geometry, forward
 from pickenv.arm.plant.named_plants import IDEAL
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_env import (
-    GHOST_WORDS,
-    ArmEnv,
-    Information,
-    arm_at_work,
-    ground_below,
-    standing,
-    tool_dial,
-)
+from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, arm_at_work, ground_below, standing, tool_dial
 from pickenv.envs.shared.backends import GOAL, NUMPY, Scalar, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.simulation import GOAL_NUMBERS, View, goal_observation, goal_reward

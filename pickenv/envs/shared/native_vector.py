@@ -41,11 +41,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
     options: tuple[str, ...]
 
     def __init__(
-        self,
-        num_envs: int,
-        max_episode_steps: int | None,
-        autoreset_mode: str | AutoresetMode,
-        render_mode: str | None,
+        self, num_envs: int, max_episode_steps: int | None, autoreset_mode: str | AutoresetMode, render_mode: str | None
     ) -> None:
         check_count("num_envs", num_envs)
         if max_episode_steps is not None:
