@@ -1,26 +1,43 @@
 from .evaluation.compare import PolicyComparison as PolicyComparison, compare as compare
-from .evaluation.reaches import Reaches as Reaches, episode_seeds as episode_seeds, run_reaches as run_reaches
+from .evaluation.reaches import (
+    Reaches as Reaches,
+    episode_seeds as episode_seeds,
+    pick_canopies as pick_canopies,
+    run_reaches as run_reaches,
+)
 from .evaluation.rollout import Rollout as Rollout, roll_out as roll_out
 from .policies.adaptive import AdaptiveReach as AdaptiveReach, AdaptiveSettings as AdaptiveSettings
-from .policies.harvest_policy import ScriptedHarvest as ScriptedHarvest
+from .policies.foreign import foreign_policy as foreign_policy
 from .policies.learned import (
+    BASELINES as BASELINES,
     LearnedPolicy as LearnedPolicy,
     load_policy as load_policy,
     shipped_baselines as shipped_baselines,
 )
-from .policies.pick_policy import ScriptedPick as ScriptedPick
-from .policies.policy import Policy as Policy
+from .policies.policy import Policy as Policy, read_observation as read_observation
 from .policies.remembering import (
     RememberingPolicy as RememberingPolicy,
     RememberingReach as RememberingReach,
     load_remembering as load_remembering,
 )
 from .policies.scripted import (
+    HASTY as HASTY,
     OracleReach as OracleReach,
     RandomReach as RandomReach,
+    ScriptedHarvest as ScriptedHarvest,
+    ScriptedPick as ScriptedPick,
     ScriptedReach as ScriptedReach,
     ServoReach as ServoReach,
 )
+from .training.checkpoints import check_checkpoint as check_checkpoint
 from .training.data_sets import datasets as datasets
-from .training.training import Trained as Trained, train as train
-from .training.training_setup import Training as Training
+from .training.policy_search import KNOBS as KNOBS, arguments_of as arguments_of, search as search
+from .training.training import Trained as Trained, resumed as resumed, train as train
+from .training.training_setup import (
+    HELD_OUT as HELD_OUT,
+    Training as Training,
+    actor_of as actor_of,
+    make_model as make_model,
+    tuned as tuned,
+    words_of as words_of,
+)

@@ -21,10 +21,10 @@ __getattr__, __dir__, __all__ = _offered("pickenv", __file__)
 
 def _register() -> None:
     """Tell Gymnasium of the environments; their modules are loaded when one is made."""
-    for name, module in (("Reach", "reach"), ("ReachGoal", "reach_goal"), ("ReachIdeal", "reach_goal")):
+    for name in ("Reach", "ReachGoal", "ReachIdeal"):
         _gymnasium.register(
             id=f"pickenv/{name}-v0",
-            entry_point=f"pickenv.envs.reaching.{module}:{name}Env",
+            entry_point=f"pickenv.envs.reaching.reach:{name}Env",
             vector_entry_point=f"pickenv.envs.reaching.vector:{name}VectorEnv",
             max_episode_steps=60,
         )
@@ -37,7 +37,7 @@ def _register() -> None:
     _gymnasium.register(
         id="pickenv/Harvest-v0",
         entry_point="pickenv.envs.harvesting.harvest_env:HarvestEnv",
-        vector_entry_point="pickenv.envs.harvesting.harvest_vector:HarvestVectorEnv",
+        vector_entry_point="pickenv.envs.harvesting.harvest_env:HarvestVectorEnv",
         max_episode_steps=600,
     )
     _gymnasium.register(

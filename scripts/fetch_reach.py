@@ -28,8 +28,7 @@ from pickenv.base import InputError, write_json
 from pickenv.calibration import fit, simulated_tracker
 from pickenv.inspect import save_figure
 from pickenv.inspect.figures.style import COLUMN, LINES, STYLE
-from pickenv.wrappers import Compensate, Miscalibrate, geometry_in_mujoco
-from pickenv.wrappers.mujoco_arm import joints_in_mujoco
+from pickenv.wrappers import Compensate, Miscalibrate, geometry_in_mujoco, joints_in_mujoco
 
 SITE = "robot0:grip"
 JOINTS = (

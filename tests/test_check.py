@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.agents.policies.learned import BASELINES
+from pickenv.agents import BASELINES
 from pickenv.arm import load_plant
 from pickenv.base import write_container, write_text
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker

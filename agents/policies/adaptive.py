@@ -30,7 +30,7 @@ ARRIVED = 0.02
 
 @dataclass(frozen=True)
 class AdaptiveSettings:
-    """How the filter learns.
+    """Settings of the filter.
 
     Attributes:
         camera_std: Standard deviation per axis of what the camera sees, m.
@@ -135,14 +135,14 @@ class AdaptiveReach(LookingReach):
     def _learnt(
         self, state: extended_kalman_filter.FilterState, joints: Array, seen: Array, count: int
     ) -> extended_kalman_filter.FilterState:
-        chosen = self.settings
-        if chosen.drift:
+        settings = self.settings
+        if settings.drift:
             state = extended_kalman_filter.predict(
-                state, extended_kalman_filter.random_walk(state, chosen.drift), chosen.pick_seconds
+                state, extended_kalman_filter.random_walk(state, settings.drift), settings.pick_seconds
             )
         # The fruit is seen once per episode, the gap in every picture.
-        std = float(np.sqrt(chosen.camera_std**2 * (1.0 + 1.0 / count) + chosen.unmodelled_std**2))
-        return extended_kalman_filter.update(state, joints, seen, MeasurementNoise(std, 0.0), gate=chosen.gate)
+        std = float(np.sqrt(settings.camera_std**2 * (1.0 + 1.0 / count) + settings.unmodelled_std**2))
+        return extended_kalman_filter.update(state, joints, seen, MeasurementNoise(std, 0.0), gate=settings.gate)
 
 
 @register("policy", "adaptive")

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pickenv.agents.policies.policy import Policy
 from pickenv.base import InputError, require
 from pickenv.base.registry import get
-from pickenv.wrappers.gap import Scaling
+from pickenv.wrappers import Scaling
 
 SUFFIXES = (".zip", ".py")
 MAKER = "make_policy"
@@ -40,36 +40,15 @@ RECURRENT = ("sb3_contrib", "RecurrentPPO")
 """Of a zip whose policy's class is of a module for recurrent ones; its other settings are PPO's."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Sb3Policy:
     """A model of Stable-Baselines3, acting without noise, on one observation or a batch.
+
+    A recurrent one remembers within an episode.
 
     Attributes:
         model: The model.
         scaling: Of one that was trained on `pickenv/ReachScaled-v0`: what it sees and what its actions mean.
-    """
-
-    model: Any
-    scaling: Scaling | None = None
-
-    def reset(self) -> None:
-        """Nothing to forget."""
-
-    def act(self, observation: Any) -> NDArray[np.float32]:
-        """The next action, or actions."""
-        if self.scaling is None:
-            return np.asarray(self.model.predict(observation, deterministic=True)[0], dtype=np.float32)
-        action = self.model.predict(self.scaling.shown(observation), deterministic=True)[0]
-        return self.scaling.act(observation, action)
-
-
-@dataclass(eq=False)
-class RecurrentSb3Policy:
-    """A recurrent model of sb3-contrib, acting without noise; it remembers within an episode.
-
-    Attributes:
-        model: The model.
-        scaling: As in `Sb3Policy`.
     """
 
     model: Any
@@ -84,9 +63,9 @@ class RecurrentSb3Policy:
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """The next action, or actions."""
-        seen = observation if self.scaling is None else self.scaling.shown(observation)
-        begun = np.full(len(seen) if np.ndim(seen) == 2 else 1, self._state is None)
-        action, self._state = self.model.predict(seen, self._state, begun, deterministic=True)
+        inputs = observation if self.scaling is None else self.scaling.shown(observation)
+        begins = np.full(len(inputs) if np.ndim(inputs) == 2 else 1, self._state is None)
+        action, self._state = self.model.predict(inputs, self._state, begins, deterministic=True)
         return np.asarray(action if self.scaling is None else self.scaling.act(observation, action), dtype=np.float32)
 
 
@@ -164,14 +143,15 @@ def faults_in(path: Path, what: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        own = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-        line = error.lineno if isinstance(error, SyntaxError) else own[-1] if own else None
-        where = f"{path}, line {line}" if line is not None else f"{path}"
-        said = error.msg if isinstance(error, SyntaxError) else error
-        raise InputError(f"{where}: {type(error).__name__}: {said}; mend the {what}") from error
+        lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line, message = lines[-1] if lines else None, str(error)
+        if isinstance(error, SyntaxError):
+            line, message = error.lineno, error.msg
+        place = f"{path}, line {line}" if line is not None else f"{path}"
+        raise InputError(f"{place}: {type(error).__name__}: {message}; mend the {what}") from error
 
 
-def _trained(path: Path, env: Any) -> Sb3Policy | RecurrentSb3Policy:
+def _trained(path: Path, env: Any) -> Sb3Policy:
     require("stable_baselines3")
     try:
         with zipfile.ZipFile(path) as archive:
@@ -179,22 +159,21 @@ def _trained(path: Path, env: Any) -> Sb3Policy | RecurrentSb3Policy:
     except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
         raise InputError(f"{path} is no model of Stable-Baselines3 ({error}); give what its save wrote") from error
     recurrent = "recurrent" in str(dict(settings.get("policy_class") or {}).get("__module__"))
-    home = RECURRENT if recurrent else next((found for key, found in TELLING.items() if key in settings), None)
+    home = RECURRENT if recurrent else next((home for key, home in TELLING.items() if key in settings), None)
     if home is None:
         names = ", ".join(name for _, name in (*TELLING.values(), RECURRENT))
         raise InputError(f"{path} is of an algorithm that is not known here; give one of {names}, or a Python file")
     require(home[0])
     model = getattr(importlib.import_module(home[0]), home[1]).load(path, device="cpu")
     task = getattr(env.unwrapped, "task", None)
-    kind = RecurrentSb3Policy if recurrent else Sb3Policy
     scaling = None if task is None else Scaling(task.joints, task.camera)
     if scaling is not None and model.observation_space.shape == (scaling.features,):
-        return kind(model, scaling)
+        return Sb3Policy(model, scaling)
     spaces = (
         ("observations", model.observation_space, getattr(env, "single_observation_space", env.observation_space)),
         ("actions", model.action_space, getattr(env, "single_action_space", env.action_space)),
     )
-    for what, trained, given in spaces:
-        if trained.shape != given.shape or type(trained) is not type(given):
-            raise InputError(f"{path} was trained on {what} {trained}, but the environment has {given}; give its own")
-    return kind(model)
+    for kind, trained, present in spaces:
+        if trained.shape != present.shape or type(trained) is not type(present):
+            raise InputError(f"{path} was trained on {kind} {trained}, but the environment has {present}; give its own")
+    return Sb3Policy(model)

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Arm, Array, load_arm
 from pickenv.base import InputError, npz_path, read_container, refusing_damage, write_container
-from pickenv.wrappers.gap import Scaling, joined_observation
-from pickenv.wrappers.tool_steps import ToolSteps
+from pickenv.wrappers import Scaling, ToolSteps, joined_observation
 
 KIND = "policy"
 FORMAT = 2
@@ -26,17 +25,14 @@ ACTIVATIONS: Mapping[str, Callable[[Array], Array]] = {"tanh": np.tanh, "relu": 
 BASELINES = Path(__file__).parent / "baselines"
 
 
-@dataclass(frozen=True, eq=False)
-class LearnedPolicy:
-    """A trained actor, acting without noise.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Actor:
+    """The layers of a trained policy, and what it was trained for.
 
     Attributes:
-        algorithm: What trained it.
+        algorithm: Its training's algorithm.
         arm: Name of the arm it was trained for.
         arm_fingerprint: Hash of that arm's nominal geometry.
-        scaling: What it sees, and what its actions are multiplied by.
-        activation: Of the hidden layers, of `ACTIVATIONS`.
-        squashed: Whether the last layer ends in a hyperbolic tangent; else actions are clipped.
         weights: One matrix ``(inputs, outputs)`` per layer.
         biases: One vector per layer.
         record: How it was trained: settings, seeds, versions.
@@ -45,12 +41,86 @@ class LearnedPolicy:
     algorithm: str
     arm: str
     arm_fingerprint: str
-    scaling: Scaling | ToolSteps
-    activation: str
-    squashed: bool
     weights: tuple[Array, ...]
     biases: tuple[Array, ...]
     record: Mapping[str, Any]
+
+    def through_layers(self, values: Array, activation: str) -> Array:
+        """The last layer's numbers for inputs ``(..., inputs)``; ``activation`` is that of the layers before."""
+        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            values = values @ weight + bias
+            if i + 1 < len(self.weights):
+                values = ACTIVATIONS[activation](values)
+        return values
+
+    def write(
+        self, path: str | Path, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Array]
+    ) -> Path:
+        """Write one verified file (`pickenv.base.container`), whole or not at all; ``.npz`` is appended if missing."""
+        texts = {"algorithm": self.algorithm, "arm": self.arm, "arm_fingerprint": self.arm_fingerprint}
+        layers = {"weight": self.weights, "bias": self.biases}
+        layered = {f"{name}{i}": part for name, parts in layers.items() for i, part in enumerate(parts)}
+        single = {name: np.asarray(part, dtype=np.float32) for name, part in (*arrays.items(), *layered.items())}
+        return write_container(
+            npz_path(path), kind, {**texts, **header, "record": dict(self.record)}, single, version=version
+        )
+
+
+def actor_parts(
+    header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], inputs: int, outputs: int, others: int = 0
+) -> dict[str, Any]:
+    """The attributes of an `Actor` that a file holds; raises anything at all where it holds none.
+
+    Args:
+        header: The file's header.
+        arrays: Its arrays.
+        inputs: Numbers that the first layer takes.
+        outputs: Numbers that the last one gives.
+        others: Arrays that are of no layer.
+    """
+    layers = (len(arrays) - others) // 2
+    weights, biases = (tuple(arrays[f"{name}{i}"].astype(float) for i in range(layers)) for name in ("weight", "bias"))
+    widths = [inputs, *(len(bias) for bias in biases)]
+    if layers == 0 or len(arrays) != 2 * layers + others or widths[-1] != outputs:
+        raise InputError(f"its layers have {widths} numbers, but must lead to {outputs}")
+    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
+        if weight.shape != (widths[i], widths[i + 1]) or bias.shape != (widths[i + 1],):
+            raise InputError(f"its layer {i + 1} does not fit to the layer before")
+        if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+            raise InputError(f"its layer {i + 1} holds numbers that are not finite")
+    texts = {name: str(header[name]) for name in ("algorithm", "arm", "arm_fingerprint")}
+    return {**texts, "weights": weights, "biases": biases, "record": dict(header["record"])}
+
+
+AnyActor = TypeVar("AnyActor", bound=Actor)
+Parts = Callable[[Mapping[str, Any], Mapping[str, NDArray[Any]]], AnyActor]
+"""Makes a policy of a file's header and arrays; raises anything at all where they make none."""
+
+
+def read_actor(name: str | Path, arm: Arm | None, kind: str, version: int, make: Parts[AnyActor]) -> AnyActor:
+    """Read a policy of a kind; arguments and errors as for `load_policy`."""
+    path = policy_path(name)
+    container = read_container(path, kind, remake=REMAKE, version=version)
+    with refusing_damage(path, f"a {kind}{' file' * (kind == KIND)}", REMAKE):
+        policy = make(container.header, container.arrays)
+    if arm is not None and policy.arm_fingerprint != arm.fingerprint():
+        raise InputError(f"{path} was trained for arm '{policy.arm}', not for '{arm.name}'; train one for this arm")
+    return policy
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LearnedPolicy(Actor):
+    """A trained actor, acting without noise.
+
+    Attributes:
+        scaling: What it sees, and what its actions are multiplied by.
+        activation: Of the hidden layers, of `ACTIVATIONS`.
+        squashed: Whether the last layer ends in a hyperbolic tangent; else actions are clipped.
+    """
+
+    scaling: Scaling | ToolSteps
+    activation: str
+    squashed: bool
 
     def reset(self) -> None:
         """Nothing to forget."""
@@ -65,26 +135,15 @@ class LearnedPolicy:
         if isinstance(scaling, Scaling) and not isinstance(observation, dict):
             scaling = replace(scaling, goal=False)  # a flat observation holds the gap that its goal observation would
         scaling.check(values.shape[-1])
-        layer = np.asarray(scaling.observe(values, np), dtype=float)
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            layer = layer @ weight + bias
-            if i + 1 < len(self.weights):
-                layer = ACTIVATIONS[self.activation](layer)
+        layer = self.through_layers(np.asarray(scaling.observe(values, np), dtype=float), self.activation)
         action = np.tanh(layer) if self.squashed else layer.clip(-1.0, 1.0)
         return np.asarray(scaling.commands(values, action), dtype=np.float32)
 
     def save(self, path: str | Path) -> Path:
-        """Write one verified file (`pickenv.base.container`), whole or not at all; ``.npz`` is appended if missing."""
-        header = {
-            "algorithm": self.algorithm,
-            "arm": self.arm,
-            "arm_fingerprint": self.arm_fingerprint,
-            "scaling": asdict(self.scaling) if isinstance(self.scaling, Scaling) else self.scaling.header,
-            "activation": self.activation,
-            "squashed": self.squashed,
-            "record": dict(self.record),
-        }
-        return write_container(npz_path(path), KIND, header, layer_arrays(self.weights, self.biases), version=FORMAT)
+        """Write one verified file; ``.npz`` is appended if missing."""
+        scaling = asdict(self.scaling) if isinstance(self.scaling, Scaling) else self.scaling.header
+        header = {"scaling": scaling, "activation": self.activation, "squashed": self.squashed}
+        return self.write(path, KIND, FORMAT, header, {})
 
 
 def shipped_baselines() -> list[str]:
@@ -102,28 +161,7 @@ def load_policy(name: str | Path, arm: Arm | None = None) -> LearnedPolicy:
     Raises:
         InputError: If it is missing, damaged, newer than this program, or of another arm.
     """
-    path = policy_path(name)
-    found = read_container(path, KIND, remake=REMAKE, version=FORMAT)
-    with refusing_damage(path, f"a {KIND} file", REMAKE):
-        policy = _from_parts(found.header, found.arrays)
-    check_trained_for(arm, path, policy.arm, policy.arm_fingerprint)
-    return policy
-
-
-def check_trained_for(arm: Arm | None, path: Path, name: str, fingerprint: str) -> None:
-    """Refuse a file's policy, trained for the arm of this name and fingerprint, where another arm is given.
-
-    Raises:
-        InputError: If it is another.
-    """
-    if arm is not None and fingerprint != arm.fingerprint():
-        raise InputError(f"{path} was trained for arm '{name}', not for '{arm.name}'; train one for this arm")
-
-
-def layer_arrays(weights: Sequence[Array], biases: Sequence[Array]) -> dict[str, NDArray[np.float32]]:
-    """Layers as a file holds them, in single precision."""
-    named = ((name, values) for name, values in (("weight", weights), ("bias", biases)))
-    return {f"{name}{i}": np.asarray(each, dtype=np.float32) for name, values in named for i, each in enumerate(values)}
+    return read_actor(name, arm, KIND, FORMAT, _from_parts)
 
 
 def policy_path(name: str | Path) -> Path:
@@ -143,31 +181,13 @@ def policy_path(name: str | Path) -> Path:
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:
     """The policy that a file's parts make; raises anything at all where they make none."""
-    layers = len(arrays) // 2
     scaling: Scaling | ToolSteps
     if "increment" in header["scaling"]:  # a picking policy moves the tool of an arm that has a name
         scaling = ToolSteps(load_arm(header["arm"]).nominal, np.array(header["scaling"]["increment"], dtype=float))
     else:
         scaling = Scaling(**header["scaling"])
-    weights, biases = ([arrays[f"{name}{i}"] for i in range(layers)] for name in ("weight", "bias"))
-    widths = [scaling.features, *(len(bias) for bias in biases)]
-    if layers == 0 or len(arrays) != 2 * layers or widths[-1] != scaling.outputs:
-        raise InputError(f"its layers have {widths} numbers, but must lead to {scaling.outputs}")
-    for i, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        if weight.shape != (widths[i], widths[i + 1]) or bias.shape != (widths[i + 1],):
-            raise InputError(f"its layer {i + 1} does not fit to the layer before")
-        if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
-            raise InputError(f"its layer {i + 1} holds numbers that are not finite")
+    parts = actor_parts(header, arrays, scaling.features, scaling.outputs)
     if header["activation"] not in ACTIVATIONS:
         raise InputError(f"its activation is {header['activation']!r}, not {' or '.join(ACTIVATIONS)}")
-    return LearnedPolicy(
-        algorithm=str(header["algorithm"]),
-        arm=str(header["arm"]),
-        arm_fingerprint=str(header["arm_fingerprint"]),
-        scaling=scaling,
-        activation=header["activation"],
-        squashed=bool(header["squashed"]),
-        weights=tuple(weight.astype(float) for weight in weights),
-        biases=tuple(bias.astype(float) for bias in biases),
-        record=dict(header["record"]),
-    )
+    squashed = bool(header["squashed"])
+    return LearnedPolicy(**parts, scaling=scaling, activation=header["activation"], squashed=squashed)

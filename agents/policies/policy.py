@@ -1,4 +1,4 @@
-"""What a policy is, and what it reads from the flat observation of `pickenv/Reach-v0`. SI units.
+"""The interface of a policy, and the parts of the flat observation of `pickenv/Reach-v0`. SI units.
 
 Policies take one observation ``(k,)`` or a batch ``(N, k)`` and answer in kind, so that the same policy drives a single
 environment and a native vector environment.
@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Geometry
 from pickenv.base import InputError
-from pickenv.envs.shared.task import FEEDBACK
+from pickenv.envs import FEEDBACK
 
 
 class Policy(Protocol):
-    """What the evaluation asks of a policy."""
+    """The interface that the evaluation asks of a policy."""
 
     def reset(self) -> None:
         """Called at the start of every episode."""
@@ -113,7 +113,7 @@ def camera_of(reading: ObservationParts, policy: str) -> Array:
 
 
 class ReachController:
-    """What policies that know the nominal arm share: its geometry, and joint steps turned into actions."""
+    """The common part of policies that know the nominal arm: its geometry, and joint steps turned into actions."""
 
     def __init__(self, env: Any) -> None:
         """Read the nominal geometry and the increments from ``env``, a `pickenv/Reach-v0`, single or native vector."""

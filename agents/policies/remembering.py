@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.agents.policies.adaptive import LookingReach
-from pickenv.agents.policies.learned import REMAKE, check_trained_for, layer_arrays, policy_path
+from pickenv.agents.policies.learned import REMAKE, Actor, actor_parts, policy_path, read_actor
 from pickenv.arm import Arm, Array, forward
-from pickenv.base import InputError, npz_path, read_container, refusing_damage, write_container
+from pickenv.base import InputError, read_container
 from pickenv.wrappers import PickMemory
 from pickenv.wrappers.same_arm import scaled_joints
 
@@ -39,7 +39,7 @@ State = tuple[Array, Array]
 
 
 def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -> Any:
-    """What a window's picks say about the next one, on NumPy or torch.
+    """Features of a window's picks for the next one, on NumPy or torch.
 
     Args:
         xp: numpy or torch.
@@ -52,19 +52,19 @@ def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -
         that is filled ``(N, features)``.
     """
     n, window = memory.joints, memory.window
-    here = seen[:, :n]
+    goal = seen[:, :n]
     tokens = seen[:, n:].reshape(-1, window, memory.token)
-    joints, error, known = tokens[..., :n], tokens[..., n : n + 3], tokens[..., n + 3]
+    joints, error, filled = tokens[..., :n], tokens[..., n : n + 3], tokens[..., n + 3]
     near = xp.tanh(joints @ given["near"] + given["near_bias"])
     key = (near @ given["key"]).reshape(-1, window, HEADS, given["key"].shape[1] // HEADS)
-    asked = xp.tanh(here @ given["near"] + given["near_bias"]) @ given["query"]
-    query = asked.reshape(-1, 1, HEADS, key.shape[-1])
-    weights = xp.exp(xp.clip((key * query).sum(-1), -STEEPEST, STEEPEST)) * known[..., None]
+    question = xp.tanh(goal @ given["near"] + given["near_bias"]) @ given["query"]
+    query = question.reshape(-1, 1, HEADS, key.shape[-1])
+    weights = xp.exp(xp.clip((key * query).sum(-1), -STEEPEST, STEEPEST)) * filled[..., None]
     weights = weights / (weights.sum(1)[:, None] + 1e-12)
-    made = xp.tanh(xp.concatenate((near, error), -1) @ given["value"] + given["value_bias"])
-    value = xp.concatenate((error, made), -1)
+    features = xp.tanh(xp.concatenate((near, error), -1) @ given["value"] + given["value_bias"])
+    value = xp.concatenate((error, features), -1)
     pooled = (weights[..., None] * value[:, :, None]).sum(1)
-    return xp.concatenate((here, pooled.reshape(len(seen), -1), known.sum(1)[:, None] / window), -1)
+    return xp.concatenate((goal, pooled.reshape(len(seen), -1), filled.sum(1)[:, None] / window), -1)
 
 
 def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
@@ -77,29 +77,17 @@ def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
     return give * np.tanh(cell), cell
 
 
-@dataclass(frozen=True, eq=False)
-class RememberingPolicy:
-    """A trained actor with a memory, acting without noise.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RememberingPolicy(Actor):
+    """A trained actor with a memory, acting without noise; its layers come after the memory.
 
     Attributes:
-        algorithm: What trained it.
-        arm: Name of the arm it was trained for.
-        arm_fingerprint: Hash of that arm's nominal geometry.
         memory: How its observations are laid out.
         arrays: Arrays of `LSTM` or of `WINDOW`, by name.
-        weights: One matrix ``(inputs, outputs)`` per layer after the memory.
-        biases: One vector per layer.
-        record: How it was trained: settings, seeds, versions.
     """
 
-    algorithm: str
-    arm: str
-    arm_fingerprint: str
     memory: PickMemory
     arrays: Mapping[str, Array]
-    weights: tuple[Array, ...]
-    biases: tuple[Array, ...]
-    record: Mapping[str, Any]
 
     @property
     def recurrent(self) -> bool:
@@ -112,7 +100,7 @@ class RememberingPolicy:
         return np.zeros((rows, units)), np.zeros((rows, units))
 
     def aim(self, seen: NDArray[Any], state: State) -> tuple[NDArray[np.float32], State]:
-        """How far to aim beside the fruit, as `pickenv.wrappers.SameArmVector` takes it, and the next state.
+        """Shifts beside the fruit to aim by, as `pickenv.wrappers.SameArmVector` takes it, and the next state.
 
         Args:
             seen: Observations ``(N, inputs)`` of that wrapper.
@@ -132,23 +120,11 @@ class RememberingPolicy:
             layer = state[0]
         else:
             layer = attended(np, self.arrays, self.memory, values)
-        for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            layer = layer @ weight + bias
-            layer = np.tanh(layer) if i + 1 < len(self.weights) else layer
-        return layer.clip(-1.0, 1.0).astype(np.float32), state
+        return self.through_layers(layer, "tanh").clip(-1.0, 1.0).astype(np.float32), state
 
     def save(self, path: str | Path) -> Path:
-        """Write one verified file (`pickenv.base.container`), whole or not at all; ``.npz`` is appended if missing."""
-        header = {
-            "algorithm": self.algorithm,
-            "arm": self.arm,
-            "arm_fingerprint": self.arm_fingerprint,
-            "memory": asdict(self.memory),
-            "record": dict(self.record),
-        }
-        arrays = {name: np.asarray(value, dtype=np.float32) for name, value in self.arrays.items()}
-        arrays |= layer_arrays(self.weights, self.biases)
-        return write_container(npz_path(path), REMEMBERING, header, arrays, version=REMEMBERING_FORMAT)
+        """Write one verified file; ``.npz`` is appended if missing."""
+        return self.write(path, REMEMBERING, REMEMBERING_FORMAT, {"memory": asdict(self.memory)}, self.arrays)
 
 
 def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPolicy:
@@ -161,12 +137,7 @@ def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPol
     Raises:
         InputError: If it is missing, damaged, newer than this program, or of another arm.
     """
-    path = policy_path(name)
-    found = read_container(path, REMEMBERING, remake=REMAKE, version=REMEMBERING_FORMAT)
-    with refusing_damage(path, f"a {REMEMBERING}", REMAKE):
-        policy = _policy_of(found.header, found.arrays)
-    check_trained_for(arm, path, policy.arm, policy.arm_fingerprint)
-    return policy
+    return read_actor(name, arm, REMEMBERING, REMEMBERING_FORMAT, _policy_of)
 
 
 def remembers(name: str | Path) -> bool:
@@ -194,8 +165,8 @@ class RememberingReach(LookingReach):
     def _corrected(self, joints: Array) -> Array:
         if len(self._tokens) != len(joints):
             self._tokens, self._state = self.policy.memory.empty(len(joints)), self.policy.begin(len(joints))
-        seen = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens)
-        actions, self._state = self.policy.aim(seen, self._state)
+        observations = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens)
+        actions, self._state = self.policy.aim(observations, self._state)
         return self.policy.memory.aim(self.geometry, joints, actions)
 
     def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
@@ -207,21 +178,12 @@ class RememberingReach(LookingReach):
 def _policy_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> RememberingPolicy:
     """The policy that a file's parts make; raises anything at all where they make none."""
     kind = LSTM if "state" in arrays else WINDOW
-    layers = (len(arrays) - len(kind)) // 2
-    weights, biases = ([arrays[f"{name}{i}"].astype(float) for i in range(layers)] for name in ("weight", "bias"))
-    if len(arrays) != len(kind) + 2 * layers or layers == 0 or weights[-1].shape[1] != 3:
-        raise InputError("its arrays are not those of a memory and of layers that lead to three numbers")
-    if not all(np.isfinite(value).all() for value in arrays.values()):
-        raise InputError("its arrays hold numbers that are not finite")
+    if not all(np.isfinite(arrays[name]).all() for name in kind):
+        raise InputError("its memory holds numbers that are not finite")
     policy = RememberingPolicy(
-        algorithm=str(header["algorithm"]),
-        arm=str(header["arm"]),
-        arm_fingerprint=str(header["arm_fingerprint"]),
+        **actor_parts(header, arrays, len(arrays["weight0"]), 3, len(kind)),
         memory=PickMemory(**header["memory"]),
         arrays={name: arrays[name].astype(float) for name in kind},
-        weights=tuple(weights),
-        biases=tuple(biases),
-        record=dict(header["record"]),
     )
     policy.aim(np.zeros((1, policy.memory.inputs)), policy.begin(1))  # shapes that do not fit raise here
     return policy

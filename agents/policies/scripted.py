@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pickenv.agents.policies.harvest_policy import ScriptedHarvest
-from pickenv.agents.policies.pick_policy import ScriptedPick
 from pickenv.agents.policies.policy import (
     ObservationParts,
     Policy,
@@ -21,6 +20,9 @@ from pickenv.agents.policies.policy import (
 from pickenv.arm import Array, Pose, displace_pose, forward, inverse, joint_jacobian, pose_error
 from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.base import InputError, register
+from pickenv.envs import CONTROL_PERIOD
+from pickenv.harvester import assign, zone_work
+from pickenv.harvester.work import Work
 
 
 class ScriptedReach(ReachController):
@@ -51,9 +53,9 @@ class ScriptedReach(ReachController):
 
     def wanted_pose(self, reading: ObservationParts) -> Pose:
         """The pose that the tool shall have: the fruit with its attitude."""
-        believed = forward(self.geometry, reading.joints)
+        pose = forward(self.geometry, reading.joints)
         lag = np.concatenate([np.zeros_like(reading.turn), reading.turn], axis=-1)
-        return Pose(reading.seen, displace_pose(believed, lag).rotation)
+        return Pose(reading.seen, displace_pose(pose, lag).rotation)
 
     def wanted_joints(self, reading: ObservationParts) -> Array:
         """Joints that bring the nominal arm's tool to the fruit."""
@@ -106,17 +108,11 @@ class OracleReach(ScriptedReach):
         super().__init__(env)
         self._env = env.unwrapped
 
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action."""
-        reading = read_observation(self.geometry, observation)
-        if self._wanted is None:
-            self._wanted = self._true_joints(self.wanted_joints(reading), self.wanted_pose(reading))
-        return self.action(self._wanted - reading.joints)
-
-    def _true_joints(self, joints: Array, wanted: Pose) -> Array:
-        plant = self._env.plant
+    def wanted_joints(self, reading: ObservationParts) -> Array:
+        """Joints that bring the true arm's tool to the fruit."""
+        joints, pose, plant = super().wanted_joints(reading), self.wanted_pose(reading), self._env.plant
         for _ in range(ITERATIONS):
-            error = pose_error(plant.tool_pose(joints), wanted)
+            error = pose_error(plant.tool_pose(joints), pose)
             back = truncated_inverse(joint_jacobian(plant.geometry, joints))
             joints = joints + np.einsum("...ij,...j->...i", back, error)
             joints = joints.clip(self.geometry.lower, self.geometry.upper)
@@ -172,13 +168,257 @@ class ServoReach(ScriptedReach):
             self._wanted = self.wanted_joints(reading)
             self._back: Array = truncated_inverse(joint_jacobian(self.geometry, self._wanted))[..., :3]
         if len(self._pictures) > self.delay:
-            picture, known = self._pictures[0], self._correction
-            self._correction = picture if known is None else known + self.gain * (picture - known)
-        wanted = self._wanted
+            picture, before = self._pictures[0], self._correction
+            self._correction = picture if before is None else before + self.gain * (picture - before)
+        target = self._wanted
         if self._correction is not None:
-            wanted = wanted + np.einsum("...ij,...j->...i", self._back, self._correction)
-        wanted = wanted.clip(self.geometry.lower, self.geometry.upper)
-        return self.action(wanted - reading.joints)
+            target = target + np.einsum("...ij,...j->...i", self._back, self._correction)
+        target = target.clip(self.geometry.lower, self.geometry.upper)
+        return self.action(target - reading.joints)
+
+
+# A scripted policy for `pickenv/Pick-v0`: from below, wait until the arm has settled, grasp, twist, retreat. It uses
+# the observation alone. It trusts the nominal arm, so what it collects shows what the arm's errors cost. It moves
+# gently enough not to bruise what it meets; `HASTY` does neither and shows what that costs. How it does each is an
+# argument, so that it can be learnt (`pickenv.agents.training.policy_search`). Units: m, rad, s.
+
+
+PICK_ARRIVED = 2e-4
+"""A joint within this of its goal is there, m or rad."""
+
+PASSED = 10.0
+"""Places on the way count as reached within so many times that."""
+
+GENTLE = 0.75
+"""Share of the speed that bruises fruit at which the tool moves: it leaves room for swing and following error."""
+
+HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
+"""Arguments of `ScriptedPick` for full speed without waiting."""
+
+OUT, BELOW, AT = range(3)
+"""Places on the way to a fruit: below the last one, below this one, and there."""
+
+
+class ScriptedPick(ReachController):
+    """Comes to each fruit from below; `settle` seconds of standing still before it grasps.
+
+    Arguments are numbers, or one for each environment of a vector.
+    """
+
+    def __init__(
+        self,
+        env: Any,
+        settle: ArrayLike = 0.5,
+        approach: ArrayLike = 0.10,
+        tool_speed: ArrayLike | None = None,
+        *,
+        gain: ArrayLike = 1.0,
+        arrived: ArrayLike = PICK_ARRIVED,
+        aim: ArrayLike = (0.0, 0.0, 0.0),
+        patience: ArrayLike = np.inf,
+        iterations: int = 25,
+    ) -> None:
+        """Read the arm from ``env``, a `pickenv/Pick-v0`, single or native vector, wrapped or not.
+
+        Args:
+            env: The environment.
+            settle: Time without motion before the grasp, s; at most 1.
+            approach: Length of the straight way from below, m.
+            tool_speed: Largest speed of the believed tool, m/s, gentle when left out; joint speeds hold in any case.
+            gain: Share of what is left of a way that one action commands; less than 1 where readings are late.
+            arrived: A joint within this of its goal is there, m or rad.
+            aim: How far beside the fruit as seen the tool goes ``(..., 3)``, base frame, m.
+            patience: Time for one fruit after which the gripper closes as soon as it can, s.
+            iterations: Steps of the inverse; fewer leave joints less near to mid-range, and are sooner done.
+        """
+        super().__init__(env)
+        gentle = GENTLE * env.unwrapped.orchard.station.bruise_speed
+        self.settle, self.approach, self.aim = (np.asarray(value, dtype=float) for value in (settle, approach, aim))
+        self.tool_speed = np.asarray(gentle if tool_speed is None else tool_speed, dtype=float)
+        self.gain, self.arrived, self.patience = (np.asarray(value, dtype=float) for value in (gain, arrived, patience))
+        self.iterations = iterations
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last canopy."""
+        self._begin(0)
+
+    def _begin(self, count: int) -> None:
+        n = self.geometry.joints
+        self._fruit, self._way = np.full((count, 3), np.nan), np.full((count, AT + 1, n), np.nan)
+        self._place, self._spent = np.full(count, BELOW), np.zeros(count)
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next action ``(n + 1,)``, or actions ``(N, n + 1)`` for observations of as many environments."""
+        values = np.asarray(observation, dtype=float)
+        single, values = values.ndim == 1, np.atleast_2d(values)
+        if len(self._fruit) != len(values):
+            self._begin(len(values))
+        n, rows = self.geometry.joints, np.arange(len(values))
+        joints = self.geometry.lower + (values[:, :n] + 1.0) / 2.0 * (self.geometry.upper - self.geometry.lower)
+        fruit, turn, still = values[:, n + 3 : n + 6], values[:, n + 9 : n + 12], values[:, n + 12]
+        hanging, off = values[:, n + 14] > 0.5, values[:, n + 15] > 0.5
+        seeking = ~(hanging | off)
+        new = np.flatnonzero(seeking & ~np.isclose(fruit, self._fruit, atol=1e-6).all(axis=-1))
+        if single and new.size:
+            self._plan(0, joints[0], fruit[0], turn[0])
+        elif new.size:
+            self._plan(new, joints[new], fruit[new], turn[new])
+        for _ in (OUT, BELOW):
+            near = self._away(joints, self._way[rows, self._place]) < self.arrived * PASSED
+            self._place += seeking & (self._place < AT) & near
+        goals = self._way[rows, np.where(off, BELOW, self._place)]
+        # Standing still is asked of the command: corrections smaller than the encoders' counts would never end.
+        arrived = seeking & (self._place == AT) & (self._away(joints, goals) < self.arrived)
+        stays = hanging | arrived | np.isnan(goals[:, 0])
+        late = seeking & (self._spent * CONTROL_PERIOD >= self.patience)
+        closes = hanging | late | (arrived & (still >= self.settle - 1e-3))
+        self._spent += 1.0
+        away = np.where(stays[:, None], 0.0, goals - joints)
+        if single:
+            return np.asarray([*self._shares(joints[0], away[0]), float(closes[0])], dtype=np.float32)
+        return np.concatenate([self._shares(joints, away), closes[:, None]], axis=-1, dtype=np.float32)
+
+    def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
+        """Waypoints: down from the last fruit, below the next one, and up to it."""
+        believed_pose = forward(self.geometry, joints)
+        upright = displace_pose(believed_pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
+        aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
+        down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
+        at = self._solve(seen + aim, upright, joints)
+        last, below = self._way[rows, BELOW], self._solve(seen + aim - down, upright, at)
+        self._place[rows] = np.where(np.isnan(last[..., 0]), BELOW, OUT)
+        self._way[rows, OUT], self._way[rows, BELOW], self._way[rows, AT] = last, below, at
+        self._fruit[rows], self._spent[rows] = seen, 0.0
+
+    def _solve(self, position: Array, rotation: Array, start: Array) -> Array:
+        pose = Pose(position, rotation)
+        most = self.iterations
+        return inverse(self.geometry, pose, start, attitude_tolerance=1e-3, max_iterations=most, restarts=0).joints
+
+    @staticmethod
+    def _away(joints: Array, goals: Array) -> Array:
+        return np.asarray(np.abs(goals - joints).max(axis=-1))
+
+    def _shares(self, joints: Array, away: Array) -> Array:
+        """Shares of the joints' increments, in step with each other, so that the tool's way is nearly straight."""
+        step = self.gain[..., None] * away
+        share = step / self.increment
+        way = np.linalg.norm((joint_jacobian(self.geometry, joints)[..., :3, :] @ step[..., None])[..., 0], axis=-1)
+        most = np.maximum(np.abs(share).max(axis=-1), way / (self.tool_speed * CONTROL_PERIOD))
+        return np.asarray(share / np.maximum(1.0, most)[..., None])
+
+
+# A scripted policy for the harvester: plan the zone once, pick by the plan, plan anew for what was missed. It uses
+# the observation alone, and works for the Gymnasium environment and for PettingZoo's.
+
+
+SLAVE_ARRIVED = 1e-3
+"""A joint within this of its goal is there, m or rad."""
+PATIENCE = 3
+"""Periods that a risen cup waits for its sensor before it gives up."""
+
+
+@dataclass(eq=False)
+class _Arm:
+    """State of one slave: its fruit still to pick, and the phase of the present pick."""
+
+    queue: list[int] = field(default_factory=list)
+    fruit: int | None = None
+    phase: str = "travel"
+    waited: int = 0
+
+
+class ScriptedHarvest:
+    """Drives every slave through its planned picks; an arm goes out only where no arm that is out would be met."""
+
+    def __init__(self, env: Any, assignment: str = "search") -> None:
+        """Read the machine from ``env``, a `pickenv/Harvest-v0` of Gymnasium or PettingZoo, wrapped or not."""
+        self.task = env.unwrapped.task
+        self.machine = self.task.machine
+        self.assignment = assignment
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last zone."""
+        self._arms = [_Arm() for _ in range(self.machine.arms)]
+        self._work: Work | None = None
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next joint action of the whole machine."""
+        machine = self.machine
+        joints, busy, fruit, hangs = self._decoded(np.asarray(observation, dtype=float))
+        idle = all(arm.fruit is None and not arm.queue for arm in self._arms)
+        if idle and hangs.any():
+            self._plan(joints[:3], fruit, hangs)
+        goals = joints.copy()
+        for i, arm in enumerate(self._arms):
+            mine = slice(3 + 3 * i, 6 + 3 * i)
+            goals[mine] = self._goal(i, arm, joints[mine], bool(busy[i] > 0), hangs)
+        share = (goals - joints) / self.task.increment
+        for i in range(machine.arms):  # swing and stretch keep step, as the plan's clearances suppose
+            both = slice(4 + 3 * i, 6 + 3 * i)
+            share[both] /= max(1.0, float(np.abs(share[both]).max()))
+        return np.asarray(share.clip(-1.0, 1.0), dtype=np.float32)
+
+    def act_together(self, observations: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+        """The next actions of PettingZoo's agents."""
+        shared = next(iter(observations.values()))[: len(self.task.bounds[0])]
+        parts = self.act(shared).reshape(-1, 3)
+        return dict(zip(observations, parts, strict=True))
+
+    def _decoded(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
+        """Joints, time left of each blade, fruit in the base frame, and whether each hangs in reach."""
+        machine, n = self.machine, self.machine.joints
+        joints = machine.lower + (values[:n] + 1) / 2 * (machine.upper - machine.lower)
+        slots = values[n + machine.arms :].reshape(-1, 4)
+        sin, cos = np.sin(joints[0]), np.cos(joints[0])
+        right, ahead, up = slots[:, 0], slots[:, 1], slots[:, 2]
+        away = np.stack([right * sin + ahead * cos, -right * cos + ahead * sin, up], axis=-1)
+        return joints, values[n : n + machine.arms], machine.frame3(joints[:3]) + away, slots[:, 3] > 0.5
+
+    def _plan(self, master: Array, fruit: Array, hangs: NDArray[np.bool_]) -> None:
+        work = zone_work(self.machine, master, fruit)
+        work.reached[:, ~hangs] = False
+        self._work = work
+        for arm, queue in zip(self._arms, assign(work, self.assignment), strict=True):
+            arm.queue, arm.fruit = list(queue), None
+
+    def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
+        """The next goal of slave ``i``; moves its phase on."""
+        home, work = self.machine.slave_home, self._work
+        if arm.fruit is None:
+            if not arm.queue or work is None:
+                return here
+            arm.fruit, arm.phase, arm.waited = arm.queue.pop(0), "travel", 0
+        assert work is not None
+        at, low = work.joints[i, arm.fruit], float(work.approach[arm.fruit])
+        below = np.array([at[0] - low, *home[1:]])
+        if arm.phase == "travel" and np.abs(here - below).max() < SLAVE_ARRIVED and self._clear(i, arm.fruit):
+            arm.phase = "out"
+        out = np.array([at[0] - low, *at[1:]])
+        if arm.phase == "out" and np.abs(here - out).max() < SLAVE_ARRIVED:
+            arm.phase = "rise"
+        if arm.phase == "rise":
+            risen = abs(here[0] - at[0]) < SLAVE_ARRIVED
+            arm.waited += risen or cutting
+            if not cutting and (arm.waited > PATIENCE or not hangs[arm.fruit]):
+                arm.phase = "back"
+        if arm.phase == "back":
+            drawn_in = np.array([here[0], *home[1:]])
+            if np.abs(here - drawn_in).max() < SLAVE_ARRIVED:
+                arm.fruit = None
+            return drawn_in
+        return {"travel": below, "out": out, "rise": np.asarray(at)}[arm.phase]
+
+    def _clear(self, i: int, fruit: int) -> bool:
+        """Whether no arm that is out would be met on the way to ``fruit``."""
+        assert self._work is not None
+        return not any(
+            arm.fruit is not None and arm.phase != "travel" and self._work.conflict[i, fruit, k, arm.fruit]
+            for k, arm in enumerate(self._arms)
+            if k != i
+        )
 
 
 # The same by name, for comparisons: how each is made for an environment.

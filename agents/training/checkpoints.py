@@ -35,7 +35,7 @@ PARTS = {
     *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
     *("last", "starts", "env", "buffer", "memory"),
 }
-"""What a state consists of."""
+"""The parts of a state."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def save_checkpoint(
     }
     stored = io.BytesIO()
     torch.save(state, stored)
-    header = {"training": asdict(training), "inputs": asdict(inputs), "evaluations": evaluations}
+    header = {"training": asdict(training), "inputs": inputs, "evaluations": evaluations}
     return write_container(path, KIND, header, {}, {STATE: stored.getvalue()}, version=FORMAT)
 
 
@@ -97,7 +97,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
         InputError: If it is missing, damaged in any byte, or of another version.
     """
     if not path.exists():
-        raise InputError(f"there is no checkpoint {path} to go on from; start the training without --resume")
+        raise InputError(f"there is no checkpoint {path} to go on from; start the training without `resume`")
     container = read_container(path, KIND, remake=AGAIN, version=FORMAT, limit=LIMIT)
     with refusing_damage(path, "a checkpoint", AGAIN):
         header, settings = container.header, container.header["training"]
@@ -108,13 +108,14 @@ def read_checkpoint(path: Path) -> Checkpoint:
         if set(state) != PARTS:
             raise ValueError("its state is not that of a training")
         rows = [{str(key): float(value) for key, value in row.items()} for row in header["evaluations"]]
-        return Checkpoint(path, Training(**settings), Inputs(**header["inputs"]), rows, state)
+        inputs = {name: header["inputs"][name] for name in ("arms", "calibration")}
+        return Checkpoint(path, Training(**settings), inputs, rows, state)
 
 
 def _is_a(value: Any, kind: Any) -> bool:
     """Whether a value is of an annotated kind, such as int | None; what a list or a dict holds is not looked at."""
     kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
-    return type(value) in {get_origin(each) or each for each in kinds}
+    return type(value) in {get_origin(option) or option for option in kinds}
 
 
 def check_checkpoint(path: str | Path) -> str | None:
@@ -132,27 +133,24 @@ def take_checkpoint(checkpoint: Checkpoint, model: Any, env: Sb3Vec) -> None:
     Raises:
         InputError: If the state does not fit the training.
     """
+    content = checkpoint.state
     with refusing_damage(checkpoint.path, "a checkpoint of this training", AGAIN):
-        _take(checkpoint.state, model, env)
-
-
-def _take(content: dict[str, Any], model: Any, env: Sb3Vec) -> None:
-    model.set_parameters(content["parameters"], exact_match=True)
-    for key, value in content["variables"].items():
-        getattr(model, key).data.copy_(value)
-    for key in COUNTS:
-        setattr(model, key, content["counts"][key])
-    model._last_obs = _arrays(content["last"])
-    model._last_episode_starts = content["starts"].numpy().copy()
-    env.take_state(_arrays(content["env"]))
-    _take_buffer(model, content["buffer"])
-    if content["memory"]:
-        kept = model._last_lstm_states
-        model._last_lstm_states = type(kept)(*(tuple(part) for part in content["memory"]))
-    model.action_space.np_random.bit_generator.state = json.loads(content["action_random"])
-    name, keys, position, has_gauss, gauss = content["numpy_random"]
-    np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))
-    torch.set_rng_state(content["torch_random"])
+        model.set_parameters(content["parameters"], exact_match=True)
+        for key, value in content["variables"].items():
+            getattr(model, key).data.copy_(value)
+        for key in COUNTS:
+            setattr(model, key, content["counts"][key])
+        model._last_obs = _arrays(content["last"])
+        model._last_episode_starts = content["starts"].numpy().copy()
+        env.take_state(_arrays(content["env"]))
+        _take_buffer(model, content["buffer"])
+        if content["memory"]:
+            states = model._last_lstm_states
+            model._last_lstm_states = type(states)(*(tuple(part) for part in content["memory"]))
+        model.action_space.np_random.bit_generator.state = json.loads(content["action_random"])
+        name, keys, position, has_gauss, gauss = content["numpy_random"]
+        np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))
+        torch.set_rng_state(content["torch_random"])
 
 
 def _memory(model: Any) -> list[list[torch.Tensor]]:

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.policies.learned import load_policy
-from pickenv.agents.policies.pick_policy import HASTY, ScriptedPick
+from pickenv.agents.policies.scripted import HASTY, ScriptedPick
 from pickenv.base import InputError, check_limit, file_sha256, locked, require, seed_words, stream, versions, write_json
-from pickenv.envs.shared.task import check_choice, check_count
+from pickenv.envs import check_choice, check_count
 
 TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0"}
 """Tasks and the environments that they are recorded on, with default arguments."""
@@ -44,7 +44,7 @@ POLICIES = {
     ("pick", "medium"): "ScriptedPick with HASTY: full speed, no waiting",
     ("pick", "random"): "actions drawn evenly",
 }
-"""What acts in each data set."""
+"""The policy of each data set."""
 
 COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
 
@@ -100,51 +100,51 @@ def _kept_or_made(
     out: Path, task: str, quality: str, episodes: int | None, seed: int, report: Callable[[str, int, int], None]
 ) -> dict[str, Any]:
     count, name = episodes or EPISODES[task], f"pickenv/{task}/{quality}-v0"
-    asked = {"name": name, "format": FORMAT, "seed": seed, "episodes": count}
+    settings = {"name": name, "format": FORMAT, "seed": seed, "episodes": count}
     folder = out / name
     if folder.exists():
         report(name, count, count)
-        return _kept(folder, asked)
+        return _kept(folder, settings)
     parts = stream(seed, "datasets", list(TASKS).index(task), QUALITIES.index(quality)).spawn(2)
     seeds, rng = seed_words(parts[0], count), np.random.default_rng(parts[1])
     record = _reaches if task == "reach" else _canopies
-    found: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
     for episode in record(quality, seeds, rng):
-        found.append(episode)
-        report(name, len(found), count)
-    card = asked | {
+        rows.append(episode)
+        report(name, len(rows), count)
+    card = settings | {
         "environment": TASKS[task],
         "policy": POLICIES[task, quality],
         "seeds": seeds,
-        "steps": sum(len(each["rewards"]) for each in found),
-        "mean_return": float(np.mean([each["rewards"].sum() for each in found])),
-        **{key: float(np.mean([each["said"][key] for each in found])) for key in found[0]["said"]},
+        "steps": sum(len(row["rewards"]) for row in rows),
+        "mean_return": float(np.mean([row["rewards"].sum() for row in rows])),
+        **{key: float(np.mean([row["said"][key] for row in rows])) for key in rows[0]["said"]},
         "licence": LICENCE,
         "simulated": True,
         "versions": versions("gymnasium", "minari"),
     }
-    return _write(folder, name, found, card)
+    return _write(folder, name, rows, card)
 
 
 def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     """Reaches of the vector environment, all at once."""
     envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled", executor="numpy")
     policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
-    seen, _ = envs.reset(seed=list(seeds))
-    rows: dict[str, list[Any]] = {"observations": [seen]} | {name: [] for name in COLUMNS[1:]}
+    observations, _ = envs.reset(seed=list(seeds))
+    rows: dict[str, list[Any]] = {"observations": [observations]} | {name: [] for name in COLUMNS[1:]}
     for _ in range(envs.unwrapped.max_episode_steps):
-        drawn = rng.uniform(-1.0, 1.0, envs.action_space.shape).astype(np.float32)
-        known = policy.act(envs.raw) / envs.scaling.share(envs.raw, np)
+        noise = rng.uniform(-1.0, 1.0, envs.action_space.shape).astype(np.float32)
+        learnt = policy.act(envs.raw) / envs.scaling.share(envs.raw, np)
         odds = {"expert": 0.0, "medium": 0.5, "random": 1.0}[quality]
-        chosen = rng.random(len(seeds)) < odds
-        action = np.clip(np.where(chosen[:, None], drawn, known), -1.0, 1.0).astype(np.float32)
-        seen, reward, terminated, truncated, infos = envs.step(action)
-        for name, values in zip(COLUMNS, (seen, action, reward, terminated, truncated), strict=True):
+        random = rng.random(len(seeds)) < odds
+        action = np.clip(np.where(random[:, None], noise, learnt), -1.0, 1.0).astype(np.float32)
+        observations, reward, terminated, truncated, infos = envs.step(action)
+        for name, values in zip(COLUMNS, (observations, action, reward, terminated, truncated), strict=True):
             rows[name].append(np.array(values))
     columns = {name: np.stack(values, axis=1) for name, values in rows.items()}
     for i, seed in enumerate(seeds):
-        said = {"final_error_mm": infos["position_error_mm"][i], "success": infos["is_success"][i]}
-        yield {"seed": seed, "said": said} | {name: column[i] for name, column in columns.items()}
+        result = {"final_error_mm": infos["position_error_mm"][i], "success": infos["is_success"][i]}
+        yield {"seed": seed, "said": result} | {name: column[i] for name, column in columns.items()}
 
 
 def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
@@ -152,21 +152,21 @@ def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> I
     env = gym.make(TASKS["pick"])
     policy = ScriptedPick(env, **(HASTY if quality == "medium" else {}))
     for seed in seeds:
-        seen, info = env.reset(seed=seed)
+        observation, info = env.reset(seed=seed)
         policy.reset()
-        rows: dict[str, list[Any]] = {"observations": [seen]} | {name: [] for name in COLUMNS[1:]}
+        rows: dict[str, list[Any]] = {"observations": [observation]} | {name: [] for name in COLUMNS[1:]}
         while not rows["actions"] or not (rows["terminations"][-1] or rows["truncations"][-1]):
-            drawn = quality == "random"
-            action = rng.uniform(-1.0, 1.0, env.action_space.shape or ()) if drawn else policy.act(seen)
+            random = quality == "random"
+            action = rng.uniform(-1.0, 1.0, env.action_space.shape or ()) if random else policy.act(observation)
             action = np.clip(action, -1.0, 1.0).astype(np.float32)
-            seen, reward, terminated, truncated, info = env.step(action)
-            for name, value in zip(COLUMNS, (seen, action, reward, terminated, truncated), strict=True):
+            observation, reward, terminated, truncated, info = env.step(action)
+            for name, value in zip(COLUMNS, (observation, action, reward, terminated, truncated), strict=True):
                 rows[name].append(value)
-        said = {"collected": info["collected"]}
-        yield {"seed": seed, "said": said} | {name: np.array(column) for name, column in rows.items()}
+        result = {"collected": info["collected"]}
+        yield {"seed": seed, "said": result} | {name: np.array(column) for name, column in rows.items()}
 
 
-def _write(folder: Path, name: str, found: Sequence[dict[str, Any]], card: dict[str, Any]) -> dict[str, Any]:
+def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: dict[str, Any]) -> dict[str, Any]:
     """A data set and its card, moved into place once both are whole."""
     import minari
     from minari.data_collector import EpisodeBuffer
@@ -174,8 +174,8 @@ def _write(folder: Path, name: str, found: Sequence[dict[str, Any]], card: dict[
     out = folder.parents[2].resolve()  # Minari loses its way on relative paths
     with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=out, ignore_cleanup_errors=True) as temporary:
         buffers = [
-            EpisodeBuffer(id=i, **{key: value for key, value in each.items() if key != "said"})
-            for i, each in enumerate(found)
+            EpisodeBuffer(id=i, **{key: value for key, value in episode.items() if key != "said"})
+            for i, episode in enumerate(episodes)
         ]
         with _minari_folder(temporary), warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*is set to None.*")  # addresses of people
@@ -188,14 +188,14 @@ def _write(folder: Path, name: str, found: Sequence[dict[str, Any]], card: dict[
                 description=f"{card['policy']}; simulated; seed {card['seed']}; licence {LICENCE}",
                 requirements=[f"pickenv=={card['versions']['pickenv']}"],
             )
-        made = Path(temporary) / name
-        card |= {"sha256": _hashes(made), "content_sha256": _content_hash(found)}
-        write_json(made / CARD, card)
+        complete = Path(temporary) / name
+        card |= {"sha256": _hashes(complete), "content_sha256": _content_hash(episodes)}
+        write_json(complete / CARD, card)
         for inner in (folder.parent, folder.parent.parent):  # Minari finds what stands in a folder that says it is one
             inner.mkdir(parents=True, exist_ok=True)
             if not (inner / "namespace_metadata.json").exists():
                 write_json(inner / "namespace_metadata.json", {})
-        shutil.move(made, folder)
+        shutil.move(complete, folder)
     return card
 
 
@@ -213,12 +213,12 @@ def _minari_folder(folder: str) -> Iterator[None]:
             os.environ["MINARI_DATASETS_PATH"] = before
 
 
-def _content_hash(found: Sequence[dict[str, NDArray[Any]]]) -> str:
+def _content_hash(episodes: Sequence[dict[str, NDArray[Any]]]) -> str:
     """SHA-256 over the numbers of all episodes, which a run with the same seed gives again."""
     total = hashlib.sha256()
-    for each in found:
+    for episode in episodes:
         for name in COLUMNS:
-            total.update(np.ascontiguousarray(each[name]).tobytes())
+            total.update(np.ascontiguousarray(episode[name]).tobytes())
     return total.hexdigest()
 
 
@@ -233,7 +233,7 @@ def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: If it is not.
     """
-    otherwise = f"{folder} %s; take it away to have it made anew, or give another --out"
+    otherwise = f"{folder} %s; take it away to have it made anew, or give another `out`"
     try:
         card: dict[str, Any] = json.loads((folder / CARD).read_text(encoding="utf-8"))
         changed = card["sha256"] != _hashes(folder)

@@ -14,19 +14,18 @@ from stable_baselines3.common.policies import ActorCriticPolicy
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 from pickenv.agents.policies.remembering import HEADS, attended
-from pickenv.wrappers import PickMemory
-from pickenv.wrappers.same_arm import MOST_SEEN
+from pickenv.wrappers import MOST_SEEN, PickMemory
 
 
 def memory_of(space: spaces.Space[Any]) -> PickMemory:
-    """How the observations of a `pickenv.wrappers.SameArm` are laid out; its largest shift is not among them."""
+    """The layout of the observations of a `pickenv.wrappers.SameArm`; its largest shift is not among them."""
     assert space.shape is not None and isinstance(space, spaces.Box)
     window = int((space.high == MOST_SEEN).sum()) // 3
     return PickMemory((space.shape[0] - 4 * window) // (1 + window), window)
 
 
 class HistoryFeatures(BaseFeaturesExtractor):
-    """What the window's picks say about the next one."""
+    """Features of the window's picks for the next one."""
 
     def __init__(self, observation_space: spaces.Box, width: int = 32, made: int = 16) -> None:
         """See a window.
@@ -45,16 +44,16 @@ class HistoryFeatures(BaseFeaturesExtractor):
             "key": (width, width),
             "value": (width + 3, made),
         }
-        given = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
-        for value in given.values():
+        arrays = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
+        for value in arrays.values():
             th.nn.init.orthogonal_(value, 1.0 if value.shape[0] != value.shape[1] else np.sqrt(2.0))
-        given |= {f"{name}_bias": th.nn.Parameter(th.zeros(sizes[name][1])) for name in ("near", "value")}
-        self.given = th.nn.ParameterDict(given)
+        arrays |= {f"{name}_bias": th.nn.Parameter(th.zeros(sizes[name][1])) for name in ("near", "value")}
+        self.given = th.nn.ParameterDict(arrays)
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Features ``(N, features)``."""
-        found: th.Tensor = attended(th, dict(self.given.items()), self.memory, observations)
-        return found
+        features: th.Tensor = attended(th, dict(self.given.items()), self.memory, observations)
+        return features
 
 
 class HistoryPolicy(ActorCriticPolicy):

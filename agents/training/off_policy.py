@@ -15,14 +15,14 @@ from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac import policies as sac
 
-from pickenv.wrappers.gap import Scaling, joined_observation
+from pickenv.wrappers import Scaling, joined_observation
 
 MOST = 3.0
 """Critics see actions up to this multiple of the share; hindsight puts goals beside the tool, and shares near zero."""
 
 
 class ScaledFeatures(BaseFeaturesExtractor):
-    """What the networks see of an observation; nothing in it is learnt."""
+    """An observation as the networks see it; nothing in it is learnt."""
 
     def __init__(self, observation_space: spaces.Dict, actions: bool = True) -> None:
         """See a goal observation; ``actions`` as in `pickenv.wrappers.GapScaling`."""
@@ -33,19 +33,19 @@ class ScaledFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: Any) -> th.Tensor:
         """Features ``(N, features)``."""
-        seen: th.Tensor = self.scaling.observe(joined_observation(observations, th), th)
-        return seen
+        features: th.Tensor = self.scaling.observe(joined_observation(observations, th), th)
+        return features
 
     def share(self, observations: Any) -> th.Tensor:
         """The scaling's share ``(N, 1)``."""
-        found: th.Tensor = self.scaling.share(joined_observation(observations, th), th)
-        return found
+        share: th.Tensor = self.scaling.share(joined_observation(observations, th), th)
+        return share
 
 
 def _scaling(module: Any) -> ScaledFeatures:
-    found = module.features_extractor
-    assert isinstance(found, ScaledFeatures)
-    return found
+    features = module.features_extractor
+    assert isinstance(features, ScaledFeatures)
+    return features
 
 
 class _ScaledActions:

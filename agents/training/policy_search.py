@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.agents.evaluation.reaches import pick_canopies
-from pickenv.agents.policies.pick_policy import ScriptedPick
+from pickenv.agents.policies.scripted import ScriptedPick
 from pickenv.arm import Array
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import PickVectorEnv
@@ -51,7 +51,7 @@ KNOBS: Mapping[str, Knob] = {
     "aim_z": Knob(0.0, 2e-3, -0.02, 0.02),
     "patience": Knob(40.0, 1.0, 2.0, 40.0, factor=True),
 }
-"""Arguments of `pickenv.agents.policies.pick_policy.ScriptedPick`; 40 s are all the time there is."""
+"""Arguments of `pickenv.agents.policies.scripted.ScriptedPick`; 40 s are all the time there is."""
 
 BEST = 0.25
 """Share of the candidates to which mean and spread move."""
@@ -70,15 +70,15 @@ def arguments_of(units: Array) -> dict[str, Array]:
     """The script's arguments for points ``(..., 9)`` of the search, in spreads from where it starts."""
     values: dict[str, Array] = {}
     for at, (name, knob) in zip(np.moveaxis(units, -1, 0), KNOBS.items(), strict=True):
-        moved = knob.spread * at
-        values[name] = np.clip(knob.start * np.exp(moved) if knob.factor else knob.start + moved, knob.low, knob.high)
+        change = knob.spread * at
+        values[name] = np.clip(knob.start * np.exp(change) if knob.factor else knob.start + change, knob.low, knob.high)
     aim = np.stack([values.pop(f"aim_{axis}") for axis in "xyz"], axis=-1)
     return values | {"aim": aim}
 
 
 @dataclass(frozen=True, eq=False)
 class Searches:
-    """What searches from several seeds went through; they run side by side and share nothing.
+    """The course of searches from several seeds; they run side by side and share nothing.
 
     Attributes:
         steps: Environment steps before each generation and at the end ``(generations + 1, seeds)``.
@@ -92,7 +92,7 @@ class Searches:
 
     @property
     def learnt(self) -> Array:
-        """What each ends with ``(seeds, 9)``: the mean over its second half, for single generations are noisy."""
+        """The end of each search ``(seeds, 9)``: the mean over its second half, for single generations are noisy."""
         return np.asarray(self.means[(len(self.means) + 1) // 2 :].mean(axis=0))
 
 
@@ -124,15 +124,16 @@ def search(
         policy = ScriptedPick(
             envs, iterations=QUICK, **arguments_of(np.repeat(points, canopies, axis=1).reshape(-1, len(KNOBS)))
         )
-        drawn = (seed_words(stream(seed, "training", number), canopies) * candidates for seed in seeds)
-        found = {name: each.reshape(size) for name, each in pick_canopies(policy, envs, list(chain(*drawn))).items()}
-        order = np.argsort(-found["reward"].mean(axis=2), axis=1, kind="stable")[:, : round(BEST * candidates), None]
+        words = (seed_words(stream(seed, "training", number), canopies) * candidates for seed in seeds)
+        picks = pick_canopies(policy, envs, list(chain(*words)))
+        outcome = {name: values.reshape(size) for name, values in picks.items()}
+        order = np.argsort(-outcome["reward"].mean(axis=2), axis=1, kind="stable")[:, : round(BEST * candidates), None]
         best = np.take_along_axis(points, order, axis=1)
         spread = np.sqrt(KEPT * spread**2 + (1.0 - KEPT) * np.mean((best - mean[:, None]) ** 2, axis=1))
         spread = np.maximum(spread, LEAST_SPREAD)
         mean = KEPT * mean + (1.0 - KEPT) * best.mean(axis=1)
         means.append(mean)
-        rewards.append(found["reward"].mean(axis=(1, 2)))
-        steps.append(steps[-1] + found["steps"].sum(axis=(1, 2)))
+        rewards.append(outcome["reward"].mean(axis=(1, 2)))
+        steps.append(steps[-1] + outcome["steps"].sum(axis=(1, 2)))
     envs.close()
     return Searches(np.array(steps), np.array(means), np.array(rewards))

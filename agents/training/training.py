@@ -11,7 +11,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from stable_baselines3.common.callbacks import BaseCallback
 
@@ -26,10 +25,8 @@ from pickenv.agents.training.training_setup import (
     inputs_of,
     judge,
     make_model,
-    write_evaluations,
 )
-from pickenv.base import InputError, locked, torch_on_one_thread
-from pickenv.wrappers import Sb3Vec
+from pickenv.base import InputError, locked, torch_on_one_thread, write_json
 
 # What happens during a training: checkpoints between rollouts, and evaluations in millimetres.
 
@@ -58,28 +55,6 @@ class EverySoOften(BaseCallback):
         return (self.model.num_timesteps // self.steps + 1) * self.steps
 
 
-def checkpoints(
-    training: Training, inputs: Inputs, path: Path, env: Sb3Vec, evaluations: list[dict[str, float]]
-) -> EverySoOften:
-    """Write a checkpoint every so many steps."""
-    return EverySoOften(
-        training.checkpoint_every,
-        lambda at: save_checkpoint(path, at.model, env, training, inputs, evaluations),
-    )
-
-
-def evaluations(training: Training, inputs: Inputs, out: Path, rows: list[dict[str, float]]) -> EverySoOften:
-    """Judge the policy on held-out episodes every so many steps; draws nothing that the training draws from."""
-
-    def evaluate(at: BaseCallback) -> None:
-        env: Any = at.training_env
-        row = judged(training, inputs, out, rows, actor_of(at.model, training, env), at.model.num_timesteps)
-        for key, value in row.items():
-            at.logger.record(f"eval/{key}", value)
-
-    return EverySoOften(training.evaluate_every, evaluate)
-
-
 def judged(
     training: Training,
     inputs: Inputs,
@@ -96,7 +71,7 @@ def judged(
     check_inputs(training, inputs)
     rows[:] = [row for row in rows if row["steps"] < steps]
     rows.append({"steps": float(steps)} | judge(policy, training))
-    write_evaluations(out, rows)
+    write_json(out / "evaluations.json", rows)
     return rows[-1]
 
 
@@ -148,8 +123,17 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
         if begun is not None:
             take_checkpoint(begun, model, env)
         rows = [] if begun is None else begun.evaluations
+
+        def evaluate(at: BaseCallback) -> None:
+            policy = actor_of(at.model, training, env)
+            for key, value in judged(training, inputs, out, rows, policy, at.model.num_timesteps).items():
+                at.logger.record(f"eval/{key}", value)
+
+        def keep(at: BaseCallback) -> None:
+            save_checkpoint(path, at.model, env, training, inputs, rows)
+
         # a checkpoint follows its evaluation
-        callbacks = [evaluations(training, inputs, out, rows), checkpoints(training, inputs, path, env, rows)]
+        callbacks = [EverySoOften(training.evaluate_every, evaluate), EverySoOften(training.checkpoint_every, keep)]
         begin, first = time.perf_counter(), model.num_timesteps
         if model.num_timesteps < training.total:
             model.learn(

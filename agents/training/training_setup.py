@@ -1,10 +1,13 @@
-"""What trainings are made of: settings, environments, algorithms, their actors, and how these are judged."""
+"""The parts of a training: settings, environments, algorithms, their actors, and how these are judged."""
 
 from __future__ import annotations
 
+import ast
+import importlib
 import importlib.util
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import numpy as np
@@ -13,13 +16,10 @@ from pickenv.agents.evaluation.contenders import load_compensator
 from pickenv.agents.evaluation.reaches import FRUIT, pick_canopies
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
-from pickenv.agents.training.hyperparams import check_algorithm, class_named, tuned
 from pickenv.arm.files.arm import content_sha256
-from pickenv.base import InputError, check_limit, file_sha256, npz_path, versions, write_json
+from pickenv.base import InputError, check_limit, file_sha256, npz_path, versions
 from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
-from pickenv.wrappers import GapScalingVector, SameArmVector, ToolSteppingVector
-from pickenv.wrappers.gap import Scaling
-from pickenv.wrappers.tool_steps import ToolSteps, tool_steps_of
+from pickenv.wrappers import GapScalingVector, SameArmVector, Scaling, ToolSteppingVector, ToolSteps, tool_steps_of
 
 Native = ReachVectorEnv | PickVectorEnv
 ENVIRONMENTS: dict[str, type[Native]] = {
@@ -34,10 +34,10 @@ HELD_OUT = 2**62
 
 @dataclass(frozen=True)
 class Training:
-    """What is trained, and how.
+    """Settings of a training.
 
     Attributes:
-        algorithm: One of `pickenv.agents.training.hyperparams.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
+        algorithm: One of `pickenv.agents.training.training_setup.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
             `pickenv.wrappers.SameArmVector`.
         env_id: Id of the environment.
         steps: Environment steps; the tuned number when None.
@@ -79,8 +79,8 @@ class Training:
     @property
     def wrapper(self) -> tuple[str | None, dict[str, Any]]:
         """Name of the wrapper that the algorithm learns behind, as RL Zoo names it, and its arguments."""
-        named = self.chosen.get("env_wrapper")
-        ((name, settings),) = named.items() if isinstance(named, dict) else [(named, {})]
+        entry = self.chosen.get("env_wrapper")
+        ((name, settings),) = entry.items() if isinstance(entry, dict) else [(entry, {})]
         return name, settings
 
     @property
@@ -95,17 +95,9 @@ class Training:
         return self.steps or int(self.chosen["n_timesteps"])
 
 
-@dataclass(frozen=True)
-class Inputs:
-    """What a training is made with besides its options.
-
-    Attributes:
-        arms: Hash of the numbers of its true arms: plant, arm and tolerance class.
-        calibration: SHA-256 of the calibration file, or None.
-    """
-
-    arms: str
-    calibration: str | None
+Inputs = dict[str, str | None]
+"""Files and arms of a training besides its options: "arms", a hash of the numbers of its true arms (plant, arm and
+tolerance class), and "calibration", the SHA-256 of the calibration file, or None."""
 
 
 def make_environment(training: Training, count: int, mode: str) -> Native:
@@ -122,21 +114,21 @@ def make_environment(training: Training, count: int, mode: str) -> Native:
 
 
 def scaling_of(training: Training, env: Native) -> Scaling | ToolSteps:
-    """What the networks make of an environment's observations."""
+    """The scaling that suits an environment's observations."""
     if isinstance(env, PickVectorEnv):
         return tool_steps_of(env)
     return Scaling(env.task.joints, env.task.camera, env.goal_dict, training.scaled_actions)
 
 
 def inputs_of(training: Training) -> Inputs:
-    """What a training is made with, as it is now.
+    """Files and arms that a training is made with, as they are now.
 
     Raises:
         InputError: If the calibration is missing or of another arm, or a plant is impossible.
     """
     arms = make_environment(training, 1, "Disabled").task.plant
     calibration = None if training.compensate is None else file_sha256(npz_path(training.compensate))
-    return Inputs(content_sha256(arms), calibration)
+    return {"arms": content_sha256(arms), "calibration": calibration}
 
 
 def check_inputs(training: Training, begun: Inputs) -> None:
@@ -145,18 +137,18 @@ def check_inputs(training: Training, begun: Inputs) -> None:
     Raises:
         InputError: If the calibration or the plant has changed or is missing; names it.
     """
-    restore = "put back what the training was begun with, or begin another with another --out"
+    restore = "put back what the training was begun with, or begin another in another folder (`out`)"
     if training.compensate is not None:
         path = npz_path(training.compensate)
         if not path.is_file():
-            raise InputError(f"calibration {path} (--compensate) is missing; {restore}")
-        if file_sha256(path) != begun.calibration:
-            raise InputError(f"calibration {path} (--compensate) is another file than it was; {restore}")
+            raise InputError(f"calibration {path} (`compensate`) is missing; {restore}")
+        if file_sha256(path) != begun["calibration"]:
+            raise InputError(f"calibration {path} (`compensate`) is another file than it was; {restore}")
     plant = str(training.arguments.get("plant", "of the environment"))
     if plant.endswith(".toml") and not Path(plant).is_file():
-        raise InputError(f"plant {plant} (--plant) is missing; {restore}")
-    if inputs_of(training).arms != begun.arms:
-        raise InputError(f"plant {plant} (--plant, or its tolerances) has other numbers than it had; {restore}")
+        raise InputError(f"plant {plant} (`plant`) is missing; {restore}")
+    if inputs_of(training)["arms"] != begun["arms"]:
+        raise InputError(f"plant {plant} (`plant`, or its tolerances) has other numbers than it had; {restore}")
 
 
 def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
@@ -170,10 +162,10 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
 
     from pickenv.wrappers import Sb3Vec
 
-    chosen, remembering, settings = training.chosen, training.remembering, training.wrapper[1]
+    parameters, remembering, settings = training.chosen, training.remembering, training.wrapper[1]
     for key in ("n_timesteps", "env_kwargs", "env_wrapper"):
-        chosen.pop(key, None)
-    inner = make_environment(training, int(chosen.pop("n_envs")), "SameStep")
+        parameters.pop(key, None)
+    inner = make_environment(training, int(parameters.pop("n_envs")), "SameStep")
     logs = str(out / "logs") if out is not None and importlib.util.find_spec("tensorboard") is not None else None
     common: dict[str, Any] = {"seed": training.seed, "device": "cpu", "tensorboard_log": logs, "verbose": 0}
     goals = isinstance(inner, ReachVectorEnv) and inner.goal_dict
@@ -186,10 +178,12 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     else:
         env = Sb3Vec(inner if goals else GapScalingVector(inner, training.scaled_actions))
     if goals:
-        chosen["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
-        chosen["replay_buffer_class"] = HerReplayBuffer
+        parameters["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
+        parameters["replay_buffer_class"] = HerReplayBuffer
     kinds: dict[str, Any] = {"ppo": PPO, "sac": SAC, "tqc": TQC, "ppo_lstm": RecurrentPPO, "ppo_history": PPO}
-    return kinds[training.algorithm](class_named(chosen.pop("policy")), env, **chosen, **common), env
+    policy = parameters.pop("policy")
+    actor = resolve_name(policy) if "." in policy else policy  # a class by its dotted name, or one of its algorithm's
+    return kinds[training.algorithm](actor, env, **parameters, **common), env
 
 
 def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | RememberingPolicy:
@@ -221,11 +215,11 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:
-    """What a torch policy remembers by, as `RememberingPolicy` has it."""
+    """Arrays by which a torch policy remembers, as `RememberingPolicy` has it."""
     lstm = getattr(policy, "lstm_actor", None)
     if lstm is None:
-        given = policy.features_extractor.given
-        return {name: value.detach().numpy().astype(float) for name, value in given.items()}
+        arrays = policy.features_extractor.given
+        return {name: value.detach().numpy().astype(float) for name, value in arrays.items()}
     parts = (lstm.weight_ih_l0.T, lstm.bias_ih_l0, lstm.weight_hh_l0.T, lstm.bias_hh_l0)
     return {name: part.detach().numpy().astype(float) for name, part in zip(LSTM, parts, strict=True)}
 
@@ -242,12 +236,12 @@ def judge(
     """
     if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
         envs: Any = make_environment(training, episodes or 16, "NextStep")
-        found = pick_canopies(policy, envs, HELD_OUT)
-        return {name: float(found[name].mean()) for name in FRUIT}
+        outcome = pick_canopies(policy, envs, HELD_OUT)
+        return {name: float(outcome[name].mean()) for name in FRUIT}
     env: Any = make_environment(training, episodes or 256, "Disabled")
     if isinstance(policy, RememberingPolicy):
-        found = _picked(policy, SameArmVector(env, **(training.remembering or {})))
-        error, success = found["position_error_mm"], found["is_success"]
+        outcome = _picked(policy, SameArmVector(env, **(training.remembering or {})))
+        error, success = outcome["position_error_mm"], outcome["is_success"]
     else:
         observation, infos = env.reset(seed=HELD_OUT)
         for _ in range(60):
@@ -262,22 +256,59 @@ def judge(
 
 def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
     """Infos ``(picks, arms)`` of one run of every arm."""
-    seen, _ = envs.reset(seed=HELD_OUT)
-    state, found = policy.begin(envs.num_envs), []
+    observations, _ = envs.reset(seed=HELD_OUT)
+    state, rows = policy.begin(envs.num_envs), []
     for _ in range(envs.run.picks):
-        action, state = policy.aim(seen, state)
-        seen, _, _, _, infos = envs.step(action)
-        found.append(infos.get("final_info", infos))
-    return {key: np.array([each[key] for each in found]) for key in ("position_error_mm", "is_success")}
+        action, state = policy.aim(observations, state)
+        observations, _, _, _, infos = envs.step(action)
+        rows.append(infos.get("final_info", infos))
+    return {key: np.array([row[key] for row in rows]) for key in ("position_error_mm", "is_success")}
 
 
 def words_of(row: dict[str, float]) -> str:
-    """What an evaluation says in a line."""
+    """An evaluation in one line of words."""
     if "mean_mm" in row:
         return f"{row['mean_mm']:.3f} mm mean, {row['p95_mm']:.3f} mm p95 on held-out fruit"
     return f"{row['collected']:.2f} of {row['reachable']:.2f} reachable fruit per held-out canopy"
 
 
-def write_evaluations(out: Path, rows: list[dict[str, float]]) -> None:
-    """Write the evaluations of a run."""
-    write_json(out / "evaluations.json", rows)
+# Tuned parameters read from `pickenv.zoo.hyperparams`, strings in the notation of RL Zoo included; nothing is run.
+
+
+ALGORITHMS = ("ppo", "sac", "tqc", "ppo_lstm", "ppo_history")
+
+
+def check_algorithm(algorithm: str) -> None:
+    """Refuse an unknown algorithm.
+
+    Raises:
+        InputError: If it is not one of `ALGORITHMS`.
+    """
+    if algorithm not in ALGORITHMS:
+        raise InputError(f"unknown algorithm '{algorithm}'; give one of {', '.join(ALGORITHMS)}")
+
+
+def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
+    """Parameters of an algorithm on an environment.
+
+    Raises:
+        InputError: If the algorithm is unknown, or was never tuned on the environment.
+    """
+    check_algorithm(algorithm)
+    parameters: dict[str, dict[str, Any]] = importlib.import_module(f"pickenv.zoo.hyperparams.{algorithm}").hyperparams
+    if env_id not in parameters:
+        raise InputError(f"{algorithm} has no tuned parameters for '{env_id}'; give one of {', '.join(parameters)}")
+    return {key: _value(value) for key, value in parameters[env_id].items()}
+
+
+def _value(value: Any) -> Any:
+    if not isinstance(value, str):
+        return value
+    if value.startswith("lin_"):
+        start = float(value[4:])
+        return lambda remaining: remaining * start  # a schedule that falls evenly to zero
+    if value.startswith("dict("):
+        call = ast.parse(value, mode="eval").body
+        assert isinstance(call, ast.Call)
+        return {word.arg: ast.literal_eval(word.value) for word in call.keywords}
+    return value

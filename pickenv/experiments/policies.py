@@ -21,7 +21,7 @@ from pickenv.agents import Policy, ScriptedPick, roll_out
 from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.reaches import moments_of
 from pickenv.agents.policies.learned import BASELINES
-from pickenv.agents.policies.pick_policy import HASTY
+from pickenv.agents.policies.scripted import HASTY
 from pickenv.arm import Plant, plant_at
 from pickenv.arm.plant.plant_file import draw_arms
 from pickenv.base import InputError, check_limit, file_sha256, seed_words, stream

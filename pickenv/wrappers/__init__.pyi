@@ -6,10 +6,27 @@ from .compensation import (
 from .gap import (
     GapScaling as GapScaling,
     GapScalingVector as GapScalingVector,
+    Scaling as Scaling,
+    joined_observation as joined_observation,
     scaled_reach as scaled_reach,
     scaled_reach_vector as scaled_reach_vector,
 )
-from .mujoco_arm import Miscalibrate as Miscalibrate, geometry_in_mujoco as geometry_in_mujoco
-from .same_arm import PickMemory as PickMemory, SameArm as SameArm, SameArmVector as SameArmVector
+from .mujoco_arm import (
+    Miscalibrate as Miscalibrate,
+    geometry_in_mujoco as geometry_in_mujoco,
+    joints_in_mujoco as joints_in_mujoco,
+)
+from .same_arm import (
+    MOST_SEEN as MOST_SEEN,
+    SEEN_MM as SEEN_MM,
+    PickMemory as PickMemory,
+    SameArm as SameArm,
+    SameArmVector as SameArmVector,
+)
 from .sb3 import Sb3Vec as Sb3Vec, make_sb3_vec as make_sb3_vec
-from .tool_steps import ToolStepping as ToolStepping, ToolSteppingVector as ToolSteppingVector
+from .tool_steps import (
+    ToolStepping as ToolStepping,
+    ToolSteppingVector as ToolSteppingVector,
+    ToolSteps as ToolSteps,
+    tool_steps_of as tool_steps_of,
+)

@@ -67,8 +67,8 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
         """
         observation, reward, terminated, truncated, info = self.env.step(action)
         if (terminated or truncated) and "joint_command" in info:
-            told = _within95(self._compensator, np.asarray(info["joint_command"], dtype=float))
-            info |= {name: float(value) for name, value in told.items()}
+            within = _within95(self._compensator, np.asarray(info["joint_command"], dtype=float))
+            info |= {name: float(value) for name, value in within.items()}
         return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
@@ -131,10 +131,10 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
 
 def _within95(compensator: Compensate, commands: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """Within what 95 of 100 reaches at commands ``(..., n)`` end, by its name in `info`; empty where nobody knows."""
-    known = getattr(compensator, "within95", None)
-    position, attitude = (None, None) if known is None else known(commands.astype(float))
-    told = {} if position is None else {"within95_mm": np.asarray(position) * 1e3}
-    return told | ({} if attitude is None else {"within95_deg": np.degrees(attitude)})
+    quantile = getattr(compensator, "within95", None)
+    position, attitude = (None, None) if quantile is None else quantile(commands.astype(float))
+    within = {} if position is None else {"within95_mm": np.asarray(position) * 1e3}
+    return within | ({} if attitude is None else {"within95_deg": np.degrees(attitude)})
 
 
 def _numpy(values: Any) -> NDArray[Any]:
@@ -143,7 +143,7 @@ def _numpy(values: Any) -> NDArray[Any]:
 
 
 def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
-    """Where a vector environment's compensators sit: in itself, or in each of its environments."""
+    """The places of a vector environment's compensators: in itself, or in each of its environments."""
     inner: Any = env.unwrapped
     return [single.unwrapped for single in inner.envs] if hasattr(inner, "envs") else [inner]
 

@@ -9,32 +9,176 @@ wrappers put them around environments.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
-from gymnasium.vector import VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from pickenv.base import InputError
 from pickenv.envs import ReachEnv, ReachVectorEnv
 from pickenv.envs.shared.simulation import GOAL_NUMBERS, goal_gap
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
-from pickenv.wrappers.scaled import ScaledEnv, ScaledVector
 
 SMALLEST = 1e-6
 """Share of the near gap below which the gap shrinks no further: 0.1 um."""
 
 ROUNDING = 1e-3
-"""What rounding may add to a number that is at most one."""
+"""Largest amount that rounding adds to a number that is at most one."""
+
+
+class Rescaling(ABC):
+    """Formulas on observations ``(..., inputs)`` of an environment: what a policy sees of them, and what it answers.
+
+    Attributes:
+        inputs: Numbers in the environment's observation.
+        home: What a policy is to be used with, as the end of a sentence.
+    """
+
+    inputs: Any
+    home: ClassVar[str]
+
+    def check(self, width: int) -> None:
+        """Refuse observations of another length.
+
+        Raises:
+            InputError: If ``width`` is not `inputs`.
+        """
+        if width != self.inputs:
+            raise InputError(
+                f"the policy was trained on observations of {self.inputs} numbers, but the environment gives {width}; "
+                f"use {self.home} of its training"
+            )
+
+    def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:
+        """`observe` as an environment shows it."""
+        return np.asarray(self.observe(values, np), dtype=np.float32)
+
+    @abstractmethod
+    def observe(self, values: Any, xp: Any) -> Any:
+        """Numbers that the policy sees ``(..., features)``; ``xp`` is numpy or torch."""
+
+    @abstractmethod
+    def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
+        """Commands to the environment for a policy's ``actions``; what it refuses is handed on for it to refuse."""
+
+    @abstractmethod
+    def potential(self, values: NDArray[Any]) -> Any:
+        """The nearness of an observation to the goal of the task, for shaping."""
+
+
+class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
+    """An environment in another scale.
+
+    Args:
+        env: The environment.
+        scaling: The formulas.
+        space: What the policy sees.
+        actions: What it answers, where that differs from the environment's.
+        most: Largest size of an action's numbers that the environment takes.
+        shaping: Discount of the learner, to whose rewards differences of the potential are added, or None.
+    """
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        scaling: Rescaling,
+        space: spaces.Box,
+        most: float,
+        actions: spaces.Box | None = None,
+        shaping: float | None = None,
+    ) -> None:
+        gym.Wrapper.__init__(self, env)
+        self.scaling, self._most, self._shaping = scaling, most, shaping
+        self.observation_space = space
+        if actions is not None:
+            self.action_space = actions
+        self.raw: Any = np.zeros(scaling.inputs, dtype=np.float32)
+        """The observation as the environment gave it."""
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode."""
+        self.raw, info = self.env.reset(seed=seed, options=options)
+        return self.scaling.shown(self.raw), info
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Act in the policy's scale."""
+        before = self.raw
+        self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(before, action, self._most))
+        if self._shaping is not None:
+            after = 0.0 if terminated else float(self.scaling.potential(self.raw))
+            reward = float(reward) + self._shaping * after - float(self.scaling.potential(before))
+        return self.scaling.shown(self.raw), reward, terminated, truncated, info
+
+
+class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
+    """Native vector environments in another scale; arguments as for `ScaledEnv`."""
+
+    def __init__(
+        self,
+        env: VectorEnv[Any, Any, Any],
+        scaling: Rescaling,
+        space: spaces.Box,
+        most: float,
+        actions: spaces.Box | None = None,
+        shaping: float | None = None,
+    ) -> None:
+        VectorWrapper.__init__(self, env)
+        self.scaling, self._most, self._shaping = scaling, most, shaping
+        self.single_observation_space = space
+        self.observation_space = batch_space(space, self.num_envs)
+        if actions is not None:
+            self.single_action_space = actions
+            self.action_space = batch_space(actions, self.num_envs)
+        self.raw: Any = np.zeros((self.num_envs, scaling.inputs), dtype=np.float32)
+        """The observations as the environments gave them."""
+        self._idle = np.zeros(self.num_envs, dtype=np.bool_)
+
+    @property
+    def autoreset_mode(self) -> AutoresetMode:
+        """The environments' mode, which torchrl asks the outermost wrapper for."""
+        mode: AutoresetMode = self.metadata["autoreset_mode"]
+        return mode
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes."""
+        self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
+        self._idle[:] = False
+        return self.scaling.shown(self.raw), infos
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Act in the policy's scale."""
+        before = self.raw
+        commands = self.scaling.act(before, actions, self._most)
+        self.raw, rewards, terminations, truncations, infos = self.env.step(commands)
+        last = self.raw
+        if "final_obs" in infos:
+            final, last = infos["final_obs"].copy(), np.array(self.raw)
+            for i in np.flatnonzero(infos["_final_obs"]):
+                last[i] = final[i]
+                final[i] = self.scaling.shown(final[i])
+            infos = infos | {"final_obs": final}
+        if self._shaping is not None:
+            after = np.where(terminations, 0.0, self.scaling.potential(last))
+            gained = self._shaping * after - self.scaling.potential(before)
+            rewards = rewards + np.where(self._idle, 0.0, gained)
+            if self.env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
+                self._idle = terminations | truncations  # the next step begins an episode
+        return self.scaling.shown(self.raw), rewards, terminations, truncations, infos
 
 
 @dataclass(frozen=True)
-class Scaling:
-    """Where the numbers stand in an observation, and what counts as near.
+class Scaling(Rescaling):
+    """The layout of an observation, and the gap that counts as near.
 
     Attributes:
         joints: Number of joints n.
@@ -51,6 +195,7 @@ class Scaling:
     actions: bool = True
     near: float = 0.1
     near_turn: float = 0.2
+    home = "the feedback and the arm"
 
     @property
     def inputs(self) -> int:
@@ -69,25 +214,13 @@ class Scaling:
         """Numbers that they answer."""
         return self.joints
 
-    def check(self, width: int) -> None:
-        """Refuse observations of another length.
-
-        Raises:
-            InputError: If ``width`` is not `inputs`.
-        """
-        if width != self.inputs:
-            raise InputError(
-                f"the policy was trained on observations of {self.inputs} numbers, but the environment gives {width}; "
-                "use the feedback and the arm of its training"
-            )
-
     def gap(self, values: Any, xp: Any) -> tuple[Any, Any]:
         """Gap between tool and fruit (m) and between attitudes (rad), ``(..., 3)`` each."""
         n = self.joints
         if self.goal:
             numbers = [values[..., i] for i in range(n + 3, self.inputs)]
-            left = goal_gap(xp, numbers[:GOAL_NUMBERS], numbers[GOAL_NUMBERS:])
-            return xp.stack(left[:3], -1), xp.stack(left[3:], -1)
+            gap = goal_gap(xp, numbers[:GOAL_NUMBERS], numbers[GOAL_NUMBERS:])
+            return xp.stack(gap[:3], -1), xp.stack(gap[3:], -1)
         return values[..., n + 12 :] if self.camera else values[..., n + 6 : n + 9], values[..., n + 9 : n + 12]
 
     def size(self, values: Any, xp: Any) -> Any:
@@ -100,23 +233,19 @@ class Scaling:
         return xp.clip(xp.maximum(far, turned), SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
-        """What an action of the network is multiplied by ``(..., 1)``."""
+        """The factor of the network's actions ``(..., 1)``."""
         size = self.size(values, xp)
         return xp.clip(size, None, 1.0) if self.actions else 0.0 * size + 1.0
 
     def observe(self, values: Any, xp: Any) -> Any:
-        """What the networks see ``(..., features)``; ``xp`` is numpy or torch."""
+        """Numbers that the networks see ``(..., features)``; ``xp`` is numpy or torch."""
         gap, turn = self.gap(values, xp)
         size = self.size(values, xp)
         parts = (values[..., : self.joints], gap / (self.near * size), turn / (self.near_turn * size))
         return xp.concatenate((*parts, xp.log10(size) / 2.0), -1)
 
-    def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:
-        """`observe` as an environment shows it."""
-        return np.asarray(self.observe(values, np), dtype=np.float32)
-
     def commands(self, values: Any, actions: Any) -> Any:
-        """What the environment gets for a network's ``actions``, from -1 to 1."""
+        """Commands to the environment for a network's ``actions``, from -1 to 1."""
         return actions * self.share(values, np)
 
     def potential(self, values: NDArray[Any]) -> Any:
@@ -124,15 +253,15 @@ class Scaling:
         return -np.log10(self.size(values, np))[..., 0]
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
-        """What the environment gets for a policy's ``actions`` at the observations ``values``.
+        """Commands to the environment for a policy's ``actions`` at the observations ``values``.
 
         Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are: it refuses them.
         """
-        given = as_numbers("actions", actions)
-        if given.shape != (*values.shape[:-1], self.joints):
-            return given
-        scaled = np.clip(given, -1.0, 1.0) * self.share(values, np)
-        return np.where(np.abs(given) <= most, scaled, given).astype(np.float32)
+        numbers = as_numbers("actions", actions)
+        if numbers.shape != (*values.shape[:-1], self.joints):
+            return numbers
+        scaled = np.clip(numbers, -1.0, 1.0) * self.share(values, np)
+        return np.where(np.abs(numbers) <= most, scaled, numbers).astype(np.float32)
 
 
 def joined_observation(observation: Any, xp: Any = np) -> Any:

@@ -31,7 +31,10 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
     Raises:
         InputError: If MuJoCo, the site or a joint is missing, a joint does not move the site, or is a ball.
     """
-    mujoco = mujoco_or_sentence()
+    try:
+        mujoco: Any = import_module("mujoco")
+    except ImportError as error:
+        raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
     if number < 0:
         raise InputError(f"the model has no site '{site}'; name the one at the arm's tool")
@@ -43,28 +46,28 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
         body = int(model.body_parentid[body])
     chain.reverse()
     names = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}": joint for joint in chain}
-    wanted = tuple(joints) if joints is not None else tuple(names)
-    if lost := [name for name in wanted if name not in names]:
+    selection = tuple(joints) if joints is not None else tuple(names)
+    if lost := [name for name in selection if name not in names]:
         raise InputError(f"joint '{lost[0]}' does not move site '{site}'; its joints are {', '.join(names)}")
-    own = [joint for name, joint in names.items() if name in wanted]
-    kinds = [int(model.jnt_type[joint]) for joint in own]
-    if not own or not set(kinds) <= {SLIDE, HINGE}:
+    numbers = [joint for name, joint in names.items() if name in selection]
+    kinds = [int(model.jnt_type[joint]) for joint in numbers]
+    if not numbers or not set(kinds) <= {SLIDE, HINGE}:
         raise InputError(f"the joints before site '{site}' are not all slides and hinges; name those of the arm")
     still = mujoco.MjData(model)
     if data is not None:
         still.qpos[:] = data.qpos
         still.mocap_pos[:], still.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-    still.qpos[model.jnt_qposadr[own]] = 0.0
+    still.qpos[model.jnt_qposadr[numbers]] = 0.0
     mujoco.mj_kinematics(model, still)
     ranges = [
-        model.jnt_range[j] if model.jnt_limited[j] and np.ptp(model.jnt_range[j]) else [-np.pi, np.pi] for j in own
+        model.jnt_range[j] if model.jnt_limited[j] and np.ptp(model.jnt_range[j]) else [-np.pi, np.pi] for j in numbers
     ]
     tool = Pose(still.site_xpos[number].copy(), still.site_xmat[number].reshape(3, 3).copy())
     return geometry_from_axes(
-        tuple(name for name in names if name in wanted),
+        tuple(name for name in names if name in selection),
         tuple(kind == SLIDE for kind in kinds),
-        still.xanchor[own],
-        still.xaxis[own],
+        still.xanchor[numbers],
+        still.xaxis[numbers],
         tool,
         *np.array(ranges, dtype=float).T,
     )
@@ -73,18 +76,6 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
 def joints_in_mujoco(model: Any, data: Any, geometry: Geometry) -> Array:
     """Present displacements ``(n,)`` of an arm that `geometry_in_mujoco` found, rad or m."""
     return np.array([data.qpos[model.joint(name).qposadr[0]] for name in geometry.joint_names])
-
-
-def mujoco_or_sentence() -> Any:
-    """MuJoCo.
-
-    Raises:
-        InputError: If it is not installed.
-    """
-    try:
-        return import_module("mujoco")
-    except ImportError as error:
-        raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
 
 
 # A real arm's error in somebody else's environment: success is judged where the true tool is, not where it seems.
@@ -161,11 +152,11 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """True less believed tool position at the present joints ``(3,)``, m, in the model's world."""
         inner: Any = self.env.unwrapped
         joints = joints_in_mujoco(inner.model, inner.data, self._nominal)
-        believed = forward(self._nominal, joints)
+        pose = forward(self._nominal, joints)
         command = joints if self._compensator is None else np.asarray(self._compensator(joints), dtype=float)
         true = self._true.tool_pose(command) if isinstance(self._true, Plant) else forward(self._true, command)
-        self._believed = believed.position
-        return np.asarray(pose_error(believed, true)[:3])
+        self._believed = pose.position
+        return np.asarray(pose_error(pose, true)[:3])
 
     def _judged(self, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
         error = self.tool_error()

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, Geometry, joint_jacobian
 from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.base import InputError
-from pickenv.envs.shared.backends import NUMPY
+from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
+from pickenv.envs.shared.native_vector import checked_seeds, final_rows
 from pickenv.envs.shared.simulation import NUMBER_KEYS, goal_attempt
-from pickenv.envs.shared.spaces import final_rows, given_options, given_seeds
-from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
+from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_count, check_number
 
 SEEN_MM = 5.0
@@ -40,7 +40,7 @@ LONGEST_LOOK = 59
 
 @dataclass(frozen=True)
 class PickMemory:
-    """What a policy sees before a pick: where it is to go, and what was seen at the last picks.
+    """A policy's observation before a pick: the joints to go to, and what was seen at the last picks.
 
     Attributes:
         joints: Number of joints n.
@@ -64,8 +64,8 @@ class PickMemory:
 
     def space(self) -> spaces.Box:
         """Space of the observations."""
-        one = [1.0] * self.joints
-        high = np.array(one + [*one, *[MOST_SEEN] * 3, 1.0] * self.window, dtype=np.float32)
+        ones = [1.0] * self.joints
+        high = np.array(ones + [*ones, *[MOST_SEEN] * 3, 1.0] * self.window, dtype=np.float32)
         return spaces.Box(-high, high, dtype=np.float32)
 
     def empty(self, rows: int) -> NDArray[np.float32]:
@@ -74,8 +74,8 @@ class PickMemory:
 
     def after(self, tokens: NDArray[np.float32], joints: Array, error: Array) -> NDArray[np.float32]:
         """Tokens after a pick at scaled ``joints (N, n)`` where the arm was off by ``error (N, 3)``, in m."""
-        seen = (error / (SEEN_MM * 1e-3)).clip(-MOST_SEEN, MOST_SEEN)
-        new = np.concatenate([joints, seen, np.ones((len(joints), 1))], axis=1)[:, None].astype(np.float32)
+        errors = (error / (SEEN_MM * 1e-3)).clip(-MOST_SEEN, MOST_SEEN)
+        new = np.concatenate([joints, errors, np.ones((len(joints), 1))], axis=1)[:, None].astype(np.float32)
         return np.concatenate([new, tokens[:, :-1]], axis=1)
 
     def shown(self, joints: Array, tokens: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -124,12 +124,12 @@ class _Run:
         """The next poses: the first of each stream that is wanted, as the environment itself would draw them."""
         streams = stream_key(NUMPY, episode_key(NUMPY, self.seeds, self.count), GOAL)
         self.count = self.count + np.uint64(1)
-        left = np.arange(len(streams))
+        rows = np.arange(len(streams))
         for attempt in range(GOAL_ATTEMPTS):
-            tried, fits = goal_attempt(NUMPY, self.task, streams[left], attempt)
-            self.joints[left] = np.stack(tried, axis=1)
-            left = left[~fits]
-            if not len(left):
+            tried, fits = goal_attempt(NUMPY, self.task, streams[rows], attempt)
+            self.joints[rows] = np.stack(tried, axis=1)
+            rows = rows[~fits]
+            if not len(rows):
                 return
         raise self.task.no_goal()
 
@@ -143,13 +143,13 @@ class _Run:
         return self.memory.shown(self.scaled, self.tokens)
 
     def options(self, actions: Any, arms: Any) -> dict[str, Any]:
-        """How the inner environments are reset: standing where the actions aim."""
-        given = as_numbers("actions", actions)
-        if given.shape != (len(self.joints), 3) or not np.isfinite(given).all():
-            raise InputError(f"actions have shape {given.shape}; give {len(self.joints)} times 3 finite numbers")
-        start = self.memory.aim(self.geometry, self.joints, given)
-        chosen = {"start_joints": start, "goal_joints": self.joints}
-        return chosen if self.task.arms == "fixed" else chosen | {"arm": arms}
+        """Options that reset the inner environments: standing where the actions aim."""
+        shifts = as_numbers("actions", actions)
+        if shifts.shape != (len(self.joints), 3) or not np.isfinite(shifts).all():
+            raise InputError(f"actions have shape {shifts.shape}; give {len(self.joints)} times 3 finite numbers")
+        start = self.memory.aim(self.geometry, self.joints, shifts)
+        options = {"start_joints": start, "goal_joints": self.joints}
+        return options if self.task.arms == "fixed" else options | {"arm": arms}
 
     def saw(self, observation: NDArray[Any]) -> Array:
         """By how much believed and true tool differ ``(N, 3)``, as the camera saw it."""
@@ -209,10 +209,10 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         """Begin runs on arms that are drawn anew; options: "arm", their numbers."""
         options = given_options(options, ("arm",))
         fresh: Any = self.env.unwrapped
-        seeds = given_seeds(seed, self.num_envs)
-        for i, given in enumerate(seeds):
-            if given is not None or not self.run.count[i]:
-                self.run.seeds[i] = seed_word(fresh_seed(fresh.np_random) if given is None else int(given))
+        seeds = checked_seeds(seed, self.num_envs)
+        for i, value in enumerate(seeds):
+            if value is not None or not self.run.count[i]:
+                self.run.seeds[i] = seed_word(fresh_seed(fresh.np_random) if value is None else int(value))
                 self.run.count[i] = 0
         _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._begin()
@@ -227,29 +227,29 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
             error += self.run.saw(observation)
         self.run.picked(error / self.run.looks)
         done = np.full(self.num_envs, self.run.pick >= self.run.picks)
-        shown, infos = self.run.shown(), self._infos(infos)
+        observations, infos = self.run.shown(), self._infos(infos)
         if done.all():
             rows = np.arange(self.num_envs)
-            final: dict[str, Any] = {"final_obs": final_rows(shown, rows, self.num_envs), "_final_obs": done.copy()}
+            final = {"final_obs": final_rows(observations, rows, self.num_envs), "_final_obs": done.copy()}
             final |= {"final_info": infos, "_final_info": done.copy()}
             _, begun = self.env.reset(options={"goal_joints": self.run.joints})  # saves drawing poses that nobody uses
             self._begin()
-            shown, infos = self.run.shown(), self._infos(begun) | final
-        return shown, rewards, np.zeros_like(done), done, infos
+            observations, infos = self.run.shown(), self._infos(begun) | final
+        return observations, rewards, np.zeros_like(done), done, infos
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, for a checkpoint."""
         run, inner = self.run, cast(Any, self.env.unwrapped)
-        own = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
-        kept: dict[str, NDArray[Any]] = {f"run/{key}": np.array(value) for key, value in own.items()}
+        parts = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
+        arrays: dict[str, NDArray[Any]] = {f"run/{key}": np.array(value) for key, value in parts.items()}
         below: dict[str, NDArray[Any]] = inner.state_arrays()
-        return kept | {"run/pick": np.array(run.pick)} | below
+        return arrays | {"run/pick": np.array(run.pick)} | below
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state_arrays`, around environments made with the same arguments."""
-        run, own = self.run, {key[4:]: value.copy() for key, value in state.items() if key.startswith("run/")}
-        run.seeds, run.count, run.tokens, run.joints = (own[key] for key in ("seeds", "count", "tokens", "joints"))
-        run.pick, self._arms = int(own["pick"]), own["arms"]
+        run, parts = self.run, {key[4:]: value.copy() for key, value in state.items() if key.startswith("run/")}
+        run.seeds, run.count, run.tokens, run.joints = (parts[key] for key in ("seeds", "count", "tokens", "joints"))
+        run.pick, self._arms = int(parts["pick"]), parts["arms"]
         inner: Any = self.env.unwrapped
         inner.take_state_arrays({key: value for key, value in state.items() if not key.startswith("run/")})
 
@@ -259,10 +259,10 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         self.run.begin()
 
     def _infos(self, infos: dict[str, Any]) -> dict[str, Any]:
-        given = np.ones(self.num_envs, dtype=np.bool_)
-        own = {key: np.array(infos[key]) for key in (*NUMBER_KEYS, "is_success")}
-        own |= {"pick": np.full(self.num_envs, self.run.pick), "arm": self._arms.copy()}
-        return own | {f"_{key}": given for key in own}
+        everywhere = np.ones(self.num_envs, dtype=np.bool_)
+        columns = {key: np.array(infos[key]) for key in (*NUMBER_KEYS, "is_success")}
+        columns |= {"pick": np.full(self.num_envs, self.run.pick), "arm": self._arms.copy()}
+        return columns | {f"_{key}": everywhere for key in columns}
 
 
 class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):

@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecEnv
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.base import InputError, seed_words, stream
 from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper
-from pickenv.wrappers.scaled import ScaledVector
+from pickenv.wrappers.gap import ScaledVector
 
 
 def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = None, **arguments: Any) -> Sb3Vec:
@@ -88,17 +88,17 @@ class Sb3Vec(VecEnv):
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Act in all environments."""
-        self.seen, rewards, terminations, truncations, given = self.envs.step(self._actions)
+        self.seen, rewards, terminations, truncations, batch = self.envs.step(self._actions)
         self._returns += rewards
         self._lengths += 1
         dones = terminations | truncations
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
-            last, final = self.seen, given
+            last, final = self.seen, batch
             if self.mode is AutoresetMode.DISABLED:
                 self.seen, _ = self.envs.reset(options={"reset_mask": dones})
             else:
-                last, final = given["final_obs"], given["final_info"]
+                last, final = batch["final_obs"], batch["final_info"]
             rows = np.flatnonzero(dones)
             for i, ending in zip(rows, self._endings(rows, last, final, truncations & ~terminations), strict=True):
                 infos[i] = ending
@@ -117,8 +117,8 @@ class Sb3Vec(VecEnv):
             "terminal_observation": observations,
             "TimeLimit.truncated": cut[rows].tolist(),
         }
-        told = [key for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1]
-        columns |= {key: np.asarray(final[key])[rows].tolist() for key in told}
+        names = [key for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1]
+        columns |= {key: np.asarray(final[key])[rows].tolist() for key in names}
         sums = zip(self._returns[rows].tolist(), self._lengths[rows].tolist(), strict=True)
         columns["episode"] = [{"r": reward, "l": length, "t": 0.0} for reward, length in sums]
         return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
@@ -126,17 +126,18 @@ class Sb3Vec(VecEnv):
     def state(self) -> dict[str, NDArray[Any]]:
         """Everything that the next step depends on, as arrays, for a checkpoint; of native environments on NumPy."""
         scaled = self._scaled()
-        seen = self.seen if scaled is None else scaled.raw
-        seen = seen if isinstance(seen, dict) else {"flat": seen}
-        own = {"returns": self._returns, "lengths": self._lengths} | {f"raw/{key}": part for key, part in seen.items()}
-        kept = own | {f"env/{key}": value for key, value in self._remembering().state_arrays().items()}
-        return {key: np.array(value) for key, value in kept.items()}
+        observations = self.seen if scaled is None else scaled.raw
+        observations = observations if isinstance(observations, dict) else {"flat": observations}
+        arrays = {"returns": self._returns, "lengths": self._lengths}
+        arrays |= {f"raw/{key}": part for key, part in observations.items()}
+        arrays |= {f"env/{key}": value for key, value in self._remembering().state_arrays().items()}
+        return {key: np.array(value) for key, value in arrays.items()}
 
     def take_state(self, state: dict[str, NDArray[Any]]) -> None:
         """The inverse of `state`, around environments made with the same arguments."""
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
-        seen = {key.removeprefix("raw/"): value.copy() for key, value in state.items() if key.startswith("raw/")}
-        self.seen = seen.get("flat", seen)
+        observations = {key[4:]: value.copy() for key, value in state.items() if key.startswith("raw/")}
+        self.seen = observations.get("flat", observations)
         scaled = self._scaled()
         if scaled is not None:
             scaled.raw, self.seen = self.seen, scaled.scaling.shown(self.seen)
@@ -187,10 +188,10 @@ class Sb3Vec(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
         """Whether a wrapper is around the environments; single-environment wrappers never are."""
-        found, env = False, self.envs
+        wrapped, env = False, self.envs
         while hasattr(env, "env"):
-            found, env = found or isinstance(env, wrapper_class), env.env
-        return [found] * len(list(self._get_indices(indices)))
+            wrapped, env = wrapped or isinstance(env, wrapper_class), env.env
+        return [wrapped] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """One picture per environment."""

@@ -21,7 +21,7 @@ from pickenv.arm import Array, Geometry, joint_jacobian
 from pickenv.base import InputError
 from pickenv.envs.picking.pick_scene import CLOSE, PickSetting
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
-from pickenv.wrappers.scaled import ScaledEnv, ScaledVector
+from pickenv.wrappers.gap import Rescaling, ScaledEnv, ScaledVector
 
 LARGEST = 0.03
 """Step of the tool in one period that an action of 1 adds, m; at 10 Hz 0.3 m/s."""
@@ -39,7 +39,7 @@ CLOSING = 0.015
 """Gap above which the gripper is not closed, m: about where it begins to take fruit at all."""
 
 UPRIGHT = 0.1
-"""What a radian of tilt weighs, m."""
+"""Weight of a radian of tilt, m."""
 
 DAMPING = 1e-4
 """Damping of the Jacobian's inverse, in shares of its mean square."""
@@ -55,7 +55,7 @@ MOVES = 2
 
 
 @dataclass(frozen=True, eq=False)
-class ToolSteps:
+class ToolSteps(Rescaling):
     """Formulas on the observations of `pickenv/Pick-v0`.
 
     Attributes:
@@ -65,6 +65,7 @@ class ToolSteps:
 
     geometry: Geometry
     increment: Array
+    home = "it in pickenv/Pick-v0, with the arm"
 
     @property
     def joints(self) -> int:
@@ -73,7 +74,7 @@ class ToolSteps:
 
     @property
     def header(self) -> dict[str, list[float]]:
-        """What a policy's file says of it; the arm has a name."""
+        """The part of a policy's file about it; the arm has a name."""
         return {"increment": self.increment.tolist()}
 
     @property
@@ -91,31 +92,15 @@ class ToolSteps:
         """Numbers that it answers."""
         return MOVES + 1
 
-    def check(self, width: int) -> None:
-        """Refuse observations of another length.
-
-        Raises:
-            InputError: If ``width`` is not `inputs`.
-        """
-        if width != self.inputs:
-            raise InputError(
-                f"the policy was trained on observations of {self.inputs} numbers, but the environment gives {width}; "
-                "use it in pickenv/Pick-v0, with the arm of its training"
-            )
-
     def observe(self, values: Any, xp: Any = np) -> Any:
-        """What the policy sees, ``(..., features)``."""
+        """Numbers that the policy sees, ``(..., features)``."""
         n = self.joints
-        gap, turn, rest = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
+        gap, turn, others = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
         far, aside, up = _length(gap), _length(gap[..., :2]), gap[..., 2:]
         both = xp.concatenate((aside, up), -1)
         decades = (xp.log10(xp.maximum(size, ARRIVED) / NEAR) / 2.0 for size in (far, aside))
         shares = (both / xp.maximum(far, ARRIVED), both / (both * both + NEAR**2) ** 0.5, *decades)
-        return xp.concatenate((values[..., :n], *shares, xp.clip(_length(turn) ** 2, 0.0, 1.0), rest), -1)
-
-    def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:
-        """`observe` as an environment shows it."""
-        return np.asarray(self.observe(values), dtype=np.float32)
+        return xp.concatenate((values[..., :n], *shares, xp.clip(_length(turn) ** 2, 0.0, 1.0), others), -1)
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Joint increments and gripper ``(..., n + 1)`` for steps of the tool and gripper ``(..., 3)``.
@@ -123,12 +108,12 @@ class ToolSteps:
         Actions of another shape, and numbers larger than ``most`` or not finite, are handed on for the environment to
         refuse.
         """
-        given = as_numbers("actions", actions)
-        if given.shape != (*values.shape[:-1], self.outputs):
-            return given
-        numbers = self.commands(values, np.clip(np.nan_to_num(given), -1.0, 1.0))
-        wrong = ~(np.abs(given) <= most).all(axis=-1, keepdims=True)
-        return np.where(wrong, np.inf if most == MOST_ACTION["clip"] else 2.0, numbers).astype(np.float32)
+        numbers = as_numbers("actions", actions)
+        if numbers.shape != (*values.shape[:-1], self.outputs):
+            return numbers
+        commands = self.commands(values, np.clip(np.nan_to_num(numbers), -1.0, 1.0))
+        wrong = ~(np.abs(numbers) <= most).all(axis=-1, keepdims=True)
+        return np.where(wrong, np.inf if most == MOST_ACTION["clip"] else 2.0, commands).astype(np.float32)
 
     def commands(self, values: NDArray[Any], actions: Any) -> Any:
         """Joint increments and gripper for a policy's ``actions``, from -1 to 1."""
@@ -136,8 +121,8 @@ class ToolSteps:
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         away = ~holding & (_length(values[..., n + 6 : n + 9]) > CLOSING)
         gripper = np.clip(CLOSE + actions[..., MOVES:], -1.0, 1.0)
-        moved = self.joint_steps(np.asarray(values, dtype=float), actions[..., :MOVES])
-        return np.concatenate([moved, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
+        steps = self.joint_steps(np.asarray(values, dtype=float), actions[..., :MOVES])
+        return np.concatenate([steps, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
 
     def joint_steps(self, values: Array, steps: Array) -> Array:
         """Shares of the joints' increments ``(..., n)`` for ``steps`` of the tool, towards the fruit's plumb and up."""
@@ -152,16 +137,16 @@ class ToolSteps:
         )
         upwards = share * (np.where(holding, 0.0, SERVO * gap[..., 2:] / np.maximum(far, ARRIVED)) + steps[..., 1:])
         tilt = np.clip(values[..., n + 9 : n + 11], -0.2, 0.2)
-        wanted = np.concatenate([LARGEST * sideways, LARGEST * upwards, UPRIGHT * tilt * (share > 0)], -1)
+        task_step = np.concatenate([LARGEST * sideways, LARGEST * upwards, UPRIGHT * tilt * (share > 0)], -1)
         jacobian = joint_jacobian(self.geometry, q)[..., :5, :] * self.increment
         jacobian = jacobian * np.array([1.0, 1.0, 1.0, UPRIGHT, UPRIGHT])[:, None]
         centring = CENTRING * share * ((low + high) / 2.0 - q) / self.increment
-        left = wanted - np.einsum("...ij,...j->...i", jacobian, centring)
+        remainder = task_step - np.einsum("...ij,...j->...i", jacobian, centring)
         square = np.einsum("...ij,...kj->...ik", jacobian, jacobian)
         damping = DAMPING * np.einsum("...ii->...", square)[..., None, None] / 5.0
-        solved = np.linalg.solve(square + damping * np.eye(5), left[..., None])[..., 0]
-        moved = centring + np.einsum("...ij,...i->...j", jacobian, solved)
-        return np.asarray(moved / np.maximum(1.0, np.abs(moved).max(axis=-1, keepdims=True)))
+        solved = np.linalg.solve(square + damping * np.eye(5), remainder[..., None])[..., 0]
+        joint_step = centring + np.einsum("...ij,...i->...j", jacobian, solved)
+        return np.asarray(joint_step / np.maximum(1.0, np.abs(joint_step).max(axis=-1, keepdims=True)))
 
     def potential(self, values: NDArray[Any]) -> Any:
         """Nearness of a collected fruit, from 0 to 0.8 ``(...)``: the gap's decades, then in hand, off, and down."""

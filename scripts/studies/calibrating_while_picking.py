@@ -26,8 +26,7 @@ from pickenv.base import seed_words, stream
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.experiments import Rows, estimate
 from pickenv.inspect.figures.style import WIDTH, new_figure
-from pickenv.wrappers import SameArmVector
-from pickenv.wrappers.same_arm import SEEN_MM
+from pickenv.wrappers import SEEN_MM, SameArmVector
 
 LEARNT = {"recurrent": "recurrent_camera", "window": "history_camera"}
 FILTER, NOMINAL = "Kalman filter", "no memory: the nominal arm"

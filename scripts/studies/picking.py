@@ -13,16 +13,23 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.agents import ScriptedPick, Training, load_policy, train
-from pickenv.agents.evaluation.reaches import pick_canopies
-from pickenv.agents.policies.pick_policy import HASTY
-from pickenv.agents.training.policy_search import KNOBS, Searches, arguments_of, search
+from pickenv.agents import (
+    HASTY,
+    HELD_OUT,
+    KNOBS,
+    ScriptedPick,
+    Training,
+    arguments_of,
+    load_policy,
+    pick_canopies,
+    search,
+    train,
+)
+from pickenv.agents.training.policy_search import Searches
 from pickenv.agents.training.training import CHECKPOINT
-from pickenv.agents.training.training_setup import HELD_OUT
 from pickenv.arm import Array
 from pickenv.base import seed_words, stream
-from pickenv.envs import PickVectorEnv
-from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.envs import CONTROL_PERIOD, PickVectorEnv
 from pickenv.experiments import Rows
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import WIDTH, headline, new_figure, rgb

@@ -12,10 +12,9 @@ import torch
 from typer import Typer
 from typer.testing import CliRunner
 
-from pickenv.agents import Training, train
-from pickenv.agents.training.checkpoints import check_checkpoint, read_checkpoint, save_checkpoint
-from pickenv.agents.training.training import resumed
-from pickenv.agents.training.training_setup import Inputs, check_inputs, inputs_of, make_model
+from pickenv.agents import Training, check_checkpoint, make_model, resumed, train
+from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint
+from pickenv.agents.training.training_setup import check_inputs, inputs_of
 from pickenv.arm import load_plant
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.base import InputError, read_container, write_container
@@ -195,11 +194,11 @@ def edited(path):
 FAULTS = {
     "another calibration": (
         lambda files, more: shutil.copy(more / "1.npz", files / "cal.npz"),
-        r"cal\.npz \(--compensate\) is another file than it was; put back",
+        r"cal\.npz \(`compensate`\) is another file than it was; put back",
     ),
-    "no calibration": (lambda files, more: (files / "cal.npz").unlink(), r"cal\.npz \(--compensate\) is missing"),
-    "another plant": (lambda files, more: edited(files / "arm.toml"), r"arm\.toml \(--plant.*\) has other numbers"),
-    "no plant": (lambda files, more: (files / "arm.toml").unlink(), r"arm\.toml \(--plant\) is missing; put back"),
+    "no calibration": (lambda files, more: (files / "cal.npz").unlink(), r"cal\.npz \(`compensate`\) is missing"),
+    "another plant": (lambda files, more: edited(files / "arm.toml"), r"arm\.toml \(`plant`.*\) has other numbers"),
+    "no plant": (lambda files, more: (files / "arm.toml").unlink(), r"arm\.toml \(`plant`\) is missing; put back"),
 }
 
 
@@ -247,7 +246,7 @@ def test_a_tolerance_class_is_among_what_must_not_change(tmp_path):
     begun = inputs_of(Training("ppo", arguments=arguments))
     assert begun != inputs_of(Training("ppo", arguments=arguments | {"tolerances": "fine"}))
     with pytest.raises(InputError, match="has other numbers than it had"):
-        check_inputs(Training("ppo", arguments=arguments), Inputs("0" * 64, None))
+        check_inputs(Training("ppo", arguments=arguments), {"arms": "0" * 64, "calibration": None})
 
 
 OPTIONS = {

@@ -15,9 +15,8 @@ import pytest
 from gymnasium import spaces
 
 import pickenv
-from pickenv.agents import PolicyComparison
+from pickenv.agents import PolicyComparison, foreign_policy
 from pickenv.agents.evaluation.compare import write_comparison
-from pickenv.agents.policies.foreign import foreign_policy
 from pickenv.arm import forward, load_plant, pose_error
 from pickenv.base import InputError, mean_interval, paired_share_interval, share_interval
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401
-from pickenv.agents import load_policy, shipped_baselines
+from pickenv.agents import BASELINES, load_policy, shipped_baselines
 from pickenv.agents.evaluation.compared_policies import load_any
-from pickenv.agents.policies.learned import BASELINES, FORMAT
+from pickenv.agents.policies.learned import FORMAT
 from pickenv.arm import load_arm
 from pickenv.base import InputError, read_container, write_container
 from pickenv.base.sealed import seal
 from pickenv.experiments import PolicySettings, evaluation_rows, run_policies
-from pickenv.wrappers import GapScaling
-from pickenv.wrappers.gap import Scaling
+from pickenv.wrappers import GapScaling, Scaling
 
 
 @pytest.fixture

@@ -9,16 +9,24 @@ import pytest
 from gymnasium.spaces import Box
 from scipy.spatial.transform import Rotation
 
-from pickenv.agents import AdaptiveReach, AdaptiveSettings, RandomReach, Rollout, ScriptedReach, ServoReach, roll_out
+from pickenv.agents import (
+    AdaptiveReach,
+    AdaptiveSettings,
+    RandomReach,
+    Rollout,
+    ScriptedReach,
+    ServoReach,
+    read_observation,
+    roll_out,
+)
 from pickenv.agents.evaluation.rollout import MOST_ROWS
-from pickenv.agents.policies.policy import read_observation
 from pickenv.arm import InverseSolution, forward, inverse, joint_jacobian, load_arm
 from pickenv.base import InputError
 from pickenv.calibration import link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
 from pickenv.inspect.runs.episode_summary import Reaches
 from pickenv.orchard import load_gripper
-from pickenv.wrappers.gap import Scaling, joined_observation
+from pickenv.wrappers import Scaling, joined_observation
 
 ARM = load_arm("qiao2026").nominal
 GOAL = inverse(ARM, forward(ARM, ARM.lower + 0.4 * (ARM.upper - ARM.lower)), attitude_tolerance=1e-4).joints

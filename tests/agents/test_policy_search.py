@@ -4,10 +4,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from pickenv.agents import ScriptedPick
-from pickenv.agents.evaluation.reaches import pick_canopies
-from pickenv.agents.policies.pick_policy import HASTY
-from pickenv.agents.training.policy_search import KNOBS, arguments_of, search
+from pickenv.agents import HASTY, KNOBS, ScriptedPick, arguments_of, pick_canopies, search
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import PickVectorEnv
 

@@ -7,17 +7,23 @@ import numpy as np
 import pytest
 from sb3_contrib import RecurrentPPO
 
-from pickenv.agents import RememberingReach, Training, load_policy, load_remembering, train
+from pickenv.agents import (
+    RememberingReach,
+    Training,
+    actor_of,
+    foreign_policy,
+    load_policy,
+    load_remembering,
+    make_model,
+    train,
+)
 from pickenv.agents.evaluation.compared_policies import kind_of, maker_of
-from pickenv.agents.policies.foreign import foreign_policy
 from pickenv.agents.policies.remembering import remembers
 from pickenv.agents.training.checkpoints import read_checkpoint
-from pickenv.agents.training.training_setup import actor_of, make_model
 from pickenv.arm import load_arm
 from pickenv.base import InputError
 from pickenv.envs import ReachVectorEnv
-from pickenv.wrappers import SameArm, SameArmVector, make_sb3_vec
-from pickenv.wrappers.same_arm import MOST_SEEN, SEEN_MM
+from pickenv.wrappers import MOST_SEEN, SEEN_MM, SameArm, SameArmVector, make_sb3_vec
 
 ARMS = {"feedback": "camera", "camera_noise_mm": 0.5, "fruit_noise_mm": 0.0, "arms": "per_episode", "population": 6}
 FEW = {"n_envs": 4, "n_steps": 20, "batch_size": 40, "n_epochs": 1}

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401
-from pickenv.agents import ScriptedReach
-from pickenv.agents.policies.policy import read_observation
+from pickenv.agents import ScriptedReach, read_observation
 from pickenv.arm import forward, pose_error, shipped_arms
 from pickenv.base import InputError
 

@@ -11,11 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.agents import Training, load_policy, train
-from pickenv.agents.training.checkpoints import check_checkpoint
-from pickenv.agents.training.hyperparams import tuned
-from pickenv.agents.training.training import resumed
-from pickenv.agents.training.training_setup import make_model
+from pickenv.agents import Training, check_checkpoint, load_policy, make_model, resumed, train, tuned
 from pickenv.arm import load_plant
 from pickenv.base import InputError
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
@@ -158,7 +154,7 @@ def test_what_the_native_environment_shows_is_what_the_policy_file_sees(short):
     training = short()
     model, env = make_model(training)
     shown = env.reset()
-    from pickenv.agents.training.training_setup import actor_of
+    from pickenv.agents import actor_of
 
     policy = actor_of(model, training, env)
     predicted, _ = model.predict(shown, deterministic=True)
@@ -174,7 +170,7 @@ def refusals(short, tmp_path):
     yield (lambda: Training("dqn"), "unknown algorithm 'dqn'; give one of ppo, sac, tqc")
     yield (lambda: Training("ppo", "CartPole-v1"), "unknown environment 'CartPole-v1'; give one of")
     yield (lambda: Training("ppo", steps=0), "steps is 0; give at least 1")
-    yield (lambda: train(short(), tmp_path / "none", resume=True), "no checkpoint .* without --resume")
+    yield (lambda: train(short(), tmp_path / "none", resume=True), "no checkpoint .* without `resume`")
     yield (lambda: train(short(), tmp_path / "half", resume=True), "checkpoint .* is (damaged|not a checkpoint)")
     yield (lambda: train(short(), tmp_path / "text", resume=True), "checkpoint")
     yield (lambda: train(short("ppo", env_id="pickenv/ReachGoal-v0"), tmp_path / "goal"), "no tuned parameters")

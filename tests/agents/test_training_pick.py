@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.agents import Training, load_policy, train
-from pickenv.agents.training.training_setup import words_of
+from pickenv.agents import Training, load_policy, train, words_of
 from pickenv.arm import load_arm
 from pickenv.envs import PickVectorEnv
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import resolve_name
 
 import gymnasium as gym
 import numpy as np
@@ -14,8 +15,7 @@ from stable_baselines3 import PPO, SAC, HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 
 import pickenv  # noqa: F401
-from pickenv.agents.policies.foreign import foreign_policy
-from pickenv.agents.training.hyperparams import class_named, tuned
+from pickenv.agents import foreign_policy, tuned
 from pickenv.envs import ReachVectorEnv
 from pickenv.wrappers import make_sb3_vec
 
@@ -46,14 +46,15 @@ def test_parameters_start_a_training_in_single_environments(name: str, env_id: s
     if "population" in arguments:
         arguments["population"] = 8  # of which each environment draws its own
     ((wrapper, settings),) = wrapper.items() if isinstance(wrapper, dict) else [(wrapper, {})]
-    kind = wrapper and class_named(wrapper)
+    kind = wrapper and resolve_name(wrapper)
     envs = make_vec_env(
         env_id, given.pop("n_envs"), wrapper_class=kind, wrapper_kwargs=settings, env_kwargs=arguments, seed=0
     )
     if "replay_buffer_class" in given:
         assert given["replay_buffer_class"] == "HerReplayBuffer"
         given["replay_buffer_class"] = HerReplayBuffer
-    model = ALGORITHMS[name](class_named(given.pop("policy")), envs, seed=0, device="cpu", **given)
+    policy = given.pop("policy")
+    model = ALGORITHMS[name](resolve_name(policy) if "." in policy else policy, envs, seed=0, device="cpu", **given)
     before = [value.clone() for value in model.policy.parameters()]
     model.learn(140)
     after = [value.detach() for value in model.policy.parameters()]

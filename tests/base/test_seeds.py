@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from pickenv.agents import Training, episode_seeds
-from pickenv.agents.training.training_setup import HELD_OUT, make_model
+from pickenv.agents import HELD_OUT, Training, episode_seeds, make_model
 from pickenv.base import InputError, run_seed, seed_words, stream
 from pickenv.base.seeds import RUN
 from pickenv.experiments.policies import population_seed

@@ -6,12 +6,11 @@ from types import SimpleNamespace
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.vector import SyncVectorEnv
+from gymnasium.vector import SyncVectorEnv, VectorWrapper
 
 from pickenv import InputError
 from pickenv.calibration import Compensator
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
-from pickenv.wrappers.compensation import _numpy
 from tests.calibration.compensation.networks import fast_network
 
 
@@ -145,5 +144,15 @@ def test_what_vector_wrappers_were_made_with_is_recorded(compensator):
 
 
 def test_what_lies_on_a_device_is_fetched_from_it():
-    assert _numpy(SimpleNamespace(cpu=lambda: [True, False])).tolist() == [True, False]
-    assert _numpy(np.array([2.0])).tolist() == [2.0]
+    class OnDevice(VectorWrapper):
+        """Flags and commands that NumPy cannot read before they are fetched."""
+
+        def step(self, actions):
+            *seen, terminations, truncations, infos = self.env.step(actions)
+            infos["joint_command"] = SimpleNamespace(cpu=lambda values=infos["joint_command"]: values)
+            flags = (SimpleNamespace(cpu=lambda values=values: values) for values in (terminations, truncations))
+            return *seen, *flags, infos
+
+    envs = CompensationVectorWrapper(OnDevice(native(2, plant="geometry_only", max_episode_steps=1)), Sure())
+    *_, infos = taken(envs, 1)[-1]
+    np.testing.assert_allclose(infos["within95_mm"], np.abs(infos["joint_command"].cpu()).sum(axis=1))

@@ -10,9 +10,8 @@ import pytest
 
 from pickenv.base import InputError
 from pickenv.envs import HarvestEnv, HarvestVectorEnv
-from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import distances
-from pickenv.envs.harvesting.harvest_task import harvest_spaces, make_harvest_task
+from pickenv.envs.harvesting import harvest_task as batch
+from pickenv.envs.harvesting.harvest_task import distances, harvest_spaces, make_harvest_task
 from pickenv.harvester.picking import Luck
 
 MIDDLE, SIDE, LEFT = 1, 2, 0

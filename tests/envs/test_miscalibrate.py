@@ -13,8 +13,7 @@ from pickenv.arm import Arm, Plant, forward, load_arm, load_plant
 from pickenv.arm.files.mjcf import mjcf_text
 from pickenv.base import InputError
 from pickenv.calibration import fit, simulated_tracker
-from pickenv.wrappers import Miscalibrate, geometry_in_mujoco
-from pickenv.wrappers.mujoco_arm import joints_in_mujoco
+from pickenv.wrappers import Miscalibrate, geometry_in_mujoco, joints_in_mujoco
 
 ARMS = ("ur5", "panda", "so101")
 

@@ -17,7 +17,7 @@ from pickenv.arm.plant.plant_batch import tree_map
 from pickenv.calibration import Compensator
 from pickenv.calibration.compensation.compensator import corrected
 from pickenv.envs import PickEnv, ReachEnv, ReachGoalEnv, ReachGoalVectorEnv, ReachVectorEnv
-from pickenv.envs.harvesting import harvest_batch
+from pickenv.envs.harvesting import harvest_task
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
 from pickenv.experiments import StudyConfig
 from pickenv.experiments.study import RAW, Noise, prepared_study
@@ -160,10 +160,10 @@ def test_a_cup_this_far_off_does_the_same_in_the_experiment_in_one_machine_and_i
     task = make_harvest_task(slaves=1, fruit=1, vision="ideal")
     task = replace(task, model=replace(task.model, cut_success=1.0, undamaged=1.0))
     luck = draw_luck(np.random.default_rng(0), 1)._replace(grasp=np.array([grasp]))
-    monkeypatch.setattr(harvest_batch, "draw_luck", lambda *_: luck)
+    monkeypatch.setattr(harvest_task, "draw_luck", lambda *_: luck)
     rngs = [np.random.default_rng(i) for i in range(len(LATERAL_MM))]
     miss = np.array([[lateral * 1e-3, 0.0, axial_mm * 1e-3] for lateral in LATERAL_MM])
-    many = harvest_batch.begin_zones(task, rngs)
+    many = harvest_task.begin_zones(task, rngs)
     many.diameters[:] = diameter_mm * 1e-3
     fruit = many.fruit[:, 0].copy()
     still, none = np.zeros((1, 3)), np.zeros((0, 3))
@@ -174,13 +174,13 @@ def test_a_cup_this_far_off_does_the_same_in_the_experiment_in_one_machine_and_i
     clearance = (task.model.cup.opening - diameter_mm * 1e-3) / 2
     formula = clearance >= 0, 1.0 - (np.array(LATERAL_MM) * 1e-3 - clearance) / task.model.gather
     assert expected == (formula[0] & (grasp < formula[1])).tolist()
-    harvest_batch.attempts(task, many, (fruit + miss)[:, None], rngs)
-    assert (many.status[:, 0] == harvest_batch.COLLECTED).tolist() == expected
+    harvest_task.attempts(task, many, (fruit + miss)[:, None], rngs)
+    assert (many.status[:, 0] == harvest_task.COLLECTED).tolist() == expected
     for i in range(len(LATERAL_MM)):
-        one = harvest_batch.begin_zones(task, [np.random.default_rng(i)])
+        one = harvest_task.begin_zones(task, [np.random.default_rng(i)])
         one.diameters[:] = diameter_mm * 1e-3
-        harvest_batch.attempts(task, one, (one.fruit[0, 0] + miss[i])[None, None], rngs[:1])
-        assert (one.status[0, 0] == harvest_batch.COLLECTED) == expected[i]
+        harvest_task.attempts(task, one, (one.fruit[0, 0] + miss[i])[None, None], rngs[:1])
+        assert (one.status[0, 0] == harvest_task.COLLECTED) == expected[i]
 
 
 @pytest.mark.parametrize("gripper", ["li_cup", "compliant_hand"])

@@ -8,10 +8,9 @@ import pytest
 
 from pickenv.arm import forward, load_plant, pose_error, rotation_matrix
 from pickenv.base import InputError
-from pickenv.envs.shared.backends import FLOATS
+from pickenv.envs import make_task
+from pickenv.envs.shared.backends import FLOATS, seed_word
 from pickenv.envs.shared.simulation import goal_attempt
-from pickenv.envs.shared.streams import seed_word
-from pickenv.envs.shared.task import make_task
 
 MIDDLE = [math.radians(7.5), 0.3, 0.4, 0.0, 0.1, 0.0]
 

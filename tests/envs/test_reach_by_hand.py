@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.arm import load_arm, rotation_matrix
 from pickenv.base import InputError
+from pickenv.envs import make_task
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.backends import FLOATS, NUMPY
-from pickenv.envs.shared.streams import ARM, CAMERA, FRUIT, episode_key, normal, stream_key, uniform
-from pickenv.envs.shared.task import lost_axes, make_task
+from pickenv.envs.shared.backends import ARM, CAMERA, FLOATS, FRUIT, NUMPY, episode_key, normal, stream_key, uniform
+from pickenv.envs.shared.task import lost_axes
 
 
 def test_a_move_is_a_share_of_the_largest_increment_of_at_most_one_and_ends_at_the_limits():

@@ -18,8 +18,9 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 import pickenv
 import pickenv.envs.reaching.reach
 import pickenv.wrappers.compensation
-from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.base import InputError
+
+PLANTS = Path(pickenv.__file__).parent / "arm/plant/plants"
 
 IDS = sorted(name for name in gym.registry if name.startswith("pickenv/"))
 VARIANTS = [

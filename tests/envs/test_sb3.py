@@ -15,9 +15,9 @@ from pickenv.wrappers import (
     GapScalingVector,
     SameArmVector,
     Sb3Vec,
+    Scaling,
     make_sb3_vec,
 )
-from pickenv.wrappers.gap import Scaling
 
 EARLY = {"end_on_success": True, "tolerance_mm": 400.0, "angle_tolerance_deg": 100.0, "max_episode_steps": 9}
 

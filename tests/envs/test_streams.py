@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pickenv.envs.shared.backends import FLOATS, NUMPY, torch_executor
-from pickenv.envs.shared.streams import GOAL, episode_key, normal, seed_word, stream_key, uniform
+from pickenv.envs.shared.backends import (
+    FLOATS,
+    GOAL,
+    NUMPY,
+    episode_key,
+    normal,
+    seed_word,
+    stream_key,
+    torch_executor,
+    uniform,
+)
 
 SEEDS = np.arange(2000, dtype=np.uint64)
 

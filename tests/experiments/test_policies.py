@@ -20,7 +20,7 @@ from pickenv.arm import load_plant
 from pickenv.base import Estimate, InputError, clustered_share_interval, mean_interval
 from pickenv.base.intervals import crossed_interval, quantile_interval
 from pickenv.commands import learning as commands
-from pickenv.envs.shared.situation import CONTROL_PERIOD
+from pickenv.envs import CONTROL_PERIOD
 from pickenv.experiments import (
     CalibrationPlan,
     PolicySettings,

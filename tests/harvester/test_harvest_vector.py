@@ -8,7 +8,7 @@ from gymnasium.vector import AutoresetMode
 import pickenv  # noqa: F401
 from pickenv.base import InputError
 from pickenv.envs import HarvestEnv, HarvestVectorEnv
-from pickenv.envs.harvesting.harvest_batch import COLLECTED, attempts
+from pickenv.envs.harvesting.harvest_task import COLLECTED, attempts
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))

@@ -2,23 +2,57 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.arm import Array
+from pickenv.arm.plant.plant_batch import tree_map
 from pickenv.base import InputError
-from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import HarvestState
-from pickenv.envs.harvesting.harvest_task import OPTIONS, HarvestTask, given_zones, harvest_spaces, make_harvest_task
-from pickenv.envs.shared.arm_env import DrawnEnv
+from pickenv.envs.harvesting import harvest_task as batch
+from pickenv.envs.harvesting.harvest_task import (
+    COLLECTED,
+    HANGING,
+    OPTIONS,
+    HarvestState,
+    HarvestTask,
+    given_zones,
+    harvest_spaces,
+    make_harvest_task,
+)
+from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information
+from pickenv.envs.shared.backends import Flags, Rows
+from pickenv.envs.shared.native_vector import NativeVectorEnv
+from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import Compensate, checked_action
+from pickenv.harvester import Machine
+from pickenv.pictures.arm_shapes import (
+    CUP_RADIUS,
+    FAINT,
+    GAIN,
+    GHOST,
+    JOINT,
+    LINK,
+    METAL,
+    Solids,
+    cup_solids,
+    frustum_solids,
+    joined_solids,
+)
+from pickenv.pictures.stage import SIZE, Balls, Eye, Mesh, Rods, Stage, Words, rgba
+from pickenv.pictures.tree_shapes import (
+    GREEN,
+    MISSED_FRUIT,
+    crate,
+    fruit_colours,
+    fruit_solids,
+    ground_around,
+    row_of_trees,
+)
 
-if TYPE_CHECKING:
-    from pickenv.pictures.stage import Stage
-
-Information = dict[str, Any]
 LONGEST = 600
 """Periods of an episode: a minute."""
 
@@ -115,24 +149,10 @@ class HarvestEnv(DrawnEnv):
       fruit to a millimetre. Returns from before cannot be compared.
     """
 
-    def __init__(
-        self,
-        *,
-        slaves: int | None = None,
-        spacing_mm: float | None = None,
-        fruit: int = 8,
-        ideal: bool = False,
-        vision: str = "measured_errors",
-        detector: str = "li2016",
-        canopy: str | None = None,
-        out_of_range: str = "clip",
-        render_mode: str | None = None,
-    ) -> None:
+    def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         super().__init__(render_mode)
-        self.task: HarvestTask = make_harvest_task(
-            slaves, spacing_mm, fruit, ideal, vision, detector, canopy, out_of_range
-        )
+        self.task: HarvestTask = make_harvest_task(**arguments)
         self.compensator: Compensate | None = None
         self.observation_space, self.action_space = harvest_spaces(self.task)
         self.state: HarvestState | None = None
@@ -142,8 +162,8 @@ class HarvestEnv(DrawnEnv):
     ) -> tuple[NDArray[np.float32], Information]:
         """Start with another zone; see the class for `options`."""
         super().reset(seed=seed)
-        given = given_zones(self.task, given_options(options, OPTIONS), 1)
-        self.state = batch.begin_zones(self.task, [self.np_random], given)
+        zones = given_zones(self.task, given_options(options, OPTIONS), 1)
+        self.state = batch.begin_zones(self.task, [self.np_random], **zones)
         if self.render_mode == "human":
             self.render()
         return batch.observe(self.task, self.state)[0], self._information()
@@ -164,10 +184,188 @@ class HarvestEnv(DrawnEnv):
         return batch.observe(self.task, self.state)[0], float(rewards[0]), terminated, False, self._information()
 
     def _stage(self) -> Stage | None:
-        from pickenv.envs.harvesting.harvest_drawing import draw_harvest
-
         return None if self.state is None else draw_harvest(self.task, self.state, self.compensator, dark=self.dark)
 
     def _information(self) -> Information:
         assert self.state is not None
         return {key: values[0].item() for key, values in batch.information(self.state).items()}
+
+
+# The native vector version of `pickenv/Harvest-v0`: many zones in one set of arrays.
+
+
+class HarvestVectorEnv(NativeVectorEnv):
+    """Many harvesters at once; environment i is seeded with ``seed + i`` and does not depend on how many there are.
+
+    Args:
+        num_envs: Number of harvesters.
+        max_episode_steps: Periods after which an episode is truncated, or None for never.
+        autoreset_mode: "NextStep", "SameStep" or "Disabled", or an `AutoresetMode`.
+        render_mode: None or "rgb_array".
+        arguments: As for `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
+    """
+
+    options = OPTIONS
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = LONGEST,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        """See the class."""
+        super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
+        self.task: HarvestTask = make_harvest_task(**arguments)
+        self._set_spaces(*harvest_spaces(self.task))
+        self.state: HarvestState
+
+    def _checked(self, actions: ArrayLike) -> NDArray[Any]:
+        return checked_action(actions, (self.num_envs, self.task.machine.joints), self.task.most_action)
+
+    def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
+        zones = given_zones(self.task, options, self.num_envs, rows)
+        fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows], **zones)
+        if self._begun:
+            self.state.put(rows, fresh)
+        else:
+            self.state = fresh
+
+    def _act(self, actions: NDArray[Any], live: Flags) -> NDArray[Any]:
+        rewards, rows = np.zeros(self.num_envs), np.flatnonzero(live)
+        if rows.size:
+            some: HarvestState = tree_map(lambda values: values[rows], self.state)
+            rewards[rows] = batch.step(self.task, some, actions[rows], [self._rngs[i] for i in rows], self.compensator)
+            self.state.put(rows, some)
+        return rewards
+
+    def _finished(self) -> Flags:
+        return batch.finished(self.state)
+
+    def _observation(self) -> NDArray[np.float32]:
+        return batch.observe(self.task, self.state)
+
+    def _information(self) -> Information:
+        return dict(batch.information(self.state))
+
+    def _stage(self, row: int) -> Stage:
+        return draw_harvest(self.task, self.state, self.compensator, row=row)
+
+
+# A harvester before its zone as a stage to draw: column, boom, slave arms with cups, fruit, trees, cameras. What
+# moves is the machine as built; the ghosts of its slaves show where the controller believes their cups to be. Units:
+# m; mm in words.
+
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def draw_harvest(
+    task: HarvestTask, states: HarvestState, compensate: Compensate | None, row: int = 0, dark: bool = False
+) -> Stage:
+    """One machine before its zone.
+
+    Args:
+        task: What stays the same.
+        states: One machine or more.
+        compensate: Maps nominal joints of whole machines to commands.
+        row: The machine's number.
+        dark: Whether the background is dark.
+    """
+    state: HarvestState = tree_map(lambda values: values[row : row + 1], states)
+    machine, target = task.machine, state.joints
+    command = target if compensate is None else compensate(target)
+    ghosts = machine.tips(target[:, :3], _slaves(target, machine))[0]
+    tips = task.true.tips(command[:, :3], _slaves(command, machine))[0]
+    drawn_in = _slaves(command, machine).copy()
+    drawn_in[..., 1:] = 0.0
+    pivots = machine.tips(command[:, :3], drawn_in)[0]
+    picked = int((state.status[0] == COLLECTED).sum())
+    solids = joined_solids(
+        _master(machine, command[0], pivots),
+        slave_solids(pivots, tips, machine.body.radius / 2),
+        _ghosts(pivots, tips + GAIN * (ghosts - tips), machine.body.radius / 2),
+        *(cup_solids(tip, UP, CUP_RADIUS) for tip in tips),
+        zone_fruit(state),
+        crate(_eye(state), SIZE, picked, float(state.diameters[0].mean()), -machine.base_height),
+        _cameras(task, command[0]),
+    )
+    seconds = float(state.periods[0]) * CONTROL_PERIOD
+    words = (
+        Words(f"picked {picked} of {int(state.reachable[0].sum())}", large=True),
+        Words(f"missed {int(state.attempts[0]) - picked}"),
+        Words(f"{seconds:.1f} s", "top right"),
+        Words(GHOST_WORDS, "bottom left"),
+    )
+    return Stage(_eye(state), *solids, still=_surroundings(task, state, dark), words=words, dark=dark)
+
+
+def _slaves(joints: Array, machine: Machine) -> Array:
+    return joints[:, 3:].reshape(len(joints), machine.arms, 3)
+
+
+def _master(machine: Machine, joints: Array, pivots: Array) -> Solids:
+    """Column, boom and the rail that the slaves hang on."""
+    frame, foot = machine.frame3(joints[:3]), -machine.base_height
+    axis, shoulder = np.array([0.0, 0.0, foot]), np.array([0.0, 0.0, frame[2]])
+    ends = pivots[[0, -1]].copy()
+    ends[:, 2] = frame[2]
+    top = np.array([0.0, 0.0, float(machine.upper[1]) + machine.d1])
+    start = np.stack([axis, shoulder, ends[0], *(np.array([*pivot[:2], frame[2]]) for pivot in pivots)])
+    end = np.stack([top, frame, ends[1], *pivots])
+    radius = np.array([0.05, 0.035, 0.03, *[0.022] * len(pivots)])
+    colour = np.concatenate([rgba(METAL, 1), rgba(LINK, 2), rgba(METAL, len(pivots))])
+    joints_at = np.stack([shoulder, frame])
+    return Solids((Rods(start, end, radius, colour),), (Balls(joints_at, np.array([0.075, 0.05]), rgba(JOINT, 2)),))
+
+
+def slave_solids(pivots: Array, tips: Array, radius: float) -> Solids:
+    """Slave arms from their pivots to below their cups, each a tube with a rod in it."""
+    ends = tips - 0.06 * UP
+    half = pivots + 0.5 * (ends - pivots)
+    count = len(tips)
+    tubes = Rods(pivots, half, np.full(count, radius), rgba(LINK, count))
+    rods = Rods(half, ends, np.full(count, 0.6 * radius), rgba(METAL, count))
+    return Solids((tubes, rods), (Balls(pivots, np.full(count, 1.3 * radius), rgba(JOINT, count)),))
+
+
+def _ghosts(pivots: Array, tips: Array, radius: float) -> Solids:
+    count = len(tips)
+    rods = Rods(pivots, tips - 0.06 * UP, np.full(count, 0.8 * radius), rgba(GHOST, count, FAINT))
+    return Solids((rods,), (Balls(tips - 0.03 * UP, np.full(count, 0.035), rgba(GHOST, count, FAINT)),))
+
+
+def zone_fruit(state: HarvestState) -> Solids:
+    """Fruit that hangs: ripe where it is in reach; lost fruit in another colour where it hung."""
+    hanging = state.status[0] != COLLECTED
+    colours = fruit_colours(state.fruit.shape[1])
+    colours[~state.reachable[0]] = GREEN
+    colours[(state.status[0] != HANGING) & (state.status[0] != COLLECTED)] = MISSED_FRUIT
+    places = state.fruit[0] + state.moved[0]
+    return fruit_solids(places[hanging], state.diameters[0][hanging], colours[hanging])
+
+
+def _cameras(task: HarvestTask, joints: Array) -> Solids:
+    """The stereo pair that looked at the zone from the aisle, before the machine came."""
+    frame = task.machine.frame3(joints[:3])
+    eye = np.array([frame[0], 0.0, frame[2]])
+    return frustum_solids(eye, np.array([0.0, -1.0, 0.0]), (0.6, 0.45), 0.3, (110, 96, 160))
+
+
+def _surroundings(task: HarvestTask, state: HarvestState, dark: bool) -> tuple[Mesh, ...]:
+    """Ground, and the trees of the zone."""
+    canopy, height = task.orchard.canopy, -task.machine.base_height
+    middle = np.round(state.fruit[0].mean(axis=0), 1)
+    low = (float(middle[0]) - 0.6, -canopy.standoff - canopy.depth, max(float(middle[2]) - 0.5, height + 0.3))
+    high = (float(middle[0]) + 0.6, -canopy.standoff, float(middle[2]) + 0.6)
+    trees = row_of_trees(low, high, canopy.leaf_area_per_volume, height)
+    return (ground_around(0.0, -0.5, height, dark), *trees)
+
+
+def _eye(state: HarvestState) -> Eye:
+    """From behind the machine, to its side and above it; it stays where it is during a zone."""
+    fruit = state.fruit[0].mean(axis=0)
+    target = np.array([0.45 * fruit[0], 0.62 * fruit[1], 0.95 * fruit[2]])
+    return Eye(target + np.array([1.75, 1.9, 0.75]), target, 34.0)

@@ -15,10 +15,9 @@ import pettingzoo  # type: ignore[import-untyped,import-not-found,unused-ignore]
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.base import InputError
-from pickenv.envs.harvesting import harvest_batch as batch
-from pickenv.envs.harvesting.harvest_batch import HarvestState
-from pickenv.envs.harvesting.harvest_env import LONGEST
-from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces, make_harvest_task
+from pickenv.envs.harvesting import harvest_task as batch
+from pickenv.envs.harvesting.harvest_env import LONGEST, draw_harvest
+from pickenv.envs.harvesting.harvest_task import HarvestState, HarvestTask, harvest_spaces, make_harvest_task
 from pickenv.envs.shared.arm_env import checked_render_mode, drawn
 from pickenv.envs.shared.task import Compensate, checked_action
 
@@ -86,19 +85,19 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         over = bool(batch.finished(self._state)[0])
         late = bool(self._state.periods[0] >= self.max_cycles)
         names = self.agents
-        seen, told = self._seen(), self._told()
+        observations, infos = self._seen(), self._told()
         if over or late:
             self.agents = []
         return (
-            seen,
+            observations,
             dict.fromkeys(names, float(rewards[0])),
             dict.fromkeys(names, over),
             dict.fromkeys(names, late),
-            told,
+            infos,
         )
 
     def state(self) -> NDArray[np.float32]:
-        """What all agents see together, for centralised training."""
+        """The observation that all agents share, for centralised training."""
         if self._state is None:
             raise InputError("state was called before reset; call reset first")
         return np.asarray(batch.observe(self.task, self._state)[0])
@@ -107,10 +106,8 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         """The whole machine, as in `pickenv/Harvest-v0`."""
         if self.render_mode is None:
             return None
-        from pickenv.envs.harvesting.harvest_drawing import draw_harvest
-
-        seen = None if self._state is None else draw_harvest(self.task, self._state, self.compensator)
-        return drawn(seen)
+        stage = None if self._state is None else draw_harvest(self.task, self._state, self.compensator)
+        return drawn(stage)
 
     def close(self) -> None:
         """Nothing to close."""
@@ -122,8 +119,8 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
 
     def _told(self) -> dict[str, dict[str, Any]]:
         assert self._state is not None
-        known = {key: values[0].item() for key, values in batch.information(self._state).items()}
-        return {name: dict(known) for name in self.possible_agents}
+        infos = {key: values[0].item() for key, values in batch.information(self._state).items()}
+        return {name: dict(infos) for name in self.possible_agents}
 
 
 pettingzoo.register("parallel", ID, entry_point=HarvestParallelEnv, max_cycles=LONGEST)

@@ -3,35 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Frame
+from pickenv.arm import Array, Frame, Geometry
 from pickenv.base import InputError
-from pickenv.envs.picking.pick_arm import PickMotion, PickSight, act_arm, apart_mm, begin_arm, look_at_arm, reach_of
+from pickenv.envs.picking.pick_arm import PickSight, act_arm, apart_mm, look_at_arm, reach_of
 from pickenv.envs.picking.pick_scene import (
     LONGEST,
     MOST_LEFT,
     PICK_OPTIONS,
     STILL,
-    Asked,
     PickScene,
+    PickSetting,
     draw_starts,
     make_pick,
     pick_reward,
     pick_spaces,
+    to_base,
 )
-from pickenv.envs.shared.arm_env import ArmEnv, Information
+from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, arm_at_work, standing, tool_dial
 from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.situation import drawn_start
+from pickenv.envs.shared.simulation import begin
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import checked_action
-
-if TYPE_CHECKING:
-    from pickenv.pictures.stage import Stage
+from pickenv.pictures.arm_shapes import Solids, cup_solids, frustum_solids, hand_solids, joined_solids
+from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
+from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
 
 class PickEnv(ArmEnv):
@@ -196,22 +197,10 @@ class PickEnv(ArmEnv):
         task, self.orchard = make_pick(**on_ladder("Pick", difficulty, split, arguments))
         super().__init__(task, render_mode, executor)
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        seen, self.action_space = pick_spaces(task)
-        self.observation_space, self._bounds = seen, (seen.low, seen.high)
+        space, self.action_space = pick_spaces(task)
+        self.observation_space, self._bounds = space, (space.low, space.high)
         self.scene: PickScene | None = None
-        self._motion: PickMotion | None = None
         self._sight: PickSight | None = None
-        self._arm: int | None = None
-
-    @property
-    def joint_target(self) -> Array:
-        """The nominal joint target that the actions have built up, rad or m."""
-        return np.array(self.task.middle if self._motion is None else self._plain(self._motion.target))
-
-    @property
-    def arm(self) -> int:
-        """Number of the true arm in its population; 0 for a fixed one."""
-        return self._arm or 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -219,24 +208,22 @@ class PickEnv(ArmEnv):
         """Start before another section of canopy; see the class for `options`."""
         super().reset(seed=seed)
         options = given_options(options, PICK_OPTIONS)
-        x, task, joints, asked = self._x, self.task, options.get("start_joints"), options.get("arm")
-        start: Sequence[Scalar] | None = None
+        task, joints, arm = self.task, options.get("start_joints"), options.get("arm")
         if joints is not None:
-            start = self._numbers(task.given_joints("start_joints", joints).tolist())
-        wanted = Asked(self._arm, seed is not None, options.get("fruit"), asked)
-        (begun,) = draw_starts(task, self.orchard, self._reach, [self.np_random], [wanted])
-        self.scene, self._key = begun.scene, self._word(begun.key)
-        if begun.arm is not None and (task.arms != "fixed" or asked is not None):
-            self._arm = begun.arm
-            self._use_arm(begun.arm)
-        if start is None and task.situation.spread:
-            start = drawn_start(x, task.situation, self._key, task.lower, task.upper)
-        start = self._numbers(task.middle) if start is None else start
+            task.given_joints("start_joints", joints)  # refused before anything is drawn
+        before = None if seed is not None else self._arm
+        (start,) = draw_starts(
+            task, self.orchard, self._reach, [self.np_random], [before], [options.get("fruit")], [arm]
+        )
+        self.scene, self._key = start.scene, self._word(start.key)
+        if start.arm is not None and (task.arms != "fixed" or arm is not None):
+            self._use_arm(start.arm)
+        target = self._start(joints)
         self._step, self._still = 0, STILL
-        self._motion = begin_arm(x, task, self.plant, self._key, start, self._command(start))
-        believed, _ = self._look(0.0)
+        self._state = begin(self._x, task, self.plant, self._key, target, (), self._command(target), gripper=1)
+        pose, _ = self._look(0.0)
         self._number = 0
-        self._choose(believed)
+        self._choose(pose)
         if self.render_mode == "human":
             self.render()
         return self._observation(), self._information()
@@ -248,21 +235,21 @@ class PickEnv(ArmEnv):
             InputError: If the action has another shape or impossible numbers, or before the first reset.
         """
         values = checked_action(action, (self.task.joints + 1,), self.task.most_action)
-        if self.scene is None or self._motion is None or self._sight is None:
+        if self.scene is None or self._state is None or self._sight is None:
             raise InputError("step was called before reset; call reset first")
         scene, x, task = self.scene, self._x, self.task
         collected, damaged = scene.tally()
         numbers = self._numbers(values.tolist())
-        self._motion, command, moved, period = act_arm(x, task, self._motion, numbers)
+        self._state, command, stirred, period = act_arm(x, task, self._state, numbers)
         gripper, dt = self._plain((command, period))
-        self._still = 0.0 if moved else min(STILL, self._still + dt)
+        self._still = 0.0 if stirred else min(STILL, self._still + dt)
         self._step += 1
         before = tuple(self._plain(self._sight.tool))
-        believed, tool = self._look(period)
+        pose, tool = self._look(period)
         scene.advance(before, tool, self._number, dt)
-        scene.work_gripper(gripper, self._number, believed, tool)
+        scene.work_gripper(gripper, self._number, pose, tool)
         if scene.held is None and not scene.waiting[self._number]:
-            self._choose(believed)
+            self._choose(pose)
         now_collected, now_damaged = scene.tally()
         reward = pick_reward(now_collected - collected, now_damaged - damaged)
         terminated = scene.held is None and not scene.waiting.any()
@@ -271,20 +258,18 @@ class PickEnv(ArmEnv):
         return self._observation(), reward, terminated, False, self._information()
 
     def _stage(self) -> Stage | None:
-        from pickenv.envs.picking.pick_drawing import draw_pick
-
-        if self.scene is None or self._motion is None or self._sight is None:
+        if self.scene is None or self._state is None or self._sight is None:
             return None
-        command = np.array(self._plain(self._command(self._motion.target)))
-        tool, believed = tuple(self._plain(self._sight.tool)), tuple(self._plain(self._sight.believed))
-        return draw_pick(self.task.plant.arm.nominal, command, tool, believed, self.scene, self._number, self.dark)
+        command = np.array(self._plain(self._command(self._state.target)))
+        tool, pose = tuple(self._plain(self._sight.tool)), tuple(self._plain(self._sight.believed))
+        return draw_pick(self.task.plant.arm.nominal, command, tool, pose, self.scene, self._number, self.dark)
 
     def _look(self, dt: Scalar) -> tuple[Frame, Frame]:
         """Let time pass at the present joint target; frames of the believed and the true tool."""
-        assert self._motion is not None
-        command, moment = self._command(self._motion.target), self._word(self._step)
-        self._motion, self._sight = look_at_arm(
-            self._x, self.task, self.plant, self._motion, command, self._key, moment, dt
+        assert self._state is not None
+        command, moment = self._command(self._state.target), self._word(self._step)
+        self._state, self._sight = look_at_arm(
+            self._x, self.task, self.plant, self._state, command, self._key, moment, dt
         )
         self._sent_command = np.array(self._plain(command))
         return tuple(self._plain(self._sight.believed)), tuple(self._plain(self._sight.tool))
@@ -298,12 +283,12 @@ class PickEnv(ArmEnv):
     def _observation(self) -> NDArray[np.float32]:
         scene, sight = self.scene, self._sight
         assert scene is not None and sight is not None
-        seen, tool = scene.seen[self._number], np.array(self._plain(sight.believed)[9:])
+        fruit, tool = scene.seen[self._number], np.array(self._plain(sight.believed)[9:])
         parts = [
             self._plain(sight.readings),
             tool,
-            seen,
-            seen - tool,
+            fruit,
+            fruit - tool,
             self._plain(sight.turn),
             [
                 self._still,
@@ -335,3 +320,101 @@ class PickEnv(ArmEnv):
             "fruit_position": fruit.copy(),
             "fruit_number": self._number,
         }
+
+
+# A canopy and the arm that picks in it as a stage to draw. Units: m; mm in words.
+
+
+CAMERA = (110, 96, 160)
+
+
+def draw_pick(
+    nominal: Geometry, command: Array, tool: Frame, believed: Frame, scene: PickScene, number: int, dark: bool
+) -> Stage:
+    """The arm, its ghost, its gripper, the camera and the trees.
+
+    Args:
+        nominal: The arm as its controller believes it to be.
+        command: What the drives got ``(n,)``, rad or m.
+        tool: Frame of the true tool.
+        believed: Frame of the tool as the controller believes it to be.
+        scene: The fruit.
+        number: The fruit that the arm is after.
+        dark: Whether the background is dark.
+    """
+    orchard, funnel = scene.orchard, scene.funnel()
+    point, axis = np.array(tool[9:]), np.array(tool[6:9])
+    offset = point - scene.positions[number]
+    solids = joined_solids(
+        arm_at_work(nominal, command, point, axis, np.array(believed[9:])),
+        gripper_solids(orchard, point, axis, scene.held is not None),
+        canopy_fruit(scene),
+        crate(pick_eye(orchard), SIZE, funnel["collected"], float(np.mean(scene.diameters)), ground_of(orchard)),
+        camera_solids(orchard),
+    )
+    missed = scene.attempted & ~scene.attached
+    words = (
+        Words(f"picked {funnel['collected']} of {funnel['reachable']}", "top left", large=True),
+        Words(f"missed {int(missed.sum())}", "top left"),
+        Words(f"{1e3 * float(np.linalg.norm(offset)):.1f} mm from the fruit", "top right"),
+        Words(GHOST_WORDS, "bottom left"),
+    )
+    still = (*standing(nominal, ground_of(orchard), dark), *trees_of(orchard))
+    dial = tool_dial(axis, offset, 1e3 * orchard.gripper.tolerance)
+    return Stage(pick_eye(orchard), *solids, still=still, words=words, dial=dial, dark=dark)
+
+
+def gripper_solids(orchard: PickSetting, point: Array, axis: Array, closed: bool) -> Solids:
+    """The cup, as wide as its opening; or the hand, around a usual fruit."""
+    if orchard.gripper.kind == "cup":
+        return cup_solids(point, axis, orchard.station.tool_radius)
+    return hand_solids(point, axis, orchard.station.tool_radius, closed)
+
+
+def canopy_fruit(scene: PickScene) -> Solids:
+    """Fruit that hangs or is in the gripper: ripe where it can still be tried, another colour where it was missed."""
+    present = ~scene.collected & ~(scene.damaged & scene.detached)
+    if scene.held is not None:
+        present[scene.held] = True
+    colours = fruit_colours(len(scene.rest))
+    colours[~scene.reachable] = GREEN
+    colours[scene.attempted & ~scene.attached] = MISSED_FRUIT
+    gripped = present & scene.detached
+    hanging = present & ~gripped
+    places, sizes = scene.positions, scene.diameters
+    return joined_solids(
+        fruit_solids(places[hanging], sizes[hanging], colours[hanging]),
+        fruit_solids(places[gripped], sizes[gripped], colours[gripped], stems=False),
+    )
+
+
+def camera_solids(orchard: PickSetting) -> Solids:
+    """The camera that looks at the canopy, and what it sees."""
+    canopy, camera = orchard.canopy, orchard.camera
+    middle = (canopy.bottom + canopy.top) / 2
+    eye = to_base(orchard, np.array([0.0, -canopy.standoff, middle]))
+    ahead = to_base(orchard, np.array([0.0, 0.0, middle])) - eye
+    half_angles = [side / 2 / camera.focal_length for side in camera.image]
+    return frustum_solids(eye, ahead / np.linalg.norm(ahead), half_angles, 0.3 * float(np.linalg.norm(ahead)), CAMERA)
+
+
+def trees_of(orchard: PickSetting) -> tuple[Mesh, ...]:
+    """The section of canopy before the arm."""
+    canopy = orchard.canopy
+    ends = np.array([[-canopy.width / 2, 0.0, canopy.bottom], [canopy.width / 2, canopy.depth, canopy.top]])
+    corners = to_base(orchard, ends)
+    low, high = (tuple(float(value) for value in end) for end in (corners.min(axis=0), corners.max(axis=0)))
+    return row_of_trees(low, high, canopy.leaf_area_per_volume, ground_of(orchard))
+
+
+def ground_of(orchard: PickSetting) -> float:
+    """Height of the ground in the arm's base frame, m."""
+    return float(to_base(orchard, np.zeros(3))[2])
+
+
+def pick_eye(orchard: PickSetting) -> Eye:
+    """From behind the arm, to its side and above it."""
+    canopy = orchard.canopy
+    face = to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
+    target = face * [0.62, 0.62, 0.62]
+    return Eye(target + np.array([1.35, 2.15, 0.75]), target)

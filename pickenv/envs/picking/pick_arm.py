@@ -8,22 +8,29 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import chain
 from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
-from pickenv.arm import Array, Geometry, Plant, PlantState, Pose, forward, inverse
+from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.base import InputError
 from pickenv.envs.shared import situation
-from pickenv.envs.shared.backends import Executor
-from pickenv.envs.shared.simulation import DEGREES, length, move, nominal_frames, nominal_readings, scaled
+from pickenv.envs.shared.backends import Executor, Flags
+from pickenv.envs.shared.simulation import (
+    DEGREES,
+    ArmState,
+    Components,
+    length,
+    move,
+    nominal_frames,
+    nominal_readings,
+    scaled,
+)
 from pickenv.envs.shared.task import Task, inexact
 
 # Which points an arm reaches from below with its tool upright: where fruit can be picked. Base frame, m.
@@ -35,11 +42,9 @@ ITERATIONS = 8
 UP = np.array([0.0, 0.0, 1.0])
 """The way that the tool takes to a fruit, and how it stands there."""
 
-Flags = NDArray[np.bool_]
-
 
 class Reach:
-    """Which points the nominal arm reaches with its tool upright, from ``approach`` m below up to the point."""
+    """Test of points that the nominal arm reaches with its tool upright, from ``approach`` m below up to the point."""
 
     def __init__(self, geometry: Geometry, approach: float) -> None:
         """Sample the arm's upright poses once; each question then starts from the nearest one."""
@@ -86,37 +91,12 @@ def _upright(rotation: Array) -> Array:
     return np.stack([x, np.cross(UP, x), UP], axis=-1)
 
 
-Components = tuple[Scalar, ...]
-
 STIRRED = 1e-9
 """A joint target that moves by more than this does not stand still, rad or m."""
 
 
-class PickMotion(NamedTuple):
-    """What the arm remembers between two actions.
-
-    Attributes:
-        target: Nominal joint target that the actions have built up, n.
-        drawn: What was drawn for the episode, in the order of `Situation.drawn`.
-        sent: Actions under way, the latest first.
-        sensed: Readings under way, the latest first.
-        plant: What the true arm remembers.
-    """
-
-    target: Components
-    drawn: Components
-    sent: Components
-    sensed: Components
-    plant: PlantState
-
-    @property
-    def columns(self) -> list[Scalar]:
-        """All its numbers, one after the other."""
-        return list(chain(*self[:-1], *self.plant))
-
-
 class PickSight(NamedTuple):
-    """What can be seen of the arm.
+    """The arm as it is seen.
 
     Attributes:
         readings: Joint readings scaled to the joint limits, n.
@@ -133,59 +113,44 @@ class PickSight(NamedTuple):
     tilt: Scalar
 
 
-def begin_arm(
-    x: Executor, task: Task, plant: Plant, key: Scalar, start: Sequence[Scalar], command: Sequence[Scalar]
-) -> PickMotion:
-    """State at the start of an episode; arguments as in `pickenv.envs.shared.simulation.begin`."""
-    given = task.situation
-    drawn = situation.drawn_values(x, given, key)
-    _, sent, late = given.widths(task.joints + 1, task.joints)
-    rest = start[0] * 0.0
-    memory = situation.warmed_up(x, given, drawn, plant, plant.initial_state(x.m, command), command)
-    return PickMotion(tuple(start), drawn, (rest,) * sent, (rest,) * late, memory)
-
-
 def act_arm(
-    x: Executor, task: Task, state: PickMotion, action: Sequence[Scalar]
-) -> tuple[PickMotion, Scalar, Scalar, Scalar]:
+    x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]
+) -> tuple[ArmState, Scalar, Scalar, Scalar]:
     """An action, late where actions are, on the joint target.
 
     Returns:
         The state with its new target, the gripper's command, whether the target moved, and the time that passes (s).
     """
-    given, drawn = task.situation, state.drawn
-    arrived, sent = situation.acted(x, given, drawn, state.sent, action)
+    setting, values = task.situation, state.drawn
+    arrived, sent = situation.acted(x, setting, values, state.sent, action)
     *moves, gripper = arrived
-    target = move(x, task, state.target, situation.in_period(x, given, drawn, moves))
+    target = move(x, task, state.target, situation.in_period(x, setting, values, moves))
     away = [abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)]
-    moved = away[0]
+    stirred = away[0]
     for joint in away[1:]:
-        moved = moved | joint
-    return state._replace(target=target, sent=sent), gripper, moved, given.value("period", drawn)
+        stirred = stirred | joint
+    return state._replace(target=target, sent=sent), gripper, stirred, setting.value("period", values)
 
 
 def look_at_arm(
     x: Executor,
     task: Task,
     plant: Plant,
-    state: PickMotion,
+    state: ArmState,
     command: Sequence[Scalar],
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[PickMotion, PickSight]:
+) -> tuple[ArmState, PickSight]:
     """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`."""
-    given = task.situation
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = nominal_readings(x, plant, plant_state, state.target, command)
-    read = situation.with_joint_noise(x, given, state.drawn, key, moment, read)
-    begins = isinstance(dt, float) and dt == 0.0
-    shown, late = situation.sensed(x, given, state.drawn, state.sensed, read, begins)
-    believed, tool = nominal_frames(x, task, list(shown))[1], inexact(ended)
+    arrived, late = situation.sensed(x, task.situation, state.drawn, state.sensed, key, moment, read, (), dt)
+    pose, tool = nominal_frames(x, task, list(arrived))[1], inexact(ended)
     return state._replace(sensed=late, plant=plant_state), PickSight(
-        readings=scaled(x, task, shown),
-        believed=believed,
-        turn=upright_turn(x.m, believed[6:9]),
+        readings=scaled(x, task, arrived),
+        believed=pose,
+        turn=upright_turn(x.m, pose[6:9]),
         tool=tool,
         tilt=DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0)),
     )

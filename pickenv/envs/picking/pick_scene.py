@@ -20,9 +20,10 @@ from pickenv import orchard as trees
 from pickenv.arm import Array, Frame
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.base import InputError
-from pickenv.envs.picking.pick_arm import UP, Flags, Reach
+from pickenv.envs.picking.pick_arm import UP, Reach
+from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.spaces import box
-from pickenv.envs.shared.task import Task, as_numbers, check_count, check_number, make_task
+from pickenv.envs.shared.task import Task, as_numbers, check_choice, check_count, check_number, make_task
 from pickenv.orchard import DRAWS
 
 FATES = ("attempted", "attached", "detached", "collected", "damaged")
@@ -35,7 +36,7 @@ ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
 
 @dataclass(frozen=True, eq=False)
 class PickSetting:
-    """What kind of fruit hangs before the arm, what sees it and what takes it."""
+    """The kind of fruit before the arm, the camera that sees it and the gripper that takes it."""
 
     canopy: trees.Canopy
     fruit_map: trees.FruitMap
@@ -56,50 +57,10 @@ ORDERS: dict[str, tuple[float, float, float] | None] = {
     "highest": (0.0, 0.0, -1.0),
     "foremost": (0.0, -1.0, 0.0),
 }
-"""Which fruit is named next: the nearest to the believed tool, or the first along a direction of the base frame."""
+"""Orders of the fruit: the nearest to the believed tool, or the first along a direction of the base frame."""
 
 PUBLISHED = "published"
 """The vision that goes by what is published of a camera; the others are those of `pickenv.orchard.VISIONS`."""
-
-
-def make_setting(
-    canopy: str,
-    fruit_map: str,
-    fruit_size: str,
-    camera: str,
-    gripper: str,
-    fruit: float,
-    looks: int,
-    vision: str = PUBLISHED,
-    detector: str = "li2016",
-    order: str = "nearest",
-) -> PickSetting:
-    """Read the presets; ``fruit`` is the mean number of fruit in the section before the arm."""
-    if order not in ORDERS:
-        raise InputError(f"order is {order!r}; give one of {', '.join(ORDERS)}")
-    if vision not in (PUBLISHED, *trees.VISIONS):
-        raise InputError(f"unknown vision '{vision}'; give one of {', '.join((PUBLISHED, *trees.VISIONS))}")
-    whole, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
-    station = trees.load_station("qiao2026")
-    section = replace(
-        whole,
-        width=min(station.width, whole.width),
-        depth=min(station.depth, whole.depth),
-        top=min(whole.bottom + station.height, whole.top),
-    )
-    return PickSetting(
-        canopy=section,
-        fruit_map=crop.scaled(fruit / section.width),
-        size=trees.load_fruit_size(fruit_size),
-        camera=trees.load_camera(camera),
-        gripper=trees.load_gripper(gripper),
-        branch=trees.load_branch("apple"),
-        detachment=trees.load_detachment("apple"),
-        station=station,
-        looks=looks,
-        eyes=None if vision == PUBLISHED else trees.load_eyes(vision, section, detector),
-        order=order,
-    )
 
 
 def to_base(orchard: PickSetting, positions: Array) -> Array:
@@ -118,7 +79,7 @@ def _origin(orchard: PickSetting) -> Array:
 
 
 class Contact(NamedTuple):
-    """How fruit stands to a tool.
+    """Fruit as it stands to a tool.
 
     Attributes:
         across: From the tool's axis to each fruit, m, shape (..., n, 3).
@@ -134,7 +95,7 @@ class Contact(NamedTuple):
 
 
 def contact(station: trees.Station, positions: Array, diameters: Array, point: Array, axis: Array) -> Contact:
-    """Which fruit a tool touches; every canopy gives each fruit the same bits, whatever else is in the arrays.
+    """Contacts of fruit with a tool; every canopy gives each fruit the same bits, whatever else is in the arrays.
 
     Args:
         station: The tool.
@@ -207,7 +168,7 @@ class PickScene:
 
     @property
     def positions(self) -> Array:
-        """Where the fruit is now, (n, 3)."""
+        """Present positions of the fruit, m, (n, 3)."""
         return self.rest + self.displacement
 
     @property
@@ -250,12 +211,12 @@ class PickScene:
             self.displacement[:], self.velocity[:] = trees.swing(
                 self.orchard.branch, self.displacement, self.velocity, self.masses, dt
             )
-        point, moved = np.array(tool[9:]), np.array(tool[9:]) - np.array(before[9:])
+        point, way = np.array(tool[9:]), np.array(tool[9:]) - np.array(before[9:])
         if self.holds_hanging:
-            self.carry(point, moved)
-        found = contact(self.orchard.station, self.positions, self.diameters, point, np.array(tool[6:9]))
-        if found.touched.any():
-            self.meet(found, target, moved, dt)
+            self.carry(point, way)
+        contacts = contact(self.orchard.station, self.positions, self.diameters, point, np.array(tool[6:9]))
+        if contacts.touched.any():
+            self.meet(contacts, target, way, dt)
 
     def carry(self, point: Array, moved: Array) -> None:
         """Take the fruit in the gripper along, and its branch."""
@@ -339,9 +300,9 @@ class PickScene:
 
     def _push(self, contact: Array, push: Array) -> None:
         """Displace the fruit around ``contact``; fruit in or past the gripper stays."""
-        moved = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
-        far = np.linalg.norm(moved, axis=1, keepdims=True)
-        self.displacement[:] = moved * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
+        displacement = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
+        far = np.linalg.norm(displacement, axis=1, keepdims=True)
+        self.displacement[:] = displacement * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
 
 
 def draw_scenes(
@@ -358,29 +319,28 @@ def draw_scenes(
     Raises:
         InputError: If none of the given fruit is found within reach, or none in many draws.
     """
-    centres = [None if each is None else _given_fruit(each) for each in given]
+    centres = [None if positions is None else _given_fruit(positions) for positions in given]
     scenes: dict[int, PickScene] = {}
     for attempt in range(ATTEMPTS):
-        drawn: dict[int, PickScene] = {}
+        fresh: dict[int, PickScene] = {}
         for i, rng in enumerate(rngs):
             if i in scenes or (centres[i] is not None and attempt >= GIVEN_ATTEMPTS):
                 continue
             scene = _seen_scene(orchard, rng, centres[i])
             if scene is not None:
-                drawn[i] = scene
-        if drawn:
-            wanted = [scene.reachable for scene in drawn.values()]
-            reached = reach(np.concatenate([scene.seen[scene.reachable] for scene in drawn.values()]))
-            ends = np.cumsum([flags.sum() for flags in wanted])[:-1]
-            for (i, scene), found in zip(drawn.items(), np.split(reached, ends), strict=True):
-                scene.reachable[scene.reachable] = found
-                if found.any():
+                fresh[i] = scene
+        if fresh:
+            reached = reach(np.concatenate([scene.seen[scene.reachable] for scene in fresh.values()]))
+            ends = np.cumsum([scene.reachable.sum() for scene in fresh.values()])[:-1]
+            for (i, scene), inside in zip(fresh.items(), np.split(reached, ends), strict=True):
+                scene.reachable[scene.reachable] = inside
+                if inside.any():
                     scenes[i] = scene
         if len(scenes) == len(rngs):
             return [scenes[i] for i in range(len(rngs))]
     missing = next(i for i in range(len(rngs)) if i not in scenes)
-    where = "none of the fruit given" if given[missing] is not None else f"no fruit in {ATTEMPTS} draws of the orchard"
-    raise InputError(f"{where} is both seen and within the arm's reach from below; move the fruit or add some")
+    fruit = "none of the fruit given" if given[missing] is not None else f"no fruit in {ATTEMPTS} draws of the orchard"
+    raise InputError(f"{fruit} is both seen and within the arm's reach from below; move the fruit or add some")
 
 
 def _given_fruit(given: Any) -> Array:
@@ -393,13 +353,13 @@ def _given_fruit(given: Any) -> Array:
 def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
     """Fruit drawn or given, and looked at; reachable is what is seen with a free way from below. None without fruit."""
     if given is None:
-        drawn = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
-        positions, diameters = drawn.positions, drawn.diameters
+        sample = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
+        positions, diameters = sample.positions, sample.diameters
         if not len(positions):
             return None
     else:
         positions, diameters = to_orchard(orchard, given), trees.sample_diameters(orchard.size, len(given), rng)
-    believed, visible = looked_at(orchard, rng, positions, diameters)
+    sightings, visible = looked_at(orchard, rng, positions, diameters)
     clear = trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
     return PickScene(
         orchard=orchard,
@@ -408,7 +368,7 @@ def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | N
         masses=trees.fruit_masses(orchard.size, diameters),
         strength=trees.sample_strength(orchard.detachment, len(positions), rng),
         chance=rng.random(len(positions)),
-        seen=to_base(orchard, believed),
+        seen=to_base(orchard, sightings),
         visible=visible,
         reachable=visible & clear,
     )
@@ -417,7 +377,7 @@ def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | N
 def looked_at(
     orchard: PickSetting, rng: np.random.Generator, positions: Array, diameters: Array
 ) -> tuple[Array, Flags]:
-    """Where the camera believes fruit of the orchard frame to be (n, 3), and which of it it found."""
+    """Positions of fruit as the camera sees it (n, 3), orchard frame, m, and flags of the fruit that it finds."""
     canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
     viewpoint, ahead = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2]), np.array([0.0, 1.0, 0.0])
     if orchard.eyes is not None:
@@ -426,10 +386,10 @@ def looked_at(
         sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=orchard.looks)
         return sight.believed, sight.located
     hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
-    found = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), hidden.visible)
+    probability = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), hidden.visible)
     draws = rng.normal(size=(count, DRAWS))
     draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
-    believed = trees.measured_positions(
+    sightings = trees.measured_positions(
         camera,
         positions,
         viewpoint,
@@ -438,7 +398,7 @@ def looked_at(
         diameters=diameters,
         visible_side=hidden.visible_side,
     )
-    return believed, (rng.random(count) < found) & trees.in_image(camera, positions, viewpoint, ahead)
+    return sightings, (rng.random(count) < probability) & trees.in_image(camera, positions, viewpoint, ahead)
 
 
 # What `pickenv/Pick-v0` is made with: its arguments, checked, as a task of the arm and a setting of fruit.
@@ -479,9 +439,32 @@ def make_pick(
     """
     check_number("fruit", fruit, positive=True)
     check_count("looks", looks)
-    drawn: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
-    task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **drawn, **situation)
-    return task, make_setting(canopy, fruit_map, fruit_size, camera, gripper, fruit, looks, vision, detector, order)
+    arguments: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
+    task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **arguments, **situation)
+    check_choice("order", order, tuple(ORDERS))
+    if vision not in (PUBLISHED, *trees.VISIONS):
+        raise InputError(f"unknown vision '{vision}'; give one of {', '.join((PUBLISHED, *trees.VISIONS))}")
+    row, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
+    station = trees.load_station("qiao2026")
+    section = replace(
+        row,
+        width=min(station.width, row.width),
+        depth=min(station.depth, row.depth),
+        top=min(row.bottom + station.height, row.top),
+    )
+    return task, PickSetting(
+        canopy=section,
+        fruit_map=crop.scaled(fruit / section.width),
+        size=trees.load_fruit_size(fruit_size),
+        camera=trees.load_camera(camera),
+        gripper=trees.load_gripper(gripper),
+        branch=trees.load_branch("apple"),
+        detachment=trees.load_detachment("apple"),
+        station=station,
+        looks=looks,
+        eyes=None if vision == PUBLISHED else trees.load_eyes(vision, section, detector),
+        order=order,
+    )
 
 
 def pick_spaces(task: Task) -> tuple[spaces.Box, spaces.Box]:
@@ -501,12 +484,12 @@ def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
 
 
 PICK_OPTIONS = ("fruit", "start_joints", "arm")
-"""What `reset` takes."""
+"""Options of `reset`."""
 
 
 @dataclass(frozen=True, eq=False)
 class PickStart:
-    """What is drawn for an episode.
+    """The draws of an episode.
 
     Attributes:
         scene: The fruit.
@@ -519,46 +502,34 @@ class PickStart:
     key: int
 
 
-@dataclass(frozen=True, eq=False)
-class Asked:
-    """What is asked of an episode, and what there was before.
-
-    Attributes:
-        arm: The environment's arm so far, or None.
-        again: Whether a new seed was given: then arms "per_env" are drawn anew, too.
-        fruit: Positions in place of drawn ones, as `reset` takes them, or None.
-        wanted: Number of the arm that was asked for, or None.
-    """
-
-    arm: int | None
-    again: bool = False
-    fruit: Any = None
-    wanted: int | None = None
-
-
 def draw_starts(
-    task: Task, orchard: PickSetting, reach: Reach, rngs: Sequence[np.random.Generator], asked: Sequence[Asked]
+    task: Task,
+    orchard: PickSetting,
+    reach: Reach,
+    rngs: Sequence[np.random.Generator],
+    before: Sequence[int | None],
+    fruit: Sequence[Any],
+    arms: Sequence[int | None],
 ) -> list[PickStart]:
-    """Draw episodes, each from a generator of its own.
+    """Draw episodes, each from a generator of its own; sequences have one entry for each.
 
     Args:
         task: The arm's task.
         orchard: What kind of fruit.
         reach: Where the arm gets.
-        rngs: Source of every random draw of each.
-        asked: What is asked of each.
+        rngs: Sources of every random draw.
+        before: Numbers of the true arms so far; None where arms "per_env" are drawn, too.
+        fruit: Positions in place of drawn ones, as `reset` takes them, or None.
+        arms: Numbers of arms in place of drawn ones, or None.
 
     Raises:
         InputError: If none of the fruit is within reach, or there is no such arm.
     """
-    scenes = draw_scenes(orchard, reach, rngs, [each.fruit for each in asked])
     starts = []
-    for scene, rng, each in zip(scenes, rngs, asked, strict=True):
-        arm = each.arm
-        if task.arms != "fixed" or each.wanted is not None:
-            if each.again or arm is None or task.arms == "per_episode":
-                arm = int(rng.integers(task.population))
-            if each.wanted is not None:
-                arm = task.given_arm(each.wanted)
+    for scene, rng, arm, number in zip(draw_scenes(orchard, reach, rngs, fruit), rngs, before, arms, strict=True):
+        if (task.arms != "fixed" or number is not None) and (arm is None or task.arms == "per_episode"):
+            arm = int(rng.integers(task.population))
+        if number is not None:
+            arm = task.given_arm(number)
         starts.append(PickStart(scene, arm, 0 if task.situation.plain else int(rng.integers(2**63))))
     return starts

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.plant_batch import leaves, tree_map
-from pickenv.envs.shared.arm_batch import ArmBatch, Columns, Flags, NumpyArms, Rows, Words
-from pickenv.envs.shared.backends import Scalar
+from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Words
+from pickenv.envs.shared.backends import GOAL, Rows, Scalar, episode_key, stream_key
 from pickenv.envs.shared.simulation import (
     GOAL_NUMBERS,
-    ReachState,
+    ArmState,
     View,
     act,
     begin,
@@ -30,21 +30,18 @@ from pickenv.envs.shared.simulation import (
     nominal_frames,
     true_reward,
 )
-from pickenv.envs.shared.situation import drawn_start
-from pickenv.envs.shared.spaces import final_rows
-from pickenv.envs.shared.streams import GOAL, episode_key, stream_key
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task
 
 
 class Start(NamedTuple):
-    """How episodes are to begin, one entry per environment that begins one.
+    """Beginnings of episodes, one entry per environment that begins one.
 
     Attributes:
         seeds: Streams' seeds.
         episodes: Numbers of the episodes.
         start: Joint targets ``(count, n)``, or None for mid-range.
         goal: Joints of wanted poses ``(count, n)``, or None.
-        wanted: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
+        frames: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
         arm: Numbers of true arms ``(count,)``, or None to draw them.
     """
 
@@ -52,12 +49,12 @@ class Start(NamedTuple):
     episodes: Words
     start: Array | None = None
     goal: Array | None = None
-    wanted: Array | None = None
+    frames: Array | None = None
     arm: NDArray[np.intp] | None = None
 
 
 class Views(NamedTuple):
-    """What many environments show, component by component, one column per environment; see `simulation.View`.
+    """Many environments' views, component by component, one column per environment; see `simulation.View`.
 
     Attributes:
         observation: One array ``(k, count)`` per part of the observation, float32.
@@ -86,88 +83,58 @@ class Batch(ArmBatch):
         super().__init__(task, count, task.joints)
         self.goal_dict, self.poses = goal_dict, poses
 
-    def remember(self) -> None:
-        """Make room for the state: everything in `ReachState`, one column per number."""
-        n, camera = self.task.joints, 3 * self.task.camera
-        self.make_room(n, 12, 3, *self.task.situation.widths(n, n + camera))
-
-    @property
-    def fixed(self) -> int:
-        """Columns up to which nothing changes during an episode, but the joint target."""
-        return sum(self._widths[:4])
-
     def copied(self, out: Views) -> Views:
         """The same, in memory of its own."""
         return cast(Views, tree_map(self.copy, out))
 
     @abstractmethod
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
-        """What the environments ``rows`` show at the beginning of their episodes."""
+        """Views of the environments ``rows`` at the beginning of their episodes."""
 
     @abstractmethod
-    def advance(self, actions: Scalar, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Scalar, moments: Words, compensate: Compensate | None) -> Views:
         """Act in all environments.
 
         Args:
             actions: Component by component, ``(n, N)``.
             moments: Number of the step in each one's episode.
-            live: Where time passes; None: everywhere. Elsewhere an episode has just begun: the action is ignored and
-                the reward is zero.
             compensate: Turns joint targets into joint commands, or None.
         """
 
-    @abstractmethod
-    def final_observations(self, observations: Any, rows: Rows) -> Any:
-        """The last observations of ``rows`` as infos give them."""
-
     def restart(self, rows: Rows, how: Start, compensate: Compensate | None) -> None:
         """Begin an episode in the environments ``rows``."""
-        x, task, n, where = self.x, self.task, self.task.joints, self.indices(rows)
+        x, task, places = self.x, self.task, self.indices(rows)
         keys = episode_key(x, self.words(how.seeds), self.words(how.episodes))
-        self.keys[where] = keys
+        self.keys[places] = keys
         if task.arms != "fixed":
             arms = drawn_arm(x, task, self.words(how.seeds), keys) if how.arm is None else how.arm
             self.take_arms(rows, self.host(arms).astype(np.intp))
-        middle = np.broadcast_to(np.array(task.middle), (len(rows), n))
         for a, b in self.blocks(len(rows)):
-            some, key = where[a:b], keys[a:b]
-            if how.start is None and task.situation.spread:
-                start = drawn_start(x, task.situation, key, task.lower, task.upper)
+            some, key = places[a:b], keys[a:b]
+            start = self.starts(key, None if how.start is None else how.start[a:b])
+            if how.frames is None:
+                joints = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
+                goal = nominal_frames(x, task, joints)[1]
             else:
-                start = list(self.numbers((middle if how.start is None else how.start)[a:b].T))
-            if how.wanted is None:
-                goal = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
-                wanted = nominal_frames(x, task, goal)[1]
-            else:
-                wanted = tuple(self.numbers(how.wanted[a:b].T))
-            state = begin(x, task, self.plant_of(some), key, start, wanted, self.commands(compensate, start))
+                goal = tuple(self.numbers(how.frames[a:b].T))
+            state = begin(x, task, self.plant_of(some), key, start, goal, self.commands(compensate, start))
             self.write(self.columns, some, state.columns)
 
     def scene(self, row: int, compensate: Compensate | None) -> View:
         """Everything that can be seen of one environment, on floats; no time passes."""
-        where = self.indices(np.array([row]))
-        state = self.state_of([column[where] for column in self.columns])
-        command, key = self.commands(compensate, list(state.target)), self.keys[where]
-        _, scene = look(self.x, self.task, self.plant_of(where), state, command, key, key * 0, 0.0)
+        place = self.indices(np.array([row]))
+        state = self.state_of([column[place] for column in self.columns])
+        command, key = self.commands(compensate, list(state.target)), self.keys[place]
+        _, scene = look(self.x, self.task, self.plant_of(place), state, command, key, key * 0, 0.0)
         plain = (tuple(map(self._float, part)) if isinstance(part, tuple) else self._float(part) for part in scene)
         return View(*plain)  # type: ignore[arg-type]
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
-        """What all show, with the environments ``rows`` replaced; in memory of its own."""
-        out = self.copied(out)
-        self.scatter(out, rows, some)
-        return out
-
-    def scatter(self, out: Views, rows: Rows, some: Views) -> None:
-        """Put what the environments ``rows`` show into what all show."""
-        where = self.indices(rows)
+        """Views of all, with those of the environments ``rows`` replaced; in memory of its own."""
+        out, places = self.copied(out), self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):
-            all_[..., where] = few
-
-    def state_of(self, columns: Columns) -> ReachState:
-        """The state that columns hold."""
-        target, goal, seen, drawn, sent, sensed, *memory = self.parts_of(columns)
-        return ReachState(target, goal, seen, drawn, sent, sensed, tuple(memory))
+            all_[..., places] = few
+        return out
 
     def widths(self) -> tuple[int, ...]:
         """Numbers in each part of the observation."""
@@ -200,33 +167,20 @@ class NumpyBatch(NumpyArms, Batch):
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
         super().__init__(task, count, goal_dict, poses)
         self.make_plants()
-        self.remember()
+        self.make_room(12, 3)
 
-    def advance(self, actions: Array, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Array, moments: Words, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
-        out, rested = self._empty(self.count), np.empty(0, dtype=np.intp)
-        if live is not None:
-            actions = actions * live
-            rested = np.flatnonzero(~live) if self.remembers else rested
-        before = [column[rested] for column in self.columns] if len(rested) else []
-        self.step(out, actions, moments, compensate)
-        if len(rested):  # a plant with memory must not live through a step that never was
-            self.write(self.columns, rested, before)
-            self.scatter(out, rested, self.show(rested, compensate))
-        if live is not None:
-            out.reward[~live] = 0.0
-        return out
-
-    def step(self, out: Views, actions: Array, moments: Words, compensate: Compensate | None) -> None:
-        """Act in all environments, and put what they show into ``out``."""
+        out = self._empty(self.count)
         for block, plant in zip(self._blocks, self._plants, strict=True):
             state = self.state_of([column[block] for column in self.columns])
             state = act(self.x, self.task, state, list(actions[:, block]))
             period = self.task.situation.value("period", state.drawn)
             self._show(out, block, block, state, plant, compensate, moments[block], period)
+        return out
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
-        """What the environments ``rows`` show at the beginning of their episodes."""
+        """Views of the environments ``rows`` at the beginning of their episodes."""
         out = self._empty(len(rows))
         for a, b in self.blocks(len(rows)):
             some, still = rows[a:b], np.zeros(b - a, dtype=np.uint64)
@@ -234,16 +188,12 @@ class NumpyBatch(NumpyArms, Batch):
             self._show(out, slice(a, b), some, state, self.plant_of(some), compensate, still, 0.0)
         return out
 
-    def final_observations(self, observations: Any, rows: Rows) -> NDArray[np.object_]:
-        """The observations of ``rows`` in an object array of all, as `SyncVectorEnv` gives them."""
-        return final_rows(observations, rows, self.count)
-
     def _show(
         self,
         out: Views,
         place: slice,
         where: Any,
-        state: ReachState,
+        state: ArmState,
         plant: Plant,
         compensate: Compensate | None,
         moments: Words,

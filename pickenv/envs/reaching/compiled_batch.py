@@ -20,7 +20,7 @@ from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared.arm_batch import Words, naming_effects
 from pickenv.envs.shared.backends import MASK, Executor
 from pickenv.envs.shared.simulation import (
-    ReachState,
+    ArmState,
     act,
     flat_observation,
     goal_observation,
@@ -72,8 +72,9 @@ class CompiledBatch(NumpyBatch):
         vars(self).update(state)
         self._side_by_side()
 
-    def step(self, out: Views, actions: Array, moments: Words, compensate: Compensate | None) -> None:
-        """Act in all environments, and put what they show into ``out``."""
+    def advance(self, actions: Array, moments: Words, compensate: Compensate | None) -> Views:
+        """Act in all environments; see `pickenv.envs.reaching.batch.Batch.advance`."""
+        out = self._empty(self.count)
         arrays: dict[str, NDArray[Any]] = {
             **{"columns": self._table, "arms": self._arms, "keys": self.keys, "moments": moments, "actions": actions},
             **{f"observation{i}": part for i, part in enumerate(out.observation)},
@@ -81,11 +82,12 @@ class CompiledBatch(NumpyBatch):
         }
         if compensate is None:
             self._run("step", arrays)
-            return
+            return out
         self._run("act", arrays)
         targets = self._table[: self.task.joints].T
         arrays["commands"] = np.ascontiguousarray(np.asarray(self._fast(compensate)(targets), dtype=float).T)
         self._run("look", arrays)
+        return out
 
     def _fast(self, compensate: Compensate) -> Compensate:
         """The compensator, compiled where it can be; only the last one is kept."""
@@ -113,28 +115,28 @@ class CompiledBatch(NumpyBatch):
             outputs += self._looked(trace, state, command)
         return Compiled(trace, outputs, self.count)
 
-    def _remembered(self, state: ReachState) -> list[Outputs]:
-        """What changes in the state."""
+    def _remembered(self, state: ArmState) -> list[Outputs]:
+        """Outputs of the state's changes."""
         columns = state.columns
         changed = Outputs("columns", columns[self.fixed :], DOUBLE, self.fixed)
         return [Outputs("columns", columns[: self.task.joints]), changed]
 
-    def _looked(self, trace: Trace, state: ReachState, command: Sequence[Traced]) -> list[Outputs]:
-        """What is remembered and shown after a command."""
+    def _looked(self, trace: Trace, state: ArmState, command: Sequence[Traced]) -> list[Outputs]:
+        """Outputs of the memory and the views after a command."""
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
         period = task.situation.value("period", state.drawn)
         state, scene = look(x, task, self._traced_plant(trace), state, command, key, moment, period)
         parts = goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
-        shown = [[trace.single(value) for value in part] for part in parts]
+        observation = [[trace.single(value) for value in part] for part in parts]
         if self.goal_dict:  # of goals as they are returned
-            goals = ([trace.double(value) for value in part] for part in shown[1:])
+            goals = ([trace.double(value) for value in part] for part in observation[1:])
             reward = goal_reward(x, task, *goals)
         else:
             reward = true_reward(x, task, scene)
         return [
             *self._remembered(state),
-            *(Outputs(f"observation{i}", part, SINGLE) for i, part in enumerate(shown)),
+            *(Outputs(f"observation{i}", part, SINGLE) for i, part in enumerate(observation)),
             Outputs("reward", [reward]),
             Outputs("success", [scene.success], FLAG),
             Outputs("numbers", scene.numbers),

@@ -2,40 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Array, Frame, Geometry, forward
+from pickenv.arm.plant.plant_file import IDEAL
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_env import (
-    GHOST_WORDS,
-    ArmEnv,
-    Information,
-    arm_at_work,
-    ground_below,
-    staged,
-    standing,
-    tool_dial,
-)
-from pickenv.envs.shared.backends import Scalar
+from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, arm_at_work, ground_below, standing, tool_dial
+from pickenv.envs.shared.backends import GOAL, NUMPY, Scalar, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.given_goals import given_goals
-from pickenv.envs.shared.simulation import View
-from pickenv.envs.shared.situation import drawn_start
-from pickenv.envs.shared.spaces import action_space, flat_space, given_options
-from pickenv.envs.shared.streams import GOAL, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.shared.task import GOAL_ATTEMPTS, checked_action, make_task
+from pickenv.envs.shared.simulation import GOAL_NUMBERS, View, goal_observation, goal_reward
+from pickenv.envs.shared.spaces import action_space, flat_space, given_goals, given_options, goal_space
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, checked_action, make_task
 from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_look, cup_solids, joined_solids
 from pickenv.pictures.stage import SIZE, Eye, Stage, Words, fitted_eye
 from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
-
-if TYPE_CHECKING:
-    from pickenv.pictures.stage import Stage
 
 # A reach as a stage to draw. Units: m; mm and degrees in words.
 
@@ -68,11 +53,12 @@ def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) 
         Words(GHOST_WORDS, "bottom left"),
     )
     still = standing(nominal, ground_below(look, nominal), dark)
-    return staged(solids, still, reach_eye(nominal), words, tool_dial(axis, tool - fruit, tolerance_mm), dark)
+    dial = tool_dial(axis, tool - fruit, tolerance_mm)
+    return Stage(reach_eye(nominal), *solids, still=still, words=words, dial=dial, dark=dark)
 
 
 def reach_eye(geometry: Geometry) -> Eye:
-    """Where an arm's whole room is seen from."""
+    """The eye that sees an arm's whole room."""
     look = arm_look(geometry)
     low, high = np.minimum(look.low, geometry.base.position), np.maximum(look.high, geometry.base.position)
     corners = np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T
@@ -147,7 +133,7 @@ class ReachEnv(ArmEnv):
       turn to counts as `noncompensable_deg`), in the base frame;
     - where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
 
-    Every random number is a hash of seed and episode (`pickenv.envs.shared.streams`): resets without a seed go on
+    Every random number is a hash of seed and episode (`pickenv.envs.shared.backends`): resets without a seed go on
     through the seed's episodes, and an environment gives the same episodes alone, in a `SyncVectorEnv` and in the
     native vector environment.
 
@@ -247,10 +233,6 @@ class ReachEnv(ArmEnv):
         self.action_space: Any = action_space(self.task)
         self._stream: int | None = None
         self._episode = 0
-        self._step = 0
-        self._key: Scalar = 0
-        self._arm = 0
-        self._state: simulation.ReachState | None = None
         self._scene: simulation.View | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, Information]:
@@ -258,8 +240,8 @@ class ReachEnv(ArmEnv):
         super().reset(seed=seed)
         options = given_options(options)
         if seed is not None or self._stream is None:
-            given = self.np_random_seed
-            self._stream = seed_word(given if given is not None and given >= 0 else fresh_seed(self.np_random))
+            number = self.np_random_seed
+            self._stream = seed_word(number if number is not None and number >= 0 else fresh_seed(self.np_random))
             self._episode = 0
         else:
             self._episode += 1
@@ -267,8 +249,8 @@ class ReachEnv(ArmEnv):
         self._key = episode_key(x, self._word(self._stream), self._word(self._episode))
         self._take_arm(options.get("arm"))
         start = self._start(options.get("start_joints"))
-        wanted = self._wanted(options)
-        self._state = simulation.begin(x, task, self.plant, self._key, start, wanted, self._command(start))
+        goal = self._wanted(options)
+        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
         self._step = 0
         observation, _, information = self._look(0.0)
         if self.render_mode == "human":
@@ -292,16 +274,6 @@ class ReachEnv(ArmEnv):
         if self.render_mode == "human":
             self.render()
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
-
-    @property
-    def joint_target(self) -> Array:
-        """The nominal joint target that the actions have built up, rad or m."""
-        return np.array([] if self._state is None else self._plain(self._state.target))
-
-    @property
-    def arm(self) -> int:
-        """Number of the true arm in its population; 0 for a fixed one."""
-        return self._arm
 
     def _stage(self) -> Stage | None:
         if self._scene is None:
@@ -334,36 +306,197 @@ class ReachEnv(ArmEnv):
         }
         return observation, reward, information
 
-    def _take_arm(self, asked: int | None) -> None:
+    def _take_arm(self, number: int | None) -> None:
         """Choose the true arm of this episode."""
         x, task = self._x, self.task
-        if task.arms == "fixed" and asked is None:
+        if task.arms == "fixed" and number is None:
             return
-        if asked is None:
+        if number is None:
             assert self._stream is not None
-            asked = int(self._plain((simulation.drawn_arm(x, task, self._word(self._stream), self._key),))[0])
-        self._arm = task.given_arm(asked)
-        self._use_arm(self._arm)
+            number = int(self._plain((simulation.drawn_arm(x, task, self._word(self._stream), self._key),))[0])
+        self._use_arm(task.given_arm(number))
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
         """Frame of the wanted pose: as it is asked for, or of the first pose drawn that is wanted."""
-        x, task, given = self._x, self.task, given_goals(self.task, options)
-        if given.frames is not None:
-            return tuple(self._numbers(given.frames.tolist()))
-        if given.joints is not None:
-            return simulation.nominal_frames(x, task, self._numbers(given.joints.tolist()))[1]
+        x, task = self._x, self.task
+        joints, frame = given_goals(task, options)
+        if frame is not None:
+            return tuple(self._numbers(frame.tolist()))
+        if joints is not None:
+            return simulation.nominal_frames(x, task, self._numbers(joints.tolist()))[1]
         stream = stream_key(x, self._key, GOAL)
         for attempt in range(GOAL_ATTEMPTS):
-            joints, fits = simulation.goal_attempt(x, task, stream, attempt)
+            pose, fits = simulation.goal_attempt(x, task, stream, attempt)
             if fits:
-                return simulation.nominal_frames(x, task, joints)[1]
+                return simulation.nominal_frames(x, task, pose)[1]
         raise task.no_goal()
 
-    def _start(self, asked: Any) -> Sequence[Scalar]:
-        """Joint target to start from: as it is asked for, drawn, or mid-range."""
-        task = self.task
-        if asked is not None:
-            return self._numbers(task.given_joints("start_joints", asked).tolist())
-        if task.situation.spread:
-            return drawn_start(self._x, task.situation, self._key, task.lower, task.upper)
-        return self._numbers(task.middle)
+
+# `pickenv/ReachGoal-v0`: the reach task with a goal dictionary, for hindsight experience replay (HER).
+
+
+# `pickenv/ReachIdeal-v0`: the reach task with an arm that is exactly what its controller believes.
+
+
+class ReachIdealEnv(ReachEnv):
+    """Bring the tool to a fruit with a perfect arm: the oracle for integrators.
+
+    ## Description
+
+    `pickenv/Reach-v0` with `plant="ideal"`: the true arm is the nominal one, nothing bends, nothing drifts. A policy
+    that ends where it believes to be ends on the fruit, so whatever error remains is the policy's or the integration's
+    own; a test of one's own code can ask for exactly zero.
+
+    ## Action Space
+
+    `Box(-1, 1, (6,), float32)`: joint increments, as in `pickenv/Reach-v0`.
+
+    ## Observation Space
+
+    `Box(float32)`, 18 or 21 numbers, as in `pickenv/Reach-v0`.
+
+    ## Rewards
+
+    As in `pickenv/Reach-v0`.
+
+    ## Starting State
+
+    As in `pickenv/Reach-v0`; the same seed gives the same fruit.
+
+    ## Episode End
+
+    As in `pickenv/Reach-v0`: truncation after 60 steps.
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> env = gym.make("pickenv/ReachIdeal-v0")
+    >>> goal = [0.1, 0.2, 0.3, 0.1, 0.05, 0.2]
+    >>> observation, info = env.reset(seed=1, options={"goal_joints": goal, "start_joints": goal})
+    >>> info["position_error_mm"], info["is_success"]
+    (0.0, True)
+
+    ```
+
+    Those of `pickenv/Reach-v0` without `plant` and `without`.
+
+    ## Version History
+
+    * v0: First version.
+    """
+
+    def __init__(self, **arguments: Any) -> None:
+        """See the class for the arguments; raises `InputError` for impossible ones."""
+        super().__init__(**{"plant": IDEAL, **arguments})
+
+
+GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
+
+
+class ReachGoalEnv(ReachEnv):
+    """Bring the tool to a fruit, and learn from the fruit that it would have reached.
+
+    ## Description
+
+    The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is made
+    of what a controller can measure, so that a goal can be exchanged afterwards: position and attitude of the tool as
+    the chosen feedback measures it, against the fruit as the camera saw it and the attitude that it is to be picked in.
+    The truth stays in `info`.
+
+    ## Action Space
+
+    `Box(-1, 1, (6,), float32)`: joint increments, as in `pickenv/Reach-v0`.
+
+    ## Observation Space
+
+    `Dict` of three float32 boxes; positions and axes in the base frame, R as in `pickenv/Reach-v0`. Whatever depends on
+    the goal stands in the goals alone, so that hindsight may exchange them.
+
+    `observation`:
+
+    | Num  | Observation                                                           | Min | Max | Unit |
+    |------|-----------------------------------------------------------------------|-----|-----|------|
+    | 0-5  | joint readings (motor side, as nominal joints), scaled to the limits  | -1  | 1   | 1    |
+    | 6-8  | believed tool position (nominal forward kinematics of the readings)   | -R  | R   | m    |
+
+    `achieved_goal`:
+
+    | Num  | Observation                                                           | Min | Max | Unit |
+    |------|-----------------------------------------------------------------------|-----|-----|------|
+    | 0-2  | tool position as measured by the chosen feedback                      | -R  | R   | m    |
+    | 3-5  | believed tool's z axis, the way it points                             | -1  | 1   | 1    |
+    | 6-8  | its x axis                                                            | -1  | 1   | 1    |
+
+    With `feedback="encoders"` the position is the believed one; with "camera" it is the fruit as seen, less the
+    tool-to-fruit offset that the camera measures (bounds 3R).
+
+    `desired_goal`:
+
+    | Num  | Observation                                                           | Min | Max | Unit |
+    |------|-----------------------------------------------------------------------|-----|-----|------|
+    | 0-2  | fruit position as the camera saw it                                   | -R  | R   | m    |
+    | 3-5  | wanted z axis of the tool                                             | -1  | 1   | 1    |
+    | 6-8  | wanted x axis                                                         | -1  | 1   | 1    |
+
+    ## Rewards
+
+    With e the distance between achieved and desired goal in mm and t the angle between their attitudes in degrees, by
+    `compute_reward(achieved_goal, desired_goal, info)`, which takes single goals or batches and does not look at
+    `info`:
+
+    - sparse (default): 0 while e is within `tolerance_mm` and t within `angle_tolerance_deg`, else -1.
+    - dense: as in `pickenv/Reach-v0`.
+
+    ## Starting State
+
+    As in `pickenv/Reach-v0`; the same seed gives the same fruit.
+
+    ## Episode End
+
+    As in `pickenv/Reach-v0`: truncation after 60 steps. `info["is_success"]` judges true tool and true attitude.
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> env = gym.make("pickenv/ReachGoal-v0", feedback="camera", tolerance_mm=20.0)
+    >>> observation, info = env.reset(seed=1)
+    >>> sorted(observation)
+    ['achieved_goal', 'desired_goal', 'observation']
+    >>> float(env.unwrapped.compute_reward(observation["achieved_goal"], observation["desired_goal"], info))
+    -1.0
+
+    ```
+
+    Those of `pickenv/Reach-v0`; `reward` is "sparse" by default.
+
+    ## Version History
+
+    * v0: First version.
+    """
+
+    def __init__(self, *, reward: str = "sparse", **arguments: Any) -> None:
+        """See the class for the arguments; raises `InputError` for impossible ones."""
+        super().__init__(reward=reward, **arguments)
+        self.observation_space = goal_space(self.task)
+
+    def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
+        """Reward of achieved against desired goals, ``(9,)`` or ``(N, 9)``; a number, or an array ``(N,)``."""
+        return rewards_of_goals(self.task, achieved_goal, desired_goal)
+
+    def _observe(self, scene: View) -> tuple[Any, float]:
+        parts = (np.array(self._plain(part), dtype=np.float32) for part in goal_observation(scene))
+        observation = dict(zip(GOAL_KEYS, parts, strict=True))
+        return observation, self.compute_reward(observation["achieved_goal"], observation["desired_goal"], {})
+
+
+def rewards_of_goals(task: Task, achieved: ArrayLike, desired: ArrayLike) -> Any:
+    """Rewards of goals ``(..., 9)`` as they were returned, in float64; every batch gives each row the same bits."""
+    first, second = np.asarray(achieved, dtype=np.float64), np.asarray(desired, dtype=np.float64)
+    shape = np.broadcast_shapes(first.shape, second.shape)
+    have, want = (np.broadcast_to(goals, shape).reshape(-1, GOAL_NUMBERS).T.copy() for goals in (first, second))
+    reward = goal_reward(NUMPY, task, list(have), list(want)).reshape(shape[:-1])
+    return reward if reward.ndim else float(reward)

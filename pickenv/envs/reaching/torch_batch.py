@@ -18,8 +18,8 @@ from pickenv.arm import Array, Plant, plants_on
 from pickenv.base import InputError
 from pickenv.envs.reaching.batch import Batch, Views
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_batch import Columns, Flags, Rows, Words, naming_effects
-from pickenv.envs.shared.backends import Executor, Scalar, torch_executor
+from pickenv.envs.shared.arm_batch import Columns, Words, naming_effects
+from pickenv.envs.shared.backends import Executor, Flags, Rows, Scalar, torch_executor
 from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -70,7 +70,7 @@ class TorchBatch(Batch):
             state = self.plant.initial_state(torch, middle)
             self.plant.advance(torch, state, middle, 0.0)
             self.plant.readings(torch, state, middle)
-        self.remember()
+        self.make_room(12, 3)
         self.columns = [column.clone() for column in self.columns]
         self._compiled = compiled
         self._make_step()
@@ -134,50 +134,34 @@ class TorchBatch(Batch):
         low, high = torch.aminmax(actions) if self.device.type == "cpu" else (0.0, 0.0)
         return actions.T.to(self.dtype, copy=True).contiguous(), float(low), float(high)
 
-    def advance(self, actions: Tensor, moments: Words, live: Flags | None, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Tensor, moments: Words, compensate: Compensate | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
-        n, fixed, alive, given = self.task.joints, self.fixed, None, self.task.situation
-        rested, before = np.empty(0, dtype=np.intp), []
-        dt: Scalar = given.period.low
-        if live is not None:
-            alive = self.flags(live).to(self.dtype)
-            actions = actions * alive
-            if given.late:
-                rested = np.flatnonzero(~live)
-                before = [column[self.indices(rested)] for column in self.columns]
+        n, fixed, situation = self.task.joints, self.fixed, self.task.situation
+        dt: Scalar = situation.period.low
         if self.plant.has_state:
-            dt = given.value("period", self.state_of(self.columns).drawn)
-            dt = dt if given.period.varies else self.numbers(np.full(self.count, dt))
-            dt = dt if alive is None else dt * alive
-        noisy = self.task.camera_noise or given.joint_noise.high
-        rest = (self.keys, self.words(moments) if noisy else self.keys, dt)
+            dt = situation.value("period", self.state_of(self.columns).drawn)
+            dt = dt if situation.period.varies else self.numbers(np.full(self.count, dt))
+        noisy = self.task.camera_noise or situation.joint_noise.high
+        common = (self.keys, self.words(moments) if noisy else self.keys, dt)
         if compensate is None:
-            out = self._step(self.columns, list(actions), *rest)
+            out = self._step(self.columns, list(actions), *common)
         else:
             state = simulation.act(self.x, self.task, self.state_of(self.columns), list(actions))
-            moved = state.columns
-            out = [*state.target, *self._see(moved, self.commands(compensate, moved[:n]), *rest)]
-        held = len(self.columns) - fixed
-        self.columns = [*out[:n], *self.columns[n:fixed], *out[n : n + held]]
-        shown = self._outcome(out[n + held :], self.columns[n + 9 : n + 12])
-        if len(rested):
-            self.write(self.columns, self.indices(rested), before)
-            shown = self.merged(shown, rested, self.show(rested, compensate))
-        return shown if alive is None else shown._replace(reward=shown.reward * alive)
+            columns = state.columns
+            out = [*state.target, *self._see(columns, self.commands(compensate, columns[:n]), *common)]
+        memory = len(self.columns) - fixed
+        self.columns = [*out[:n], *self.columns[n:fixed], *out[n : n + memory]]
+        return self._outcome(out[n + memory :], self.columns[n + 9 : n + 12])
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
-        """What the environments ``rows`` show at the beginning of their episodes."""
-        n, where = self.task.joints, self.indices(rows)
-        columns, keys = [column[where] for column in self.columns], self.keys[where]
+        """Views of the environments ``rows`` at the beginning of their episodes."""
+        n, places = self.task.joints, self.indices(rows)
+        columns, keys = [column[places] for column in self.columns], self.keys[places]
         commands, still = self.commands(compensate, columns[:n]), torch.zeros_like(keys)
-        out = self._shown(columns, commands, keys, still, 0.0, self.plant_of(where))
-        held = len(columns) - self.fixed
-        self.write(self.columns[self.fixed :], where, out[:held])
-        return self._outcome(out[held:], columns[n + 9 : n + 12])
-
-    def final_observations(self, observations: Any, rows: Rows) -> Any:
-        """The observations as they are: a batch, of which `_final_obs` marks the rows that count."""
-        return observations
+        out = self._shown(columns, commands, keys, still, 0.0, self.plant_of(places))
+        memory = len(columns) - self.fixed
+        self.write(self.columns[self.fixed :], places, out[:memory])
+        return self._outcome(out[memory:], columns[n + 9 : n + 12])
 
     def _act(self, columns: Columns, actions: Columns, *rest: Any) -> Columns:
         """One step of all environments, without a compensator: new targets, then what `_shown` gives."""
@@ -187,7 +171,7 @@ class TorchBatch(Batch):
     def _shown(
         self, columns: Columns, commands: Columns, keys: Tensor, when: Tensor, dt: Scalar, plant: Plant | None = None
     ) -> Columns:
-        """What is remembered, observation, reward, numbers and vectors, all in one number type and side by side.
+        """Memory, observation, reward, numbers and vectors, all in one number type and side by side.
 
         That is what a processor's compiled loop is fast with: stacking, float32 and truth values come afterwards.
         """

@@ -1,1 +1,1 @@
-"""What all environments stand on: tasks, arms, random streams, spaces, the simulated step."""
+"""The ground of all environments: tasks, arms, random streams, spaces, the simulated step."""

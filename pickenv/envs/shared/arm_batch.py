@@ -13,18 +13,18 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, Plant, plants_on
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.base import InputError
-from pickenv.envs.shared.backends import NUMPY, Executor, Scalar
+from pickenv.envs.shared.backends import NUMPY, Executor, Flags, Rows, Scalar
+from pickenv.envs.shared.simulation import ArmState
+from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.task import Compensate, Task, as_numbers, bounds_of, exact_plant
 
-Flags = NDArray[np.bool_]
 Words = NDArray[np.uint64]
-Rows = NDArray[np.intp]
 Columns = list[Scalar]
 
 
 @contextmanager
 def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
-    """What an executor cannot compute leaves as one sentence, where effects of other packages are among it.
+    """Errors of an executor leave as one sentence, where effects of other packages are among it.
 
     Raises:
         InputError: If anything is raised inside, and the plant has such effects.
@@ -71,17 +71,22 @@ class ArmBatch(ABC):
         self._widths: list[int] = []
         self._plant_widths: list[int] = []
 
-    def make_room(self, *widths: int) -> None:
-        """Make room for parts of so many numbers, and for what the plants remember."""
-        middle = list(self.numbers(np.array([self.task.middle]).T))
+    def make_room(self, goal: int, seen: int) -> None:
+        """Make room for the arms' states, one column per number, and for what the plants remember.
+
+        Args:
+            goal: Numbers of a goal.
+            seen: Numbers of the goal as it was seen.
+        """
+        n, middle = self.task.joints, list(self.numbers(np.array([self.task.middle]).T))
         self._plant_widths = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
-        self._widths = list(widths)
+        self._widths = [n, goal, seen, *self.task.situation.widths(self.actions, n + 3 * self.task.camera)]
         self.columns = list(self.numbers(np.zeros((sum(self._widths) + sum(self._plant_widths), self.count))))
 
     @property
-    def remembers(self) -> bool:
-        """Whether a step that never was would leave a trace."""
-        return self.plant.has_state or self.task.situation.late
+    def fixed(self) -> int:
+        """Columns up to which nothing changes during an episode, but the joint target."""
+        return sum(self._widths[:4])
 
     def numbers(self, values: Array) -> Scalar:
         """NumPy's numbers where the executor computes, one component ``(count,)`` per row."""
@@ -96,8 +101,8 @@ class ArmBatch(ABC):
         return rows
 
     def flags(self, flags: Flags) -> Scalar:
-        """Truth values where the executor computes."""
-        return flags
+        """Truth values where the executor computes, in memory of their own."""
+        return flags.copy()
 
     def host(self, values: Scalar) -> NDArray[Any]:
         """The executor's numbers as a NumPy array."""
@@ -143,10 +148,10 @@ class ArmBatch(ABC):
             raise InputError(f"actions have shape {tuple(values.shape)}; give {shape}, numbers between -1 and 1")
         numbers, low, high = self.components(values)
         if not (high <= most and low >= -most):
-            each = self.host(values)
-            row = int(np.argmin((np.abs(each) <= most).all(axis=1)))
+            rows = self.host(values)
+            row = int(np.argmin((np.abs(rows) <= most).all(axis=1)))
             raise InputError(
-                f"the action of environment {row} is {each[row].tolist()}; give finite numbers{bounds_of(most)}"
+                f"the action of environment {row} is {rows[row].tolist()}; give finite numbers{bounds_of(most)}"
             )
         return numbers
 
@@ -154,20 +159,28 @@ class ArmBatch(ABC):
         """The true arms of some environments."""
         return plants_on(self.plant, lambda values: values[where])
 
-    def parts_of(self, columns: Columns) -> list[tuple[Scalar, ...]]:
-        """The parts that columns hold: those of `make_room`, then what the plants remember."""
+    def state_of(self, columns: Columns) -> ArmState:
+        """The state that columns hold."""
         parts, first = [], 0
         for width in (*self._widths, *self._plant_widths):
             parts.append(tuple(columns[first : first + width]))
             first += width
-        return parts
+        target, goal, sighting, numbers, sent, late, *memory = parts
+        return ArmState(target, goal, sighting, numbers, sent, late, tuple(memory))
+
+    def starts(self, keys: Scalar, joints: Array | None) -> Columns:
+        """Joint targets of episodes: as given ``(episodes, n)``, drawn, or mid-range."""
+        task = self.task
+        if joints is None and task.situation.spread:
+            return drawn_start(self.x, task.situation, keys, task.lower, task.upper)
+        return list(self.numbers((np.repeat([task.middle], len(keys), axis=0) if joints is None else joints).T))
 
     def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
-        """What the drives get for joint targets; a compensator works on NumPy."""
+        """Joint commands for joint targets; a compensator works on NumPy."""
         if compensate is None:
             return targets
-        given = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
-        return list(self.numbers(np.asarray(compensate(given)).T))
+        joints = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
+        return list(self.numbers(np.asarray(compensate(joints)).T))
 
     def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
         """Write the columns of some environments, the last first: what waits in a queue is moved on before it goes."""
@@ -184,9 +197,9 @@ class ArmBatch(ABC):
         self._exchange_arms(rows)
 
     def _exchange_arms(self, rows: Rows) -> None:
-        where, arms = self.indices(rows), self.indices(self.arm[rows])
+        places, arms = self.indices(rows), self.indices(self.arm[rows])
         for mine, all_ in zip(arrays_of(self.plant), arrays_of(self.population), strict=True):
-            mine[where] = all_[arms]
+            mine[places] = all_[arms]
 
 
 class NumpyArms(ArmBatch):

@@ -1,9 +1,9 @@
-"""What single environments of one arm have in common: the task, the true arm, its compensator and its arithmetic."""
+"""The common part of single environments of one arm: the task, the true arm, its compensator and its arithmetic."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,6 +13,8 @@ from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on
 from pickenv.arm.kinematics.forward import true_points
 from pickenv.base import InputError, require
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
+from pickenv.envs.shared.simulation import ArmState
+from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import PlainSpec
 from pickenv.envs.shared.task import Compensate, Task, check_choice, exact_plant
 from pickenv.pictures.arm_shapes import (
@@ -25,11 +27,8 @@ from pickenv.pictures.arm_shapes import (
     ghost_solids,
     joined_solids,
 )
-from pickenv.pictures.stage import Dial, Eye, Mesh, Rgb, Stage, Words
+from pickenv.pictures.stage import Dial, Mesh, Pixels, Rgb, Stage
 from pickenv.pictures.tree_shapes import ground_around, pedestal
-
-if TYPE_CHECKING:
-    from pickenv.pictures.stage import Pixels, Stage
 
 # What environments that can be drawn have in common: render modes, pictures, and the window that shows them.
 
@@ -75,7 +74,7 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
             self._window = None
 
     def _stage(self) -> Stage | None:
-        """What there is to see; None before the first reset."""
+        """The picture, to be drawn; None before the first reset."""
         raise NotImplementedError
 
 
@@ -128,6 +127,20 @@ class ArmEnv(DrawnEnv):
         if self._x is NUMPY:
             self.plant = exact_plant(self.plant)
         self.compensator: Compensate | None = None
+        self._state: ArmState | None = None
+        self._arm: int | None = None
+        self._key: Scalar = 0
+        self._step = 0
+
+    @property
+    def joint_target(self) -> Array:
+        """The nominal joint target that the actions have built up, rad or m."""
+        return np.array(self.task.middle if self._state is None else self._plain(self._state.target))
+
+    @property
+    def arm(self) -> int:
+        """Number of the true arm in its population; 0 for a fixed one."""
+        return self._arm or 0
 
     @property
     def increment(self) -> Array:
@@ -136,18 +149,28 @@ class ArmEnv(DrawnEnv):
 
     def _use_arm(self, number: int) -> None:
         """Make one arm of the population the true one."""
+        self._arm = number
         if self._x is FLOATS:
             self.plant = plant_at(self.task.plant, number)
         else:
             self.plant = exact_plant(plants_on(self.task.plant, lambda values: values[number : number + 1]))
 
+    def _start(self, joints: Any) -> Sequence[Scalar]:
+        """Joint target to start from: as it is asked for, drawn, or mid-range."""
+        task = self.task
+        if joints is not None:
+            return self._numbers(task.given_joints("start_joints", joints).tolist())
+        if task.situation.spread:
+            return drawn_start(self._x, task.situation, self._key, task.lower, task.upper)
+        return self._numbers(task.middle)
+
     def _command(self, target: Sequence[Scalar]) -> Sequence[Scalar]:
-        """What the drives get for a joint target."""
+        """The joint command for a joint target."""
         if self.compensator is None:
             return target
-        wanted = np.array(self._plain(target))
+        joints = np.array(self._plain(target))
         # As one of many, which is corrected in another order of operations than one alone.
-        command = self.compensator(wanted) if self._x is FLOATS else self.compensator(wanted[None])[0]
+        command = self.compensator(joints) if self._x is FLOATS else self.compensator(joints[None])[0]
         return self._numbers(command.tolist())
 
     def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:
@@ -206,12 +229,5 @@ def across(axis: Array, offset: Array) -> Array:
 
 
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
-    """Where the true tool is, seen from the fruit along the tool's axis."""
+    """The true tool's place, seen from the fruit along the tool's axis."""
     return Dial(across(axis, offset)[None], tolerance_mm, MARK)
-
-
-def staged(
-    solids: Solids, still: tuple[Mesh, ...], eye: Eye, words: tuple[Words, ...], dial: Dial | None, dark: bool
-) -> Stage:
-    """A stage of these solids."""
-    return Stage(eye, *solids, still=still, words=words, dial=dial, dark=dark)

@@ -33,20 +33,22 @@ LADDER: dict[str, dict[str, Any]] = {
     "day": _DAY,
     "own_eyes": _DAY,
 }
-"""What each difficulty fixes, from the easiest: no error; arms made well; arms made badly; compliance, backlash, heat
-and ground, with late and noisy readings; at any hour of a working day; and seen with the machine's own cameras."""
+"""Arguments that each difficulty fixes, from the easiest: no error; arms made well; arms made badly; compliance,
+backlash, heat and ground, with late and noisy readings; at any hour of a working day; and seen with the machine's own
+cameras."""
 
 EYES: dict[str, dict[str, Any]] = {
     "Reach": {"feedback": "camera", "camera_noise_mm": 1.6, "fruit_noise_mm": 6.3},
     "Pick": {"vision": "measured_errors"},
 }
-"""What "own_eyes" adds, from pictures of trees that were rendered and read (`pickenv/orchard/presets/sight.toml`).
+"""Arguments that "own_eyes" adds, from pictures of trees that were rendered and read
+(`pickenv/orchard/presets/sight.toml`).
 
 Pick draws recall and errors from those tables. Reach knows one size for all axes, the root of their mean square: of
 fruit among leaves as Li's detector locates them from 1.0 to 1.4 m (table li2016-li2016; 4.4 mm across, 4.0 up, 9.2 in
 depth), and for the camera on the tool, from which no leaf hides the fruit, of bare fruit by circles (table
-li2016_bare-circles; 0.4, 0.4 and 2.7 mm). Simulated; a real camera had an RMSE of 6 mm and a bias of 17 mm (Neupane et
-al. 2021)."""
+li2016_bare-circles; 0.4, 0.4 and 2.7 mm). Simulated; a real camera had an RMSE of 6 mm and a bias of 17 mm (Neupane
+et al. 2021)."""
 
 SPLITS = ("train", "test")
 """Arms to learn on, and others to be judged on."""

@@ -18,8 +18,7 @@ from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
 from pickenv.envs.shared import situation
-from pickenv.envs.shared.backends import Executor
-from pickenv.envs.shared.streams import ARM, CAMERA, FRUIT, episode_key, normal, stream_key, uniform
+from pickenv.envs.shared.backends import ARM, CAMERA, FRUIT, Executor, episode_key, normal, stream_key, uniform
 from pickenv.envs.shared.task import GOAL_MARGIN, Task, inexact
 
 DEGREES = 57.29577951308232
@@ -33,13 +32,13 @@ NUMBER_KEYS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", 
 Components = tuple[Scalar, ...]
 
 
-class ReachState(NamedTuple):
-    """What a reach environment remembers between two actions.
+class ArmState(NamedTuple):
+    """The memory of an environment of one arm between two actions.
 
     Attributes:
         target: Nominal joint target that the actions have built up, n.
-        goal: Frame of the fruit with the wanted attitude.
-        seen: Fruit position as the camera saw it, 3.
+        goal: Frame of the fruit with the wanted attitude, 12; empty in Pick, whose fruit are elsewhere.
+        seen: Fruit position as the camera saw it, 3; empty in Pick.
         drawn: What was drawn for the episode, in the order of `Situation.drawn`.
         sent: Actions under way, the latest first.
         sensed: Readings under way, the latest first.
@@ -101,7 +100,7 @@ class View(NamedTuple):
 
     @property
     def numbers(self) -> Components:
-        """What `NUMBER_KEYS` names."""
+        """The numbers that `NUMBER_KEYS` names."""
         return self.distance_mm, self.angle_deg, self.noncompensable_deg, self.compensable_deg
 
     @property
@@ -159,9 +158,10 @@ def begin(
     plant: Plant,
     key: Scalar,
     start: Sequence[Scalar],
-    wanted: Frame,
+    goal: Frame,
     command: Sequence[Scalar],
-) -> ReachState:
+    gripper: int = 0,
+) -> ArmState:
     """State at the start of an episode.
 
     Args:
@@ -170,32 +170,33 @@ def begin(
         plant: The true arm, or arms.
         key: Key of the episode.
         start: Joint target to start from.
-        wanted: Frame of the fruit with the wanted attitude.
+        goal: Frame of the fruit with the wanted attitude, or nothing.
         command: What the drives get for ``start``.
+        gripper: Numbers of an action after the joints'.
     """
-    given, seen = task.situation, wanted[9:]
+    setting, sighting = task.situation, goal[9:]
     if task.fruit_noise:
         fruit = stream_key(x, key, FRUIT)
-        seen = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(seen))
-    drawn = situation.drawn_values(x, given, key)
-    _, sent, late = given.widths(task.joints, task.joints + 3 * task.camera)
-    rest = start[0] * 0.0
-    memory = situation.warmed_up(x, given, drawn, plant, plant.initial_state(x.m, command), command)
-    return ReachState(tuple(start), wanted, seen, drawn, (rest,) * sent, (rest,) * late, memory)
+        sighting = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(sighting))
+    values = situation.drawn_values(x, setting, key)
+    _, sent, late = setting.widths(task.joints + gripper, task.joints + 3 * task.camera)
+    zero = start[0] * 0.0
+    memory = situation.warmed_up(x, setting, values, plant, plant.initial_state(x.m, command), command)
+    return ArmState(tuple(start), goal, sighting, values, (zero,) * sent, (zero,) * late, memory)
 
 
 def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
     """The nominal joint target after an action: clipped shares of the largest increments, kept in the joint limits."""
     m, limits = x.m, zip(target, action, task.increment, task.lower, task.upper, strict=True)
-    moved = [clipped(m, q + clipped(m, share, -1.0, 1.0) * most, low, high) for q, share, most, low, high in limits]
-    return tuple(moved)
+    joints = [clipped(m, q + clipped(m, share, -1.0, 1.0) * most, low, high) for q, share, most, low, high in limits]
+    return tuple(joints)
 
 
-def act(x: Executor, task: Task, state: ReachState, action: Sequence[Scalar]) -> ReachState:
+def act(x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]) -> ArmState:
     """The state after an action: its joint target is that of `move`, late where actions are."""
-    given, drawn = task.situation, state.drawn
-    action, sent = situation.acted(x, given, drawn, state.sent, action)
-    target = move(x, task, state.target, situation.in_period(x, given, drawn, action))
+    setting, values = task.situation, state.drawn
+    action, sent = situation.acted(x, setting, values, state.sent, action)
+    target = move(x, task, state.target, situation.in_period(x, setting, values, action))
     return state._replace(target=target, sent=sent)
 
 
@@ -203,12 +204,12 @@ def look(
     x: Executor,
     task: Task,
     plant: Plant,
-    state: ReachState,
+    state: ArmState,
     command: Sequence[Scalar],
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[ReachState, View]:
+) -> tuple[ArmState, View]:
     """Hold the joint command for ``dt`` seconds and see where the true tool is.
 
     Args:
@@ -224,7 +225,7 @@ def look(
     Returns:
         The state afterwards, and everything that can be seen.
     """
-    m, target, goal, seen, given = x.m, state.target, state.goal, state.seen, task.situation
+    m, target, goal, sighting, setting = x.m, state.target, state.goal, state.seen, task.situation
     plant_state, ended = plant.advance(m, state.plant, command, dt)
     read, true = nominal_readings(x, plant, plant_state, target, command), inexact(ended)
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
@@ -236,25 +237,23 @@ def look(
             first = x.times(moment, 3)
             noise = (normal(x, stream, x.plus(first, x.word(i))) for i in range(3))
             camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
-    shown = situation.with_joint_noise(x, given, state.drawn, key, moment, read)
-    begins = isinstance(dt, float) and dt == 0.0
-    arrived, late = situation.sensed(x, given, state.drawn, state.sensed, (*shown, *camera), begins)
-    shown, camera = list(arrived[: task.joints]), tuple(arrived[task.joints :])
-    links, believed = nominal_frames(x, task, shown)
-    lag = rotation_between(m, believed, goal)
-    if given.latency.high or given.joint_noise.high:  # the truth has its own
+    arrived, late = situation.sensed(x, setting, state.drawn, state.sensed, key, moment, read, camera, dt)
+    readings, camera = list(arrived[: task.joints]), tuple(arrived[task.joints :])
+    links, pose = nominal_frames(x, task, readings)
+    lag = rotation_between(m, pose, goal)
+    if setting.latency.high or setting.joint_noise.high:  # the truth has its own
         links, _ = nominal_frames(x, task, read)
     distance_mm = 1e3 * length(x, (dx, dy, dz))
     angle_deg = DEGREES * length(x, turn)
     noncompensable_deg = DEGREES * _lost_angle(x, task, links, turn)
-    rest = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
+    square = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
     return state._replace(sensed=late, plant=plant_state), View(
-        readings=scaled(x, task, shown),
-        believed=believed[9:],
-        attitude=(*believed[6:9], *believed[:3]),
+        readings=scaled(x, task, readings),
+        believed=pose[9:],
+        attitude=(*pose[6:9], *pose[:3]),
         wanted=(*goal[6:9], *goal[:3]),
-        seen=seen,
-        offset=(seen[0] - believed[9], seen[1] - believed[10], seen[2] - believed[11], *lag),
+        seen=sighting,
+        offset=(sighting[0] - pose[9], sighting[1] - pose[10], sighting[2] - pose[11], *lag),
         camera=camera,
         command=tuple(command),
         tool=true[9:],
@@ -263,7 +262,7 @@ def look(
         distance_mm=distance_mm,
         angle_deg=angle_deg,
         noncompensable_deg=noncompensable_deg,
-        compensable_deg=m.sqrt(clipped(m, rest, 0.0, math.inf)),
+        compensable_deg=m.sqrt(clipped(m, square, 0.0, math.inf)),
         success=in_capture_region(task, distance_mm, angle_deg),
     )
 
@@ -323,7 +322,7 @@ def goal_observation(scene: View) -> tuple[Components, Components, Components]:
 
 
 def goal_gap(m: ModuleType, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """What is left from an achieved to a desired goal: position (m) and rotation vector (rad), 6."""
+    """The gap from an achieved to a desired goal: position (m) and rotation vector (rad), 6."""
     return frame_error(m, _frame(achieved), _frame(desired))
 
 

@@ -19,8 +19,7 @@ from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.base import InputError
 from pickenv.base.limits import shown
-from pickenv.envs.shared.backends import Executor
-from pickenv.envs.shared.streams import DRAWN, JOINTS, START, normal, stream_key, uniform
+from pickenv.envs.shared.backends import DRAWN, JOINTS, START, Executor, normal, stream_key, uniform
 
 CONTROL_PERIOD = 0.1
 """Time between two actions where none is asked for, s: with the arm file's joint speeds it bounds one increment."""
@@ -87,7 +86,7 @@ class Situation:
         return not (self.drawn or self.spread or self.joint_noise.high)
 
     def widths(self, joints: int, sensed: int) -> tuple[int, int, int]:
-        """How many numbers are remembered: drawn for the episode, of late actions, of late readings."""
+        """Counts of the numbers that are remembered: drawn for the episode, of late actions, of late readings."""
         return len(self.drawn), int(self.delay.high) * joints, int(self.latency.high) * sensed
 
     def value(self, name: str, drawn: Components) -> Scalar:
@@ -127,86 +126,94 @@ def _span(name: str, given: Any, least: float, most: float) -> Span:
     kind: Any = (int, np.integer) if isinstance(least, int) else Real
     numbers = all(isinstance(end, kind) and not isinstance(end, bool) for end in ends)
     if len(ends) != 2 or not numbers or not least <= ends[0] <= ends[1] <= most:
-        what = "whole number" if isinstance(least, int) else "number"
-        raise InputError(f"{name} is {shown(given)}; give a {what} from {least:g} to {most:g}, or [least, largest]")
+        noun = "whole number" if isinstance(least, int) else "number"
+        raise InputError(f"{name} is {shown(given)}; give a {noun} from {least:g} to {most:g}, or [least, largest]")
     return Span(*(type(least)(end) for end in ends))
 
 
-def drawn_values(x: Executor, given: Situation, key: Scalar) -> Components:
-    """What is drawn for the episode ``key``, in the order of `Situation.drawn`; whole numbers keep a fraction."""
+def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
+    """The draws of the episode ``key``, in the order of `Situation.drawn`; whole numbers keep a fraction."""
     values, stream = [], stream_key(x, key, DRAWN)
-    for name in given.drawn:
-        low, high = getattr(given, name)
-        number = [part.name for part in fields(given)].index(name)
+    for name in setting.drawn:
+        low, high = getattr(setting, name)
+        number = [part.name for part in fields(setting)].index(name)
         values.append(low + (high - low + isinstance(low, int)) * uniform(x, stream, number))
     return tuple(values)
 
 
 def drawn_start(
-    x: Executor, given: Situation, key: Scalar, lower: Sequence[float], upper: Sequence[float]
+    x: Executor, setting: Situation, key: Scalar, lower: Sequence[float], upper: Sequence[float]
 ) -> list[Scalar]:
     """Joints from which the episode ``key`` starts, where starts are drawn."""
-    stream, half = stream_key(x, key, START), 0.5 * given.spread
+    stream, half = stream_key(x, key, START), 0.5 * setting.spread
     limits = enumerate(zip(lower, upper, strict=True))
-    return [low + (high - low) * ((0.5 - half) + given.spread * uniform(x, stream, i)) for i, (low, high) in limits]
+    return [low + (high - low) * ((0.5 - half) + setting.spread * uniform(x, stream, i)) for i, (low, high) in limits]
 
 
 def warmed_up(
-    x: Executor, given: Situation, drawn: Components, plant: Plant, state: PlantState, command: Sequence[Scalar]
+    x: Executor, setting: Situation, drawn: Components, plant: Plant, state: PlantState, command: Sequence[Scalar]
 ) -> PlantState:
-    """What a plant remembers that has been on for some hours, at its first command."""
-    if not given.hours.high:
+    """The memory of a plant that has been on for some hours, at its first command."""
+    if not setting.hours.high:
         return state
-    return plant.carried(x.m, state, command, 3600.0 * given.value("hours", drawn))
+    return plant.carried(x.m, state, command, 3600.0 * setting.value("hours", drawn))
 
 
 def acted(
-    x: Executor, given: Situation, drawn: Components, sent: Components, action: Sequence[Scalar]
+    x: Executor, setting: Situation, drawn: Components, sent: Components, action: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
     """The action that takes effect, and actions under way, the latest first."""
-    if not given.delay.high:
+    if not setting.delay.high:
         return action, sent
-    return _late(x, given, "delay", drawn, sent, action)
+    return _late(x, setting, "delay", drawn, sent, action)
 
 
-def in_period(x: Executor, given: Situation, drawn: Components, action: Sequence[Scalar]) -> Sequence[Scalar]:
+def in_period(x: Executor, setting: Situation, drawn: Components, action: Sequence[Scalar]) -> Sequence[Scalar]:
     """An action as shares of the increments of the longest period: a shorter one moves the arm less."""
-    if not given.period.varies:
+    if not setting.period.varies:
         return action
-    share = given.value("period", drawn) / given.period.high
+    share = setting.value("period", drawn) / setting.period.high
     return [clipped(x.m, value, -1.0, 1.0) * share for value in action]
 
 
 def sensed(
-    x: Executor, given: Situation, drawn: Components, past: Components, fresh: Sequence[Scalar], first: bool
+    x: Executor,
+    setting: Situation,
+    drawn: Components,
+    past: Components,
+    key: Scalar,
+    moment: Scalar,
+    joints: Sequence[Scalar],
+    camera: Components,
+    dt: Scalar,
 ) -> tuple[Sequence[Scalar], Components]:
-    """Readings as they arrive, and those under way, the latest first; at the start all are the first ones."""
-    if not given.latency.high:
+    """Readings of joints, with the encoders' noise, and camera as they arrive, and those under way, the latest first.
+
+    At the start of an episode, where ``dt`` is the plain number 0.0, all under way are the first ones.
+    """
+    fresh = (*joints, *camera)
+    if setting.joint_noise.high:
+        stream, most = stream_key(x, key, JOINTS), setting.value("joint_noise", drawn)
+        first = x.times(moment, len(joints))
+        noisy = [q + most * normal(x, stream, x.plus(first, x.word(i))) for i, q in enumerate(joints)]
+        fresh = (*noisy, *camera)
+    if not setting.latency.high:
         return fresh, past
-    return _late(x, given, "latency", drawn, tuple(fresh) * int(given.latency.high) if first else past, fresh)
+    if isinstance(dt, float) and dt == 0.0:
+        past = fresh * int(setting.latency.high)
+    return _late(x, setting, "latency", drawn, past, fresh)
 
 
 def _late(
-    x: Executor, given: Situation, name: str, drawn: Components, past: Components, fresh: Sequence[Scalar]
+    x: Executor, setting: Situation, name: str, drawn: Components, past: Components, fresh: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
-    """What comes out of a queue into which ``fresh`` goes, and the queue afterwards."""
+    """The end of a queue into which ``fresh`` goes, and the queue afterwards."""
     width, queue = len(fresh), (*fresh, *past)
-    lag, rest = given.value(name, drawn), queue[: len(past)]
-    if name not in given.drawn:
-        return queue[lag * width : (lag + 1) * width], rest
+    lag, queued = setting.value(name, drawn), queue[: len(past)]
+    if name not in setting.drawn:
+        return queue[lag * width : (lag + 1) * width], queued
     out = list(fresh)
     for steps in range(1, len(past) // width + 1):
         older = queue[steps * width : (steps + 1) * width]
         out = [chosen(x.m, lag >= steps, old, new) for old, new in zip(older, out, strict=True)]
-    return out, rest
-
-
-def with_joint_noise(
-    x: Executor, given: Situation, drawn: Components, key: Scalar, moment: Scalar, readings: list[Scalar]
-) -> list[Scalar]:
-    """Joint readings with the encoders' noise."""
-    if not given.joint_noise.high:
-        return readings
-    stream, most = stream_key(x, key, JOINTS), given.value("joint_noise", drawn)
-    first = x.times(moment, len(readings))
-    return [q + most * normal(x, stream, x.plus(first, x.word(i))) for i, q in enumerate(readings)]
+    return out, queued

@@ -5,17 +5,20 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from pathlib import PurePath
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
-from numpy.typing import NDArray
+from scipy.stats import qmc
 
+from pickenv.arm import Array, Geometry, Pose, forward, inverse, rotation_matrix
+from pickenv.arm.kinematics.forward import frame_of
 from pickenv.base import InputError
-from pickenv.envs.shared.given_goals import GOALS
-from pickenv.envs.shared.task import Task
+from pickenv.base.limits import shown
+from pickenv.envs.shared.task import Task, as_numbers
 
 # A specification that can be written down: paths among an environment's arguments stand in it as text.
 
@@ -27,19 +30,20 @@ class PlainSpec:
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What it was made by."""
+        """The specification that it was made by."""
         return self._spec
 
     @spec.setter
-    def spec(self, given: EnvSpec | None) -> None:
-        if given is not None and any(isinstance(value, PurePath) for value in given.kwargs.values()):
-            given = copy.copy(given)
-            given.kwargs = {
-                key: str(value) if isinstance(value, PurePath) else value for key, value in given.kwargs.items()
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None and any(isinstance(value, PurePath) for value in spec.kwargs.values()):
+            spec = copy.copy(spec)
+            spec.kwargs = {
+                key: str(value) if isinstance(value, PurePath) else value for key, value in spec.kwargs.items()
             }
-        self._spec = given
+        self._spec = spec
 
 
+GOALS = ("goal_joints", "goal_position", "goal_pose")
 OPTIONS = ("start_joints", *GOALS, "arm")
 
 
@@ -90,40 +94,79 @@ def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str,
     return dict(options)
 
 
-def given_mask(mask: Any, count: int) -> NDArray[np.bool_]:
-    """Which of ``count`` environments a reset is about: all where nothing is given.
+# Goals that `reset` is asked for: by joints, by position, or by pose. Base frame, m and rad.
+
+
+POOL, NEAREST = 2**14, 16
+"""Poses among which one near a position is sought, and how many of them are tried."""
+
+
+Goals = tuple[Array | None, Array | None]
+"""Goals that options ask for, one row per environment; at most one of the two, and neither where none is given: joints
+of the nominal arm that stand there ``(..., n)``, or frames ``(..., 12)``, axes and origin."""
+
+
+def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> Goals:
+    """The goals that options ask for: of one environment, or of ``count``.
 
     Raises:
-        InputError: If it is not one truth value each, at least one of them True.
+        InputError: If more than one way is used, a shape is wrong, or the nominal arm cannot get to a position.
     """
-    flags = np.ones(count, dtype=np.bool_) if mask is None else np.array(mask)
-    if flags.dtype != np.bool_ or flags.shape != (count,) or not flags.any():
-        raise InputError(
-            f"reset_mask has shape {flags.shape} and type {flags.dtype}; give {count} truth values, at least one of "
-            "them True"
-        )
-    return flags
+    names = [name for name in GOALS if options.get(name) is not None]
+    if len(names) > 1:
+        raise InputError(f"options {' and '.join(names)} both say where the goal is; give one of them")
+    if not names:
+        return None, None
+    (name,) = names
+    if name == "goal_joints":
+        return task.given_joints(name, options[name], count), None
+    width, columns = (
+        (3, "x, y, z in m") if name == "goal_position" else (6, "x, y, z in m and a rotation vector in rad")
+    )
+    rows = as_numbers(f"option {name}", options[name])
+    shapes = [(width,)] if count is None else [(width,), (count, width)]
+    if rows.shape not in shapes:
+        raise InputError(f"option {name} has shape {rows.shape}; give {' or '.join(map(str, shapes))}: {columns}")
+    if not np.isfinite(rows).all():
+        raise InputError(f"option {name} is {shown(rows.tolist())}; give finite numbers: {columns}")
+    goals = np.array([_reached(task, row) if width == 3 else _framed(task, row) for row in np.atleast_2d(rows)])
+    goals = goals[0] if count is None else np.broadcast_to(goals, (count, goals.shape[1]))
+    return (goals, None) if width == 3 else (None, goals)
 
 
-def given_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """A seed for each of ``count`` environments, ``seed + i`` for the i-th; None goes on with its stream.
+def _reached(task: Task, position: Array) -> Array:
+    """Joints ``(n,)`` whose nominal tool is at a position ``(3,)`` and points upwards within the largest tilt."""
+    geometry = task.plant.arm.nominal
+    joints, poses = _spread(geometry)
+    upright = np.flatnonzero(poses.rotation[:, 2, 2] >= task.min_upright)
+    away = np.linalg.norm(poses.position[upright] - position, axis=1)
+    near = upright[np.argsort(away, kind="stable")[:NEAREST]]
+    targets = Pose(np.broadcast_to(position, (len(near), 3)), poses.rotation[near])
+    solution = inverse(geometry, targets, joints[near], position_tolerance=1e-9, attitude_tolerance=np.inf, restarts=0)
+    fits = solution.reached & (forward(geometry, solution.joints).rotation[:, 2, 2] >= task.min_upright)
+    if not fits.any():
+        tilt = np.degrees(np.arccos(task.min_upright))
+        raise _far("goal_position", task, position, f" with its tool within {tilt:.0f} deg of the vertical")
+    return np.asarray(solution.joints[np.argmax(fits)])
 
-    Raises:
-        InputError: If another number of seeds is given.
-    """
-    if seed is None or isinstance(seed, int | np.integer):
-        return [None if seed is None else int(seed) + i for i in range(count)]
-    if len(seed) != count:
-        raise InputError(f"{len(seed)} seeds were given for {count} environments; give one for each")
-    return list(seed)
+
+def _framed(task: Task, pose: Array) -> Array:
+    """Frame ``(12,)`` of a pose ``(6,)``; its attitude is asked for, whether or not the arm has it."""
+    position, rotation = pose[:3], rotation_matrix(pose[3:])
+    solution = inverse(task.plant.arm.nominal, Pose(position, rotation), position_tolerance=1e-6, position_only=True)
+    if not solution.reached:
+        raise _far("goal_pose", task, position)
+    return np.array(frame_of(Pose(position, rotation)))
 
 
-def final_rows(observations: Any, rows: NDArray[np.intp], count: int) -> NDArray[np.object_]:
-    """The observations of ``rows`` in an object array of all, as `SyncVectorEnv` gives them."""
-    final = np.full(count, None, dtype=object)
-    for row in rows:
-        if isinstance(observations, dict):
-            final[row] = {key: value[row].copy() for key, value in observations.items()}
-        else:
-            final[row] = observations[row].copy()
-    return final
+def _far(name: str, task: Task, position: Array, how: str = "") -> InputError:
+    place = np.round(position, 4).tolist()
+    return InputError(f"option {name}: arm '{task.plant.arm.name}' does not reach {place} m{how}; move the goal")
+
+
+@lru_cache(maxsize=4)
+def _spread(geometry: Geometry) -> tuple[Array, Pose]:
+    """Joints spread evenly over their ranges, and the nominal tool there."""
+    shares = qmc.Halton(geometry.joints, scramble=False).random(POOL)
+    joints = geometry.lower + (geometry.upper - geometry.lower) * shares
+    return joints, forward(geometry, joints)

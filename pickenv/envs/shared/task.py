@@ -1,4 +1,4 @@
-"""What a reach environment simulates: arm, goal, camera, capture region and reward, as validated constants.
+"""The task of a reach environment: arm, goal, camera, capture region and reward, as validated constants.
 
 SI units, except where a name says otherwise.
 """
@@ -67,9 +67,9 @@ class Exact:
 
 def exact(value: Scalar) -> Any:
     """``value``, as an `Exact` where it is one; arrays, one entry per arm, stay as they are."""
-    for whole in (0.0, 1.0, -1.0) if isinstance(value, float) else ():
-        if abs(value - whole) < ROUNDING:
-            return Exact(whole)
+    for number in (0.0, 1.0, -1.0) if isinstance(value, float) else ():
+        if abs(value - number) < ROUNDING:
+            return Exact(number)
     return value
 
 
@@ -174,7 +174,7 @@ class Task:
 
     @cached_property
     def edge_cost(self) -> float:
-        """What the dense reward takes at the farthest corner of the capture region, and once more outside it."""
+        """The cost in the dense reward at the farthest corner of the capture region, and once more outside it."""
         return math.log10(1.0 + self.tolerance_mm) + 0.5 * math.log10(1.0 + self.angle_tolerance_deg)
 
     @cached_property
@@ -206,14 +206,14 @@ class Task:
         Raises:
             InputError: If their number is wrong or they lie outside the joint limits.
         """
-        given, lower, upper = as_numbers(name, joints), np.array(self.lower), np.array(self.upper)
+        values, lower, upper = as_numbers(name, joints), np.array(self.lower), np.array(self.upper)
         shapes = [(self.joints,)] if count is None else [(self.joints,), (count, self.joints)]
-        if given.shape not in shapes or not np.all((given >= lower) & (given <= upper)):
+        if values.shape not in shapes or not np.all((values >= lower) & (values <= upper)):
             raise InputError(
                 f"{name} must be {' or '.join(map(str, shapes))} joints (rad, m) inside the arm's workspace, the joint "
                 f"limits {np.round(lower, 4).tolist()} to {np.round(upper, 4).tolist()}"
             )
-        return given if count is None else np.broadcast_to(given, (count, self.joints))
+        return values if count is None else np.broadcast_to(values, (count, self.joints))
 
     def given_arm(self, number: int) -> int:
         """Number of an arm of the population.
@@ -230,10 +230,10 @@ class Task:
     def no_goal(self) -> InputError:
         """Said when no pose is found that meets `min_upright`, in the region if there is one."""
         tilt = math.degrees(math.acos(self.min_upright))
-        where, what = (" in goal_region", " or move goal_region") if self.region else ("", "")
+        place, advice = (" in goal_region", " or move goal_region") if self.region else ("", "")
         return InputError(
-            f"arm '{self.plant.arm.name}' found no pose{where} with its tool within {tilt:.0f} deg of the vertical; "
-            f"raise max_tilt_deg{what}"
+            f"arm '{self.plant.arm.name}' found no pose{place} with its tool within {tilt:.0f} deg of the vertical; "
+            f"raise max_tilt_deg{advice}"
         )
 
 
@@ -261,7 +261,7 @@ def make_task(
     Raises:
         InputError: If an argument is impossible; one sentence says which.
     """
-    given = make_situation(**situation)
+    setting = make_situation(**situation)
     check_choice("feedback", feedback, FEEDBACK)
     check_choice("reward", reward, REWARDS)
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
@@ -281,8 +281,8 @@ def make_task(
         check_count("population", population)
         check_limit("population", int(population), "population")
         check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
-        drawn = np.random.default_rng(population_seed)
-        true_arm = draw_arms(plant, tolerances, population, drawn, without=without)
+        rng = np.random.default_rng(population_seed)
+        true_arm = draw_arms(plant, tolerances, population, rng, without=without)
     geometry = true_arm.arm.nominal
     tilt = usual_tilt(geometry) if max_tilt_deg is None else float(max_tilt_deg)
     return Task(
@@ -291,7 +291,7 @@ def make_task(
         nominal=chain_of(geometry),
         lower=tuple(geometry.lower.tolist()),
         upper=tuple(geometry.upper.tolist()),
-        increment=tuple((true_arm.arm.speed * given.period.high).tolist()),
+        increment=tuple((true_arm.arm.speed * setting.period.high).tolist()),
         camera=feedback == "camera",
         camera_noise=camera_noise_mm * 1e-3,
         fruit_noise=fruit_noise_mm * 1e-3,
@@ -303,7 +303,7 @@ def make_task(
         lost_axes=lost_axes(geometry),
         most_action=MOST_ACTION[out_of_range],
         region=None if goal_region is None else checked_region(goal_region),
-        situation=given,
+        situation=setting,
     )
 
 
@@ -327,10 +327,10 @@ def load_true_arm(plant: str, without: Sequence[str] = (), seed: int = 0) -> Pla
     check_name("plant", plant, 'a plant preset or a path to a plant file (.toml), "ideal:ARM" or "CLASS:ARM"')
     if isinstance(without, str) or not isinstance(without, Sequence) or not all(isinstance(e, str) for e in without):
         raise InputError(f"without is {without!r}; give a list of names of effects")
-    own = class_of(plant)
-    if own is None:
+    tolerances = class_of(plant)
+    if tolerances is None:
         return load_plant(plant, without=without)
-    return plant_at(draw_plants(load_plant(plant, without=without), own, 1, np.random.default_rng(seed)), 0)
+    return plant_at(draw_plants(load_plant(plant, without=without), tolerances, 1, np.random.default_rng(seed)), 0)
 
 
 def usual_tilt(geometry: Geometry) -> float:
@@ -353,9 +353,9 @@ def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
 
 def check_number(name: str, value: float, *, positive: bool = False) -> None:
     """Refuse what is no finite number, or negative, above `MOST_NUMBER`, or zero where it must be positive."""
-    given: Any = value
-    number = isinstance(given, Real) and not isinstance(given, bool)
-    if not number or not 0 <= value <= MOST_NUMBER or (positive and value == 0):
+    number: Any = value
+    is_number = isinstance(number, Real) and not isinstance(number, bool)
+    if not is_number or not 0 <= value <= MOST_NUMBER or (positive and value == 0):
         raise InputError(
             f"{name} is {shown(value)}; give a finite number {'above' if positive else 'not below'} zero, at most "
             f"{MOST_NUMBER:.0f}"
@@ -375,7 +375,7 @@ def check_name(name: str, value: str | Path, wanted: str) -> None:
 
 
 def as_numbers(name: str, given: Any) -> Array:
-    """What was given as an array of numbers.
+    """A value as an array of numbers.
 
     Raises:
         InputError: If it is something else, such as text, or rows of different lengths.
@@ -399,13 +399,13 @@ def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
     """
     values = as_numbers("action", action)
     if values.shape != shape or not (np.abs(values) <= most).all():
-        what = f"{shape[0]} finite numbers" if len(shape) == 1 else f"finite numbers of shape {shape}"
-        raise InputError(f"action {shown(values.tolist())} is not {what}{bounds_of(most)}")
+        form = f"{shape[0]} finite numbers" if len(shape) == 1 else f"finite numbers of shape {shape}"
+        raise InputError(f"action {shown(values.tolist())} is not {form}{bounds_of(most)}")
     return np.clip(values, -1.0, 1.0)
 
 
 def bounds_of(most: float) -> str:
-    """What an error says of the range of actions: nothing where they are cut to it."""
+    """The range of actions in the words of an error: nothing where they are cut to it."""
     return " between -1 and 1" if most == MOST_ACTION["refuse"] else ""
 
 

@@ -12,10 +12,8 @@ from scipy import stats
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import pickenv.envs.picking.pick
-from pickenv.agents import ScriptedPick
-from pickenv.agents.policies.pick_policy import HASTY
-from pickenv.arm import forward, load_plant, plant_at, pose_error
-from pickenv.arm.kinematics.forward import pose_of
+from pickenv.agents import HASTY, ScriptedPick
+from pickenv.arm import Pose, forward, load_plant, plant_at, pose_error
 from pickenv.base import InputError
 from pickenv.calibration import Compensator
 from pickenv.envs import PickEnv, PickVectorEnv
@@ -37,7 +35,9 @@ class Known:
             return np.array([self.predict(row) for row in joints])
         command = joints.tolist()
         _, tool = self.plant.advance(math, self.plant.initial_state(math, command), command, 0.0)
-        return pose_error(forward(self.plant.geometry, joints), pose_of(tool))
+        return pose_error(
+            forward(self.plant.geometry, joints), Pose(np.array(tool[9:]), np.reshape(tool[:9], (3, 3)).T)
+        )
 
 
 @pytest.fixture(scope="module")

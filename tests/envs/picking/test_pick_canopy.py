@@ -12,7 +12,7 @@ from pickenv.arm import forward
 from pickenv.base import InputError
 from pickenv.envs import PickEnv
 from pickenv.envs.picking.pick_arm import reach_of, upright_turn
-from pickenv.envs.picking.pick_scene import draw_scenes, looked_at, make_setting, to_base, to_orchard
+from pickenv.envs.picking.pick_scene import draw_scenes, looked_at, make_pick, to_base, to_orchard
 from pickenv.orchard import load_canopy, occlusion, sample_fruit, shipped
 
 
@@ -83,14 +83,14 @@ def test_the_orchard_is_turned_by_half_a_turn_to_stand_before_the_arm(env):
 def test_the_section_is_what_of_the_canopy_the_arm_serves(name):
     """0.9 m wide, 0.8 m high, 0.4 m deep, where the canopy is as large; fruit by the metre of it."""
     whole = load_canopy(name)
-    section = make_setting(name, "li2016_lab", "li2016", "perfect", "li_cup", 10.0, 16).canopy
+    section = make_pick(canopy=name, camera="perfect")[1].canopy
     size = min(0.9, whole.width), min(0.4, whole.depth), min(0.8, whole.top - whole.bottom)
     assert (section.width, section.depth, section.top - section.bottom) == pytest.approx(size)
     assert section.bottom == whole.bottom
 
 
 def test_the_mean_number_of_fruit_is_what_was_asked_for():
-    setting = make_setting("li2016", "li2016_lab", "li2016", "perfect", "li_cup", 10.0, 16)
+    setting = make_pick(camera="perfect")[1]
     rng = np.random.default_rng(0)
     counts = [len(sample_fruit(setting.fruit_map, setting.size, setting.canopy, rng)) for _ in range(400)]
     assert abs(np.mean(counts) - 10.0) < 4 * np.std(counts) / 20
@@ -136,7 +136,7 @@ def test_a_second_look_averages_noise_and_nothing_else(looks):
 
 def test_an_environment_of_which_nothing_is_said_is_the_one_of_the_class():
     setting = PickEnv().orchard
-    made = make_setting("li2016", "li2016_lab", "li2016", "laser_line", "li_cup", 10.0, 16)
+    made = make_pick()[1]
     assert vars(setting) == vars(made) and setting.looks == 16
     assert PickEnv(arms="per_env").task.population == 256
 
@@ -172,7 +172,7 @@ def test_an_arm_sees_with_lis_stereo_pair_alone_as_beside_another_to_the_bit(vis
 
 def test_what_is_seen_of_fruit_follows_the_canopys_own_table():
     """Many draws of one fruit: located and misplaced as `pickenv.orchard.sighted` says at its depth."""
-    setting = make_setting("li2016", "li2016_lab", "li2016", "perfect", "li_cup", 10.0, 1, "measured_errors", "li2016")
+    setting = make_pick(camera="perfect", looks=1, vision="measured_errors")[1]
     place = np.array([[0.0, 0.2, (setting.canopy.bottom + setting.canopy.top) / 2]])
     rng, found = np.random.default_rng(0), []
     for _ in range(3000):

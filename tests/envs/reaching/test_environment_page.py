@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401, registers the environments
-from pickenv.envs.shared.difficulty import EYES, LADDER, LADDER_VERSION, POPULATION
+from pickenv.envs import EYES, LADDER, LADDER_VERSION
+from pickenv.envs.shared.difficulty import POPULATION
 from pickenv.envs.shared.situation import make_situation
 from pickenv.orchard import load_sight_errors
 

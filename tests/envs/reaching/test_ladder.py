@@ -11,7 +11,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.base import InputError
-from pickenv.envs.shared.difficulty import LADDER, SPLITS
+from pickenv.envs import LADDER, SPLITS
 
 IDS = ("pickenv/Reach-v0", "pickenv/ReachGoal-v0", "pickenv/Pick-v0")
 SCALED = "pickenv/ReachScaled-v0"

@@ -209,7 +209,7 @@ def test_fruit_is_picked_in_the_same_situations():
     assert np.array_equal(sent, as_sent) and not np.array_equal(seen, noisy)
     _, _, warm = picks(hours_on=4.0, start_spread=0.5, control_period_s=[0.05, 0.2])
     rise = [effect.name for effect in env.plant.effects if effect.remembers].index("thermal_growth")
-    assert warm._motion.plant[rise][0] > env._motion.plant[rise][0] + 1.0
+    assert warm._state.plant[rise][0] > env._state.plant[rise][0] + 1.0
     np.testing.assert_array_equal(warm.scene.rest, env.scene.rest)
 
 

@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward
 from pickenv.base import InputError
-from pickenv.envs import ReachEnv
-from pickenv.envs.shared.difficulty import LADDER_VERSION, on_ladder
-from pickenv.envs.shared.given_goals import given_goals
+from pickenv.envs import LADDER_VERSION, ReachEnv
+from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.situation import make_situation
+from pickenv.envs.shared.spaces import given_goals
 
 LIMITS = {
     "control_period_s": (1e-3, 10.0),
@@ -89,12 +89,12 @@ def test_given_goals_are_met_to_the_last_digits_and_stand_upright_enough():
     upright = np.flatnonzero(poses.rotation[:, 2, 2] > math.cos(math.radians(15.0)))[:4]
     places = poses.position[upright]
     assert len(places) > 0
-    found = forward(nominal, given_goals(task, {"goal_position": places}, len(places)).joints)
+    found = forward(nominal, given_goals(task, {"goal_position": places}, len(places))[0])
     np.testing.assert_allclose(found.position, places, atol=1e-8)
     assert (found.rotation[:, 2, 2] >= math.cos(math.radians(20.0))).all()
     turn = np.array([0.2, -0.1, 0.4])
     wanted = [*places[0], *turn]
-    frames = given_goals(task, {"goal_pose": wanted}, 3).frames
+    frames = given_goals(task, {"goal_pose": wanted}, 3)[1]
     axes = Rotation.from_rotvec(turn).as_matrix().T.ravel()
     np.testing.assert_allclose(frames, [[*axes, *places[0]]] * 3, atol=1e-12)
     assert given_goals(task, {"goal_joints": None}) == (None, None)
