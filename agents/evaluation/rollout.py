@@ -14,7 +14,7 @@ from pickenv.agents.policies.policy import Policy, read_observation
 from pickenv.arm import Array, Pose, displace_pose, forward
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import ReachVectorEnv
-from pickenv.inspect.runs.episode_summary import Reaches, reaches_of
+from pickenv.inspect.runs.recorded_episodes import Reaches, reaches_of
 from pickenv.orchard import Gripper, capture_probability, misalignment
 from pickenv.wrappers import Compensate
 

@@ -32,7 +32,7 @@ from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
 from pickenv.experiments import methods
 from pickenv.experiments.engine import Columns, Experiment, Progress, Rows, run
-from pickenv.inspect.runs.episode_summary import Reaches
+from pickenv.inspect.runs.recorded_episodes import Reaches
 from pickenv.inspect.runs.run_folder import listed_files
 from pickenv.orchard import load_gripper
 

@@ -11,5 +11,10 @@ from .recordings.inspections import inspect_calibration as inspect_calibration, 
 from .recordings.log_rerun import LogRerun as LogRerun, LogRerunVector as LogRerunVector
 from .reports.calibration_report import write_calibration_report as write_calibration_report
 from .reports.run_pages import drawings_of as drawings_of, page_of as page_of
-from .runs.comparison_summary import Comparison as Comparison, PolicyErrors as PolicyErrors
+from .runs.recorded_episodes import (
+    Comparison as Comparison,
+    Reaches as Reaches,
+    RecordedEpisodes as RecordedEpisodes,
+    RecordedPolicy as RecordedPolicy,
+)
 from .runs.run_folder import Run as Run, read_run as read_run

@@ -127,10 +127,10 @@ def test_a_study_is_known_by_its_configuration(tmp_path: Path) -> None:
         (lambda path: path.write_bytes(path.read_bytes()[:-400]), "is not a Comparison file or is damaged"),
         (lambda path: path.write_bytes(b""), "is not a Comparison file or is damaged"),
         (lambda path: path.write_text("no archive"), "is not a Comparison file or is damaged"),
-        (lambda path: rewritten(path, version=99), "has format 99, this program reads up to 3; update pickenv"),
+        (lambda path: rewritten(path, version=99), "has format 99, this program reads up to 4; update pickenv"),
         (
             lambda path: rewritten(path, version=1),
-            "has the earlier format 1, this program reads 3; `pickenv demo --out",
+            "has the earlier format 1, this program reads 4; `pickenv demo --out",
         ),
         (lambda path: rewritten(path, kind="CalibrationTrace"), "holds a CalibrationTrace, not a Comparison"),
         (
@@ -148,7 +148,9 @@ def test_a_file_that_is_not_whole_is_refused_by_name(folder: Path, change, words
     assert "\n" not in str(caught.value)
 
 
-def rewritten(path: Path, kind: str = "Comparison", version: int = saved.FORMAT, **header: object) -> None:
+def rewritten(
+    path: Path, kind: str = "Comparison", version: int = saved.FORMATS["Comparison"], **header: object
+) -> None:
     """The file under a seal that holds, with another kind, version or header."""
     found = read_container(path, None, remake="")
     write_container(path, kind, {**found.header, **header}, found.arrays, version=version)

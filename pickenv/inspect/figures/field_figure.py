@@ -24,13 +24,12 @@ from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, change, new_fi
 from pickenv.inspect.runs.comparison_summary import (
     GAIN,
     SCALE_PERCENTILE,
-    Comparison,
-    PolicyErrors,
     colour_scale_mm,
     error_spread,
     field_mm,
     ticks,
 )
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
 
 PANEL_WIDTH, BESIDE_PANELS = WIDTH / 3.0, 1.5
@@ -50,13 +49,13 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         InputError: If there is no policy or no field point, or if the gain is not above zero.
     """
     policies = comparison.policies
-    if not policies or not len(comparison.field_points):
+    if not policies or not len(comparison.grid.points):
         raise InputError("there is no error field to draw; give at least one policy and one field point")
     if gain is not None and not gain > 0.0:
         raise InputError(f"the gain is {gain}; give a number above zero")
     shown, _ = thinned(comparison)
     top = colour_scale_mm(comparison)
-    gain = gain or field_gain(comparison.grid_step, top)
+    gain = gain or field_gain(comparison.grid.step, top)
     low, high = _extent(comparison, _View(comparison))
     height = min(0.93 * PANEL_WIDTH * (high[1] - low[1]) / (high[0] - low[0]), PANEL_WIDTH)
     width, look = PANEL_WIDTH * max(len(policies), 2), {"axes.grid": False, "axes.titlelocation": "center"}
@@ -80,12 +79,12 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
 def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np.intp], float]:
     """Which field points to draw, about ``most`` of them, and how far apart they are, m."""
     for stride in itertools.count(1):
-        shown = np.flatnonzero(np.all(comparison.field_index % stride == (stride - 1) // 2, axis=-1))
+        shown = np.flatnonzero(np.all(comparison.grid.index % stride == (stride - 1) // 2, axis=-1))
         if 0 < len(shown) <= most:
-            return shown, stride * comparison.grid_step
+            return shown, stride * comparison.grid.step
         if not len(shown):
             break
-    return np.arange(len(comparison.field_points)), comparison.grid_step
+    return np.arange(len(comparison.grid.points)), comparison.grid.step
 
 
 def field_gain(step: float, top_mm: float) -> float:
@@ -128,12 +127,12 @@ class _View:
 
 
 def _panel(
-    axes: Axes, comparison: Comparison, policy: PolicyErrors, shown: NDArray[np.intp], gain: float, top: float
+    axes: Axes, comparison: Comparison, policy: RecordedPolicy, shown: NDArray[np.intp], gain: float, top: float
 ) -> None:
     view = _View(comparison)
     _box(axes, comparison, view)
     _ghost_arm(axes, comparison, view)
-    start, error = comparison.field_points[shown], policy.field_errors[shown]
+    start, error = comparison.grid.points[shown], policy.field_errors[shown]
     order = np.argsort(view.depth(start))
     start, error = start[order], error[order]
     colours = viridis(np.linalg.norm(error, axis=-1) * 1e3 / top) / 255.0
@@ -171,8 +170,8 @@ def _extent(comparison: Comparison, view: _View) -> tuple[Array, Array]:
 
 def _corners(comparison: Comparison) -> Array:
     """The box's corners ``(8, 3)``, m; bits 4, 2 and 1 of the number say where x, y and z are high."""
-    low = comparison.grid_origin - comparison.grid_step / 2.0
-    high = low + np.asarray(comparison.grid_shape) * comparison.grid_step
+    low = comparison.grid.corner
+    high = low + comparison.grid.size
     return np.where(np.array(list(itertools.product((False, True), repeat=3))), high, low)
 
 
@@ -223,7 +222,7 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
     if not len(comparison.fruit):
         return
     nearest = int(np.argmin(np.linalg.norm(comparison.fruit - view.centre, axis=-1)))
-    points = nominal_points(comparison.nominal, comparison.policies[0].reach_joints[nearest])
+    points = nominal_points(comparison.nominal, comparison.policies[0].ends.joint_command[nearest])
     flat = view.flat(points)
     for i, (a, b) in enumerate(itertools.pairwise(flat)):
         thickness = 6.0 - 3.5 * i / (len(flat) - 1)

@@ -20,7 +20,7 @@ from pickenv.base import InputError
 from pickenv.inspect.colours import viridis_map
 from pickenv.inspect.figures.field_figure import round_down
 from pickenv.inspect.figures.style import WIDTH, new_figure
-from pickenv.inspect.runs.view_errors import ViewErrors
+from pickenv.inspect.runs.calibration_trace import ViewErrors
 
 LONGEST = 0.1
 """Length of the longest arrow, as a share of the picture's width."""

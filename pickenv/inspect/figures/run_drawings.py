@@ -17,10 +17,9 @@ from pickenv.inspect.figures import plot_calibration, plot_errors, plot_pixels, 
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.plot_errors import error_slices
 from pickenv.inspect.figures.style import check_format, save_figure
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace, ViewErrors
 from pickenv.inspect.runs.matters import gripped, gripper_curves
-from pickenv.inspect.runs.view_errors import ViewErrors
+from pickenv.inspect.runs.recorded_episodes import Comparison
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
 CAPTIONS = {
@@ -119,12 +118,12 @@ def captioned(name: str, draw: Callable[[], Figure]) -> Drawing:
 def comparison_drawings(comparison: Comparison) -> Drawings:
     """Figures of policies on one arm: error fields, slices, boxes of the reaches."""
     fields = {policy.label: policy.field_errors for policy in comparison.policies}
-    mm = {policy.label: policy.position_error_mm for policy in comparison.policies}
-    degrees = {policy.label: policy.attitude_error_deg for policy in comparison.policies}
+    mm = {policy.label: policy.ends.position_error_mm for policy in comparison.policies}
+    degrees = {policy.label: policy.ends.attitude_error_deg for policy in comparison.policies}
     look: dict[str, Any] = {"counted": "reaches"}
     found: list[Drawing | NotDrawn] = []
-    if len(comparison.field_points):
-        points, step = comparison.field_points, comparison.grid_step
+    if len(comparison.grid.points):
+        points, step = comparison.grid.points, comparison.grid.step
         found.append(captioned("error_fields", lambda: error_fields(comparison)))
         found.append(captioned("error_slices", lambda: error_slices(points, fields, step=step)))
     else:

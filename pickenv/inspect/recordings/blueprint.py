@@ -18,7 +18,8 @@ from pickenv.inspect.colours import lane
 from pickenv.inspect.recordings.details import DAY_WORDS, FLOOR, Details, attitude_length
 from pickenv.inspect.recordings.field_day import Day
 from pickenv.inspect.runs import comparison_summary
-from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors, colour_scale_mm, error_spread, field_mm
+from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.saved import eye_direction, shown_box
 
 # Views that several tabs of a blueprint are made of: the workspace in 3D, a colour bar.
@@ -144,7 +145,7 @@ def _removed(comparison: Comparison, removed: Array, gain: float) -> Any:
     return space(comparison, title, ["+ /world/field/removed/vectors", *ghost(comparison)])
 
 
-def _field_title(policy: PolicyErrors, gain: float) -> str:
+def _field_title(policy: RecordedPolicy, gain: float) -> str:
     return f"{policy.label} | mean {error_spread(field_mm(policy)).mean:.2f} mm | arrows ×{gain:g}"
 
 
@@ -156,9 +157,9 @@ def _picking(comparison: Comparison, gain: float) -> Any:
         [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],
         overrides={"/world/arm/true": rrb.EntityBehavior(visible=False)},
     )
-    largest = max(float(policy.position_error_mm.max()) for policy in comparison.policies)
+    largest = max(float(policy.ends.position_error_mm.max()) for policy in comparison.policies)
     distance = 1.7 * max(largest, comparison.tolerance_mm)
-    aim = 500.0 * (comparison.policies[0].reach_positions - comparison.fruit).mean(axis=0)
+    aim = 500.0 * (comparison.policies[0].ends.tool_position - comparison.fruit).mean(axis=0)
     shots = seen_from(
         aim + distance * eye_direction(comparison),
         aim,
@@ -170,8 +171,8 @@ def _picking(comparison: Comparison, gain: float) -> Any:
     return rrb.Horizontal(scene, shots, column_shares=[3.0, 2.0], name="Picking")
 
 
-def _slice(comparison: Comparison, policy: PolicyErrors) -> Any:
-    middle = comparison.grid_shape[2] // 2
+def _slice(comparison: Comparison, policy: RecordedPolicy) -> Any:
+    middle = comparison.grid.shape[2] // 2
     entity = f"/field/{policy.key}/magnitude_mm"
     return rrb.TensorView(
         origin=entity,
@@ -186,7 +187,7 @@ def _slice(comparison: Comparison, policy: PolicyErrors) -> Any:
 
 
 def _reaches(comparison: Comparison) -> Any:
-    largest = max(float(policy.position_error_mm.max()) for policy in comparison.policies)
+    largest = max(float(policy.ends.position_error_mm.max()) for policy in comparison.policies)
     errors = rrb.TimeSeriesView(
         origin="/metrics",
         contents=["+ /metrics/error_mm/**", "+ /metrics/tolerance_mm"],
@@ -202,7 +203,7 @@ def _histogram() -> Any:
     return rrb.BarChartView(origin="/hist", contents=["+ /hist/**"], name="Reaches by final position error, mm")
 
 
-def _table(policies: tuple[PolicyErrors, ...]) -> Any:
+def _table(policies: tuple[RecordedPolicy, ...]) -> Any:
     sources = (
         ("metrics/error_mm", "Scalars:scalars"),
         ("metrics/attitude_deg", "Scalars:scalars"),

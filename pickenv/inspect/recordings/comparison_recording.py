@@ -29,7 +29,7 @@ from pickenv.inspect.recordings.scribe import (
     write_recording,
 )
 from pickenv.inspect.runs import comparison_summary
-from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.saved import cut_away, drawn_parts, nominal_points, true_points
 
 TIME_LINE = "reach"
@@ -119,8 +119,7 @@ def _send_properties(scribe: Scribe, comparison: Comparison, gain: float) -> Non
 
 def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
-    size = np.asarray(comparison.grid_shape) * comparison.grid_step
-    corner = comparison.grid_origin - comparison.grid_step / 2.0
+    size, corner = comparison.grid.size, comparison.grid.corner
     scribe.still(
         "world/axes",
         rr.Arrows3D(
@@ -144,9 +143,9 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     if not scribe.times:
         return
     scribe.still("world/fruit", rr.Points3D(comparison.fruit, colors=[FRUIT], radii=FRUIT_RADIUS))
-    first = comparison.policies[0]
-    believed = nominal_points(comparison.nominal, first.reach_joints)
-    true = true_points(comparison.plant.geometry, first.reach_joints, first.reach_positions)
+    first = comparison.policies[0].ends
+    believed = nominal_points(comparison.nominal, first.joint_command)
+    true = true_points(comparison.plant.geometry, first.joint_command, first.tool_position)
     parts = drawn_parts(believed)
     drawn = believed + gain * (true - believed)
     send_arm(scribe, "world/arm/nominal", believed, parts, GREY, "majorwireframe")
@@ -154,22 +153,22 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     send_arm(scribe, "world/arm/exaggerated", drawn, parts, _colours(comparison)[0], "solid", 0.5)
 
 
-def _send_field(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
+def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, gain: float) -> None:
     """One policy's error field three times: arrows, voxels, and a tensor for slices."""
     entity, top, magnitude = (
         f"world/field/{policy.key}",
         comparison_summary.colour_scale_mm(comparison),
         comparison_summary.field_mm(policy),
     )
-    errors, step = policy.field_errors, comparison.grid_step
-    send_arrows(scribe, f"{entity}/vectors", comparison.field_points, gain * errors, 1e3 * errors, top)
-    kept, index = ~cut_away(comparison), comparison.field_index
-    corner = comparison.grid_origin - step / 2.0
+    errors, step = policy.field_errors, comparison.grid.step
+    send_arrows(scribe, f"{entity}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
+    kept, index = ~cut_away(comparison), comparison.grid.index
+    corner = comparison.grid.origin - step / 2.0
     send_voxels(
         scribe, f"{entity}/voxels", *comparison_summary.cell_means(index[kept], magnitude[kept]), top, step, corner
     )
     index, mean = comparison_summary.cell_means(index, magnitude)
-    grid = np.full(comparison.grid_shape, np.nan, dtype=np.float32)
+    grid = np.full(comparison.grid.shape, np.nan, dtype=np.float32)
     grid[tuple(index.T)] = mean
     scribe.still(
         f"field/{policy.key}/magnitude_mm",
@@ -177,26 +176,27 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, ga
             np.ascontiguousarray(grid.transpose(2, 1, 0)),
             dim_names=[
                 f"{axis} = {start:.3f} m + {step:g} m ×"  # the viewer says a cell's number after it
-                for axis, start in zip("zyx", comparison.grid_origin[::-1], strict=True)
+                for axis, start in zip("zyx", comparison.grid.origin[::-1], strict=True)
             ],
             value_range=[0.0, top],
         ),
     )
 
 
-def _send_reaches(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
+def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, gain: float) -> None:
     """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
     if not scribe.times:
         return
     colour = dict(zip((p.key for p in comparison.policies), _colours(comparison), strict=True))[policy.key]
-    miss = policy.reach_positions - comparison.fruit
+    ends = policy.ends
+    miss = ends.tool_position - comparison.fruit
     entity = f"world/miss/{policy.key}"
     scribe.still(entity, rr.Arrows3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(2.5)))
     arrows = rr.Arrows3D.columns(origins=f32(comparison.fruit), vectors=f32(gain * miss))
     scribe.along(entity, arrows, reading_columns(1e3 * miss))
     shots = rr.Points3D(f32(miss * 1e3), colors=[colour], radii=rr.Radius.ui_points(3.0))
     scribe.still(f"target/{policy.key}", shots, reading(1e3 * miss))
-    for name, values in (("error_mm", policy.position_error_mm), ("attitude_deg", policy.attitude_error_deg)):
+    for name, values in (("error_mm", ends.position_error_mm), ("attitude_deg", ends.attitude_error_deg)):
         entity = f"metrics/{name}/{lane(policy.key)}"
         scribe.still(entity, rr.SeriesLines(names=[policy.label], colors=[colour], widths=[1.8]))
         scribe.along(entity, rr.Scalars.columns(scalars=four_digits(values)))
@@ -205,7 +205,7 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, 
         values=["pick", "miss"], labels=["pick", "miss"], colors=[(*colour, 255), (*RED, 255)]
     )
     scribe.still(entity, configuration)
-    scribe.along(entity, rr.StateChange.columns(state=["pick" if ok else "miss" for ok in policy.success]))
+    scribe.along(entity, rr.StateChange.columns(state=["pick" if ok else "miss" for ok in ends.success]))
 
 
 def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None:
@@ -237,7 +237,7 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     edges, count = comparison_summary.histogram_edges_mm(comparison), len(comparison.policies)
     width = float(edges[1] - edges[0]) * 0.9 / count
     for i, (policy, colour) in enumerate(zip(comparison.policies, _colours(comparison), strict=True)):
-        numbers, _ = np.histogram(policy.position_error_mm, edges)
+        numbers, _ = np.histogram(policy.ends.position_error_mm, edges)
         middle = (edges[:-1] + edges[1:]) / 2.0 + (i - (count - 1) / 2.0) * width
         chart = rr.BarChart(
             numbers, abscissa=f32(middle), widths=f32(np.full(len(numbers), width)), color=(*colour, 255)

@@ -22,7 +22,8 @@ from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
 from pickenv.inspect.recordings.field_day import Day, day_of
 from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, send_voxels
 from pickenv.inspect.runs import comparison_summary
-from pickenv.inspect.runs.comparison_summary import Comparison, attitude_scale_deg, round_step
+from pickenv.inspect.runs.comparison_summary import attitude_scale_deg, round_step
+from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import cut_away
 
 # What a recording holds besides fields and reaches: effects, attitude, uncertainty, a day, the arms as URDF.
@@ -36,7 +37,7 @@ WORLD = "tf#/"
 
 def send_details(scribe: Scribe, comparison: Comparison, details: Details, gain: float) -> None:
     """Send ``details`` of ``comparison``, whose errors are drawn ``gain`` times too long."""
-    points, top = comparison.field_points, comparison_summary.colour_scale_mm(comparison)
+    points, top = comparison.grid.points, comparison_summary.colour_scale_mm(comparison)
     if details.removed is not None:
         send_arrows(scribe, "world/field/removed/vectors", points, gain * details.removed, 1e3 * details.removed, top)
     for name, field in details.effects.items():
@@ -55,7 +56,7 @@ def send_details(scribe: Scribe, comparison: Comparison, details: Details, gain:
     if details.day is not None:
         _send_day(scribe, comparison, details.day)
     if scribe.times:
-        commands = comparison.policies[0].reach_joints
+        commands = comparison.policies[0].ends.joint_command
         _send_urdf(scribe, "urdf_nominal", comparison.nominal, commands, GREY, "majorwireframe")
         _send_urdf(scribe, "urdf_true", comparison.plant.geometry, commands, STEEL, "solid")
 
@@ -63,13 +64,13 @@ def send_details(scribe: Scribe, comparison: Comparison, details: Details, gain:
 def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array) -> None:
     """Predicted uncertainty and what the last policy really misses by, on one scale."""
     top, kept = comparison_summary.uncertainty_scale_mm(comparison), ~cut_away(comparison)
-    corner = comparison.grid_origin - comparison.grid_step / 2.0
+    corner = comparison.grid.corner
     for name, values in (
         ("predicted", 1e3 * uncertainty),
         ("actual", comparison_summary.field_mm(comparison.policies[-1])),
     ):
-        cells = comparison_summary.cell_means(comparison.field_index[kept], values[kept])
-        send_voxels(scribe, f"world/uncertainty/{name}", *cells, top, comparison.grid_step, corner)
+        cells = comparison_summary.cell_means(comparison.grid.index[kept], values[kept])
+        send_voxels(scribe, f"world/uncertainty/{name}", *cells, top, comparison.grid.step, corner)
     send_colour_bar(scribe, "legend/uncertainty", top, "mm")
 
 
@@ -150,7 +151,7 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 
     The tool is settled, the arm warm and the machine sunk. Effects that show only on the way there have no field.
     """
-    plant, joints = comparison.plant, comparison.field_joints
+    plant, joints = comparison.plant, comparison.grid.joints
     believed = forward(comparison.nominal, joints).position
     fields = {}
     for name in causes_of(plant):
@@ -166,10 +167,10 @@ def attitude_fields(comparison: Comparison) -> dict[str, Array]:
     if first.field_attitude is None or last.field_attitude is None:
         return {}
     error = np.concatenate([last.field_errors, last.field_attitude], axis=1)
-    floor = noncompensable_error(comparison.plant.geometry, comparison.field_joints, error)[..., 3:]
+    floor = noncompensable_error(comparison.plant.geometry, comparison.grid.joints, error)[..., 3:]
     return {first.key: first.field_attitude, last.key: last.field_attitude, FLOOR: floor}
 
 
 def attitude_length(comparison: Comparison, fields: Mapping[str, Array]) -> float:
     """How long an attitude error of 1 deg is drawn, m: round, and such that neighbouring arrows rarely overlap."""
-    return round_step(comparison.grid_step / attitude_scale_deg(fields))
+    return round_step(comparison.grid.step / attitude_scale_deg(fields))

@@ -18,7 +18,7 @@ from pickenv.arm.kinematics.forward import split_joints
 from pickenv.base import stream
 from pickenv.calibration import complete_model, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
-from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect.runs.recorded_episodes import Comparison
 
 DRIFTS = ("thermal_growth", "base_tilt")
 DRIFTING_PLANT = "orchard"
@@ -114,11 +114,11 @@ def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:
     dt = 3600.0 * hours / count
     errors, machines = {}, np.arange(count)
     for policy in comparison.policies:
-        rows = np.empty((count, count))
-        state = plant.initial_state(np, split_joints(plant.geometry.joints, policy.reach_joints))
+        rows, commands = np.empty((count, count)), policy.ends.joint_command
+        state = plant.initial_state(np, split_joints(plant.geometry.joints, commands))
         for k in range(count):
             turn = (machines + k) % count
-            state, tool = _driven(plant, state, policy.reach_joints[turn], dt)
+            state, tool = _driven(plant, state, commands[turn], dt)
             rows[k, turn] = 1e3 * np.linalg.norm(tool - comparison.fruit[turn], axis=-1)
         errors[policy.key] = rows
     adapted = _adapted(comparison, plant, dt) if count >= FEWEST_LOOKS else None
@@ -138,7 +138,7 @@ def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     its joints are those at which the nominal tool is at the fruit, and its correction is added to the command.
     """
     nominal, count = comparison.nominal, len(comparison.fruit)
-    commands = comparison.policies[-1].reach_joints
+    commands = comparison.policies[-1].ends.joint_command
     intended = joints_at(nominal, commands, comparison.fruit)
     starts = np.unique(np.linspace(0, count, FILTERED, endpoint=False).astype(np.int64))
     first = start_filter(complete_model(nominal), nominal, intended, full_pose=False, prior=PRIOR)

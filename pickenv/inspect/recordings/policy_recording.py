@@ -22,9 +22,8 @@ from pickenv.inspect.recordings.episode_blueprint import EYE, at_the_end, distan
 from pickenv.inspect.recordings.episode_entities import GAIN, send_looks, send_rows
 from pickenv.inspect.recordings.episodes import Row, Scene
 from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, write_recording
-from pickenv.inspect.runs.comparison_summary import Comparison, error_spread, field_mm, scale_end
-from pickenv.inspect.runs.episode_summary import comparison_markdown
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy, last_of
+from pickenv.inspect.runs.comparison_summary import comparison_markdown, error_spread, field_mm, scale_end
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.saved import shown_box
 
 SIDEWAYS = np.array([0.8, 0.6, 0.0])
@@ -34,19 +33,19 @@ APART = 1.25
 NAME_SIZE = rr.Radius.ui_points(6.0)
 
 
-def record_policies(episodes: RecordedEpisodes, comparison: Comparison | None, path: str | Path) -> Path:
+def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
     """Write a comparison of policies as a recording (.rrd) with its blueprint inside, whole or not at all.
 
     Args:
-        episodes: Of every policy.
-        comparison: Their errors over the workspace; None where there are none.
+        episodes: Of every policy, and a `Comparison`'s errors over the workspace.
         path: The file to write.
 
     Raises:
         InputError: If the file cannot be written.
     """
     env = episodes.env_id.rpartition("/")[2]
-    identity = ":".join([env, *([episodes.plant] if episodes.plant else []), f"seed{episodes.seed}", "compared"])
+    plant = [episodes.plant_name] if episodes.plant else []
+    identity = ":".join([env, *plant, f"seed{episodes.seed}", "compared"])
 
     def send(stream: rr.RecordingStream) -> None:
         made_with: Any = {
@@ -55,10 +54,10 @@ def record_policies(episodes: RecordedEpisodes, comparison: Comparison | None, p
         facts = {"policies": [policy.label for policy in episodes.policies], "gripper": episodes.gripper, **made_with}
         stream.send_property("pickenv", rr.AnyValues(seed=episodes.seed, **facts))
         _send_episodes(stream, episodes)
-        if comparison is not None:
-            _send_fields(stream, comparison)
+        if isinstance(episodes, Comparison):
+            _send_fields(stream, episodes)
 
-    return write_recording(path, identity, _blueprint(episodes, comparison), send)
+    return write_recording(path, identity, _blueprint(episodes), send)
 
 
 def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
@@ -98,7 +97,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
         scribe.still(f"{root}/name", name)
         send_looks(stream, scene, policy.key, rows, root)
         send_rows(stream, scene, policy.key, rows, root)
-        misses = 1e3 * (last_of(policy, policy.tool_position) - last_of(policy, policy.fruit_position))
+        misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)
         scribe.still(f"ends/{policy.key}", rr.Points3D(misses, colors=[colour], radii=rr.Radius.ui_points(3.0)))
     words = comparison_markdown(episodes)
     scribe.still("verdict", rr.TextDocument(words, media_type="text/markdown"))
@@ -114,21 +113,21 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
         scribe.still(
             f"fields/{name}/name", rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
         )
-        send_arrows(scribe, f"fields/{name}/vectors", comparison.field_points, gain * errors, 1e3 * errors, top)
+        send_arrows(scribe, f"fields/{name}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
     send_colour_bar(scribe, "legend/position", top, "mm")
 
 
 def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
     """Entity name, title and errors ``(F, 3)``, m, of every field."""
-    found = []
+    fields = []
     for policy in comparison.policies:
         title = f"{policy.label}: {error_spread(field_mm(policy)).mean:.3f} mm"
-        found.append((lane(policy.key), title, policy.field_errors))
+        fields.append((lane(policy.key), title, policy.field_errors))
     first, last = comparison.policies[0], comparison.policies[-1]
     if first is not last:
         removed = first.field_errors - last.field_errors
-        found.append(("9_difference", f"{first.label} minus {last.label}", removed))
-    return found
+        fields.append(("9_difference", f"{first.label} minus {last.label}", removed))
+    return fields
 
 
 def field_top_mm(comparison: Comparison) -> float:
@@ -138,17 +137,17 @@ def field_top_mm(comparison: Comparison) -> float:
 
 def _arrow_gain(comparison: Comparison) -> float:
     """How much longer than true size the fields' arrows are drawn."""
-    return field_gain(comparison.grid_step, field_top_mm(comparison))
+    return field_gain(comparison.grid.step, field_top_mm(comparison))
 
 
-def _blueprint(episodes: RecordedEpisodes, comparison: Comparison | None) -> rrb.Blueprint:
+def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     low, high = _box(episodes)
     step, count = _step(low, high), len(episodes.policies)
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
     eye = middle + (0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))) * EYE
     what = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
     side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{what}; last episode")
-    largest = max(float(last_of(policy, policy.position_error_mm).max()) for policy in episodes.policies)
+    largest = max(float(policy.ends.position_error_mm.max()) for policy in episodes.policies)
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
     first = rrb.Horizontal(
         rrb.Vertical(side, verdict),
@@ -156,8 +155,8 @@ def _blueprint(episodes: RecordedEpisodes, comparison: Comparison | None) -> rrb
         name="Who is better",
     )
     tabs: list[Any] = [first]
-    if comparison is not None:
-        tabs.append(_field_tab(comparison))
+    if isinstance(episodes, Comparison):
+        tabs.append(_field_tab(episodes))
     info = rows_of(episodes.policies[0], arm=False)[0].info
     lanes = rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Success, last episode")
     tabs.append(rrb.Vertical(rrb.Horizontal(*number_plots(info)), lanes, name="Numbers"))

@@ -19,8 +19,8 @@ from pickenv.inspect.reports import report_page
 from pickenv.inspect.reports.report_interactive import field_spec, pose_spec
 from pickenv.inspect.reports.report_words import axis_table, between, estimated, named_values, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
 from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_cases, load_part
 
 RECORDING = "errors.rrd"
@@ -87,10 +87,10 @@ def demo_verdict(
         cases: What calibration does to picks on each plant; on the comparison's own where left out.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
-    before, after = metrics.error_statistics(first.position_error_mm), metrics.error_statistics(last.position_error_mm)
-    gain = first.position_error_mm - last.position_error_mm
+    first_mm, last_mm = first.ends.position_error_mm, last.ends.position_error_mm
+    before, after, gain = metrics.error_statistics(first_mm), metrics.error_statistics(last_mm), first_mm - last_mm
     ends = mean_interval(gain, LEAST_ROWS)
-    picked, total = within(comparison, last), len(last.success)
+    picked, total = within(comparison, last), len(last_mm)
     least, most = share_interval(picked, total)
     tolerance = f"a tolerance of {comparison.tolerance_mm:g} mm"
     if least >= REQUIRED_SHARE:
@@ -139,13 +139,13 @@ def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
     )
 
 
-def within(comparison: Comparison, policy: PolicyErrors) -> int:
+def within(comparison: Comparison, policy: RecordedPolicy) -> int:
     """Number of reaches that end within the tolerance of the fruit, whatever their attitude."""
-    return int((policy.position_error_mm <= comparison.tolerance_mm).sum())
+    return int((policy.ends.position_error_mm <= comparison.tolerance_mm).sum())
 
 
-def _share(comparison: Comparison, policy: PolicyErrors) -> str:
-    picked, total = within(comparison, policy), len(policy.success)
+def _share(comparison: Comparison, policy: RecordedPolicy) -> str:
+    picked, total = within(comparison, policy), len(policy.moments)
     return percent(picked / total, *share_interval(picked, total))
 
 
@@ -161,7 +161,7 @@ def _mean(statistics: metrics.ErrorStatistics, digits: int = 2) -> str:
 
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
     first, last = (
-        metrics.error_statistics(p.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1])
+        metrics.error_statistics(p.ends.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1])
     )
     held_out = [metrics.error_statistics(values) for values in norms_mm(trace.errors).values()]
     return {
@@ -180,8 +180,8 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
     rows = []
     for policy in comparison.policies:
         position, attitude = (
-            metrics.error_statistics(policy.position_error_mm),
-            metrics.error_statistics(policy.attitude_error_deg),
+            metrics.error_statistics(policy.ends.position_error_mm),
+            metrics.error_statistics(policy.ends.attitude_error_deg),
         )
         shares = [_share(comparison, policy), *(_expected(held[policy.label].success[name]) for name in grippers)]
         cells = [share.replace(" %", "") for share in shares]
@@ -209,7 +209,7 @@ def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.
     return report_page.Section(
         "Where the tool misses",
         [report_page.Interactive(drawn["error_fields"], field_spec(comparison), hint)],
-        f"{len(comparison.field_points)} positions {comparison.grid_step * 1e3:g} mm apart, tool upright.",
+        f"{len(comparison.grid.points)} positions {comparison.grid.step * 1e3:g} mm apart, tool upright.",
     )
 
 

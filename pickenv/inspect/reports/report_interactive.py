@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from pickenv.arm import Array
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures.field_figure import field_gain, thinned
-from pickenv.inspect.runs.comparison_summary import Comparison, colour_scale_mm, error_spread, field_mm, round_step
+from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
+from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import eye_direction
 
 MOST_ARROWS = 3000
@@ -50,8 +51,8 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     """The error fields side by side in 3-D: a dot per wanted position, to hover over, and a line to the true one."""
     shown, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
-    gain = field_gain(comparison.grid_step, top)
-    points = comparison.field_points[shown]
+    gain = field_gain(comparison.grid.step, top)
+    points = comparison.grid.points[shown]
     scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
     axes = _axes(points, spacing) | {"camera": {"eye": _xyz(EYE_DISTANCE * eye_direction(comparison))}}
     data: list[dict[str, Any]] = []

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Array, forward
-from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.orchard import Gripper, capture_probability, load_gripper, misalignment
 
 # What position errors mean for grippers: how the fruit lies in the tool, and whether it is taken.
@@ -48,14 +48,15 @@ def gripped(comparison: Comparison, names: tuple[str, ...] = GRIPPERS) -> dict[s
     The tool is as the true arm holds it; it should point as the nominal arm does at the first policy's command.
     """
     grippers: dict[str, Gripper] = {name: load_gripper(name) for name in names}
-    wanted = forward(comparison.nominal, comparison.policies[0].reach_joints).rotation[..., 2]
-    found = {}
+    wanted = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
+    by_policy = {}
     for policy in comparison.policies:
-        axis = comparison.plant.tool_pose(policy.reach_joints).rotation[..., 2]
-        lying = misalignment(comparison.fruit - policy.reach_positions, axis, wanted)
+        ends = policy.ends
+        axis = comparison.plant.tool_pose(ends.joint_command).rotation[..., 2]
+        lying = misalignment(comparison.fruit - ends.tool_position, axis, wanted)
         success = {n: capture_probability(g, lying.lateral, lying.axial, lying.angle) for n, g in grippers.items()}
-        found[policy.label] = Gripped(lying.lateral * 1e3, success)
-    return found
+        by_policy[policy.label] = Gripped(lying.lateral * 1e3, success)
+    return by_policy
 
 
 PERCEPTION_MM = (0.0, 1.0, 2.0, 3.0, 5.0)

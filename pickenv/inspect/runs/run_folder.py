@@ -29,9 +29,8 @@ from pickenv.base import (
 )
 from pickenv.base.registry import get, load_all
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
 
 RECORD = "run.json"
@@ -298,22 +297,15 @@ def unedited(run: Run, name: str) -> Path:
     return path
 
 
-def save_part(
-    folder: Path, part: Comparison | CalibrationTrace | HarvestTrace | RecordedEpisodes, seed: int | None
-) -> Path:
-    """Write numbers behind figures into a run folder."""
-    return save_numbers(folder / PARTS[type(part)], part, seed=seed)
+def save_part(folder: Path, part: Part, seed: int | None, kind: type | None = None) -> Path:
+    """Write numbers behind figures into a run folder, as their own class or as ``kind``, which it is derived from."""
+    kind = kind or type(part)
+    return save_numbers(folder / PARTS[kind], part, seed=seed, kind=kind)
 
 
 def load_part(run: Run, kind: type[Part]) -> Part:
     """Numbers behind figures of a run, to the bit; raises `InputError` as `load_numbers`, or if they were exchanged."""
     return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
-
-
-def load_comparison(run: Run) -> tuple[RecordedEpisodes, Comparison | None]:
-    """A comparison of policies: every episode, and their errors over the workspace where the environment has an arm."""
-    there = (run.folder / PARTS[Comparison]).is_file() or PARTS[Comparison] in (run.files or {})
-    return load_part(run, RecordedEpisodes), load_part(run, Comparison) if there else None
 
 
 def load_iso9283(run: Run) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from pickenv.arm.kinematics.forward import (
 )
 from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.base import InputError, read_container, refusing_damage, registry, write_container
-from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect.runs.recorded_episodes import Comparison
 
 # The links of an arm as capsules (rods with round ends), as the viewer wants them. Metres.
 
@@ -68,8 +68,8 @@ EYE_TURN, EYE_LIFT = 0.5, 0.45
 
 def shown_box(comparison: Comparison) -> tuple[Array, float]:
     """Centre ``(3,)`` and radius of the field's grid, m: what the eye looks at."""
-    size = np.asarray(comparison.grid_shape) * comparison.grid_step
-    return comparison.grid_origin - comparison.grid_step / 2.0 + size / 2.0, float(np.linalg.norm(size) / 2.0)
+    size = comparison.grid.size
+    return comparison.grid.corner + size / 2.0, float(np.linalg.norm(size) / 2.0)
 
 
 def eye_direction(comparison: Comparison) -> Array:
@@ -77,7 +77,7 @@ def eye_direction(comparison: Comparison) -> Array:
 
     Outside is where the arm's base is not; oblique, so that cells behind each other do not hide each other.
     """
-    width_x, width_y, _ = comparison.grid_shape
+    width_x, width_y, _ = comparison.grid.shape
     x, y, _ = shown_box(comparison)[0] - comparison.nominal.base.position
     outward = float(np.arctan2(y, x))
     along_x = width_y > width_x or (width_y == width_x and abs(x) > abs(y))
@@ -89,23 +89,24 @@ def eye_direction(comparison: Comparison) -> Array:
 
 def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
     """Which field points ``(F,)`` lie in the corner nearest to the eye, where voxels would hide all others."""
-    offset = comparison.field_points - shown_box(comparison)[0]
+    offset = comparison.grid.points - shown_box(comparison)[0]
     return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
 
 
-FORMAT = 3
-"""Version of the files' content."""
+FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4}
+"""Version of the files' content; of some kinds another."""
 
 Saved = TypeVar("Saved")
 
 
-def save_numbers(path: str | Path, value: Any, *, seed: int | None = None) -> Path:
+def save_numbers(path: str | Path, value: Any, *, seed: int | None = None, kind: type | None = None) -> Path:
     """Write a frozen dataclass to ``path`` (.npz), whole or not at all; equal values give equal bytes.
 
     Args:
         path: The file.
         value: The object: dataclasses, named tuples, tuples, mappings, arrays, numbers, text and None, nested.
         seed: Seed of the run that found it, for the record.
+        kind: What the file is called by; the object's own class when left out, or one that it is derived from.
 
     Raises:
         InputError: If the file cannot be written.
@@ -113,7 +114,8 @@ def save_numbers(path: str | Path, value: Any, *, seed: int | None = None) -> Pa
     arrays: dict[str, np.ndarray] = {}
     sources: dict[str, Any] = {}
     header = {"seed": seed, "content": _pack(value, arrays, sources)} | ({"others": sources} if sources else {})
-    return write_container(path, type(value).__name__, header, arrays, version=FORMAT, compressed=True)
+    name = (kind or type(value)).__name__
+    return write_container(path, name, header, arrays, version=FORMATS.get(name, FORMAT), compressed=True)
 
 
 def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
@@ -129,15 +131,16 @@ def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
             effect of a package that is not here; the message names the package.
     """
     remake = f"`{made_by}` makes it anew"
-    found = read_container(path, kind.__name__, remake=remake, version=FORMAT)
-    own = [registry.get("effect", name) for name in shipped_effects()]
+    version = FORMATS.get(kind.__name__, FORMAT)
+    container = read_container(path, kind.__name__, remake=remake, version=version)
+    effects = [registry.get("effect", name) for name in shipped_effects()]
     try:
-        others = {key: registry.get(*key.split(" "), **by) for key, by in found.header.get("others", {}).items()}
+        others = {key: registry.get(*key.split(" "), **by) for key, by in container.header.get("others", {}).items()}
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    classes = _classes(kind, *own, *others.values()) | others
+    classes = _classes(kind, *kind.__subclasses__(), *effects, *others.values()) | others
     with refusing_damage(path, f"a {kind.__name__} file", remake):
-        content = _unpack(found.header["content"], found.arrays, {**classes, "Plant": _plant})
+        content = _unpack(container.header["content"], container.arrays, {**classes, "Plant": _plant})
         if not isinstance(content, kind):
             raise TypeError(f"it holds a {type(content).__name__}")
     return content
@@ -177,25 +180,24 @@ def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str,
     if "mapping" in packed:
         pairs = packed["mapping"]
         return {_unpack(key, arrays, classes): _unpack(item, arrays, classes) for key, item in pairs}
-    given = {name: _unpack(item, arrays, classes) for name, item in packed["fields"].items()}
-    return classes[packed["class"]](**given)
+    return classes[packed["class"]](**{name: _unpack(item, arrays, classes) for name, item in packed["fields"].items()})
 
 
 def _plant(effects: tuple[Effect, ...] = (), **parts: Any) -> Plant:
     """A plant of its fields; earlier files have a field for each effect, None where it is off."""
-    own = [parts.pop(name) for name in shipped_effects() if name in parts]
-    return Plant(effects=(*effects, *(effect for effect in own if effect is not None)), **parts)
+    earlier = [parts.pop(name) for name in shipped_effects() if name in parts]
+    return Plant(effects=(*effects, *(effect for effect in earlier if effect is not None)), **parts)
 
 
 def _classes(*roots: Any) -> dict[str, Any]:
     """The dataclasses and named tuples that type hints lead to from ``roots``, these included, by name."""
-    found: dict[str, Any] = {}
-    waiting = [*roots]
-    while waiting:
-        hint = waiting.pop()
-        waiting += typing.get_args(hint)
-        is_one = isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields"))
-        if is_one and hint.__name__ not in found:
-            found[hint.__name__] = hint
-            waiting += typing.get_type_hints(hint).values()
-    return found
+    classes: dict[str, Any] = {}
+    hints = [*roots]
+    while hints:
+        hint = hints.pop()
+        hints += typing.get_args(hint)
+        is_record = isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields"))
+        if is_record and hint.__name__ not in classes:
+            classes[hint.__name__] = hint
+            hints += typing.get_type_hints(hint).values()
+    return classes

@@ -29,9 +29,8 @@ from pickenv.inspect.figures.plot_pixels import (
 )
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.reports.calibration_report import calibration_page
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of, views_of
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
-from pickenv.inspect.runs.view_errors import views_of
 
 VIEWS, SIZE = 11, (640, 480)
 

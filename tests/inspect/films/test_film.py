@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, load_arm
+from pickenv.arm import forward, load_plant
 from pickenv.base import InputError
 from pickenv.inspect.films.film_plan import MOST_MOMENTS, attempts_of, plan_film
 from pickenv.inspect.films.film_stage import FilmSet, film_stage
@@ -15,7 +15,8 @@ from pickenv.inspect.films.make_film import GAP, HALF, STRIP, film_pictures
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.pictures.arm_shapes import GAIN
 
-ARM = load_arm("qiao2026").nominal
+ARM = load_plant("qiao2026").arm.nominal
+PLANT = dataclasses.replace(load_plant("qiao2026"), name="orchard")
 
 
 def policy(label, rng, off_mm, taken, episodes, moments, many):
@@ -54,8 +55,8 @@ def run(many, episodes=3, moments=40):
         policy("LS", rng, 1.0, True, episodes, moments, many),
     )
     return RecordedEpisodes(
-        env_id="pickenv/Pick-v0" if many else "pickenv/Reach-v0", plant="orchard", gripper="li_cup", tolerance_mm=5.0,
-        seed=0, seeds=tuple(range(episodes)), period=0.1, nominal=ARM, true_geometry=ARM, policies=policies,
+        env_id="pickenv/Pick-v0" if many else "pickenv/Reach-v0", plant=PLANT, gripper="li_cup", tolerance_mm=5.0,
+        seed=0, seeds=tuple(range(episodes)), period=0.1, policies=policies,
     )  # fmt: skip
 
 
