@@ -32,18 +32,8 @@ VERDICTS = {
     "with care": "With care",
     "do not use": "Do not use this calibration",
 }
-FURTHER = (
-    "Pictures",
-    "How far errors go",
-    "Rows left out",
-    "Rows far off, and kept",
-    "Views left out",
-    "Views far off, and kept",
-    "Further terms",
-    "Stiffnesses of the joints",
-    "Harmonics of the drives",
-    "Learnt residual models",
-)
+FURTHER = ("pictures", "uncertainty", "left_out", "terms", "stiffnesses", "harmonics", "residual_models")
+"""Keys of tables that have a section of their own, in order."""
 MAP_POSES = 6000
 """Poses drawn for the map of predicted uncertainty."""
 
@@ -71,15 +61,15 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
         seeds: Seeds and options that reproduce the calibration, by name.
     """
     train, test = result.train, result.test
-    blocks = {block.title: block for block in result.blocks()}
-    further = [Section(block.title, [_table(block)]) for title in FURTHER if (block := blocks.get(title))]
+    blocks = {block.key: block for block in result.blocks()}
+    further = [Section(blocks[key].title, [_table(blocks[key])]) for key in FURTHER if key in blocks]
     sections = (
         _errors(result, blocks),
         _reprojection(result),
         *further,
         _parameters(result),
         _poses(result, train),
-        Section("Evidence", [{row[0]: row[1] for row in blocks["Evidence"].rows}]),
+        Section("Evidence", [{row[0]: row[1] for row in blocks["evidence"].rows}]),
     )
     return html_of(
         Page(
@@ -167,7 +157,7 @@ def _table(block: Block, look: str = "") -> PageTable:
 
 
 def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
-    block = blocks[f"Errors on held-out {r.held_out.rows}"]
+    block = blocks["errors"]
     last = list(r.errors)[-1]
     shown = {"nominal": NOMINAL} if r.has_nominal else {}
     shown |= {"calibrated geometry": GEOMETRIC} | ({"model used": last} if last != GEOMETRIC else {})
