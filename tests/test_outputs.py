@@ -61,7 +61,7 @@ def test_no_command_writes_over_what_it_reads_or_into_one_file_twice(command, he
 
 
 def test_a_figure_that_is_a_link_to_the_numbers_is_not_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr("pickenv.inspect.reports.run_pages.drawings_of", lambda run: [reports_drawing("accuracy")])
+    monkeypatch.setattr("pickenv.inspect.drawings_of", lambda run: [reports_drawing("accuracy")])
     with recorded_run(tmp_path, "iso9283", "pickenv iso9283", 0):
         numbers = write_text(tmp_path / "iso9283.json", "kept")
     (tmp_path / "figures").mkdir()

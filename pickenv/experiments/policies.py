@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pickenv.agents import Policy, ScriptedPick, roll_out
-from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
+from pickenv.agents.evaluation.contenders import Kind, kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.reaches import moments_of
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.agents.policies.pick_policy import HASTY

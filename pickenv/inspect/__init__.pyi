@@ -10,7 +10,7 @@ from .recordings.harvest_recording import inspect_harvest as inspect_harvest
 from .recordings.inspections import inspect_calibration as inspect_calibration, inspect_evaluation as inspect_evaluation
 from .recordings.log_rerun import LogRerun as LogRerun, LogRerunVector as LogRerunVector
 from .reports.calibration_report import write_calibration_report as write_calibration_report
-from .reports.run_pages import drawings_of as drawings_of, page_of as page_of
+from .reports.report_page import drawings_of as drawings_of, page_of as page_of
 from .runs.recorded_episodes import (
     Comparison as Comparison,
     Reaches as Reaches,

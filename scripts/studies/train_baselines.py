@@ -14,7 +14,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from pickenv.agents import LearnedPolicy, RememberingPolicy, Training, train
-from pickenv.agents.evaluation.compared_policies import load_any
+from pickenv.agents.evaluation.contenders import load_any
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.agents.training.hyperparams import tuned
 from pickenv.arm import load_plant

@@ -8,7 +8,7 @@ import pytest
 from sb3_contrib import RecurrentPPO
 
 from pickenv.agents import RememberingReach, Training, load_policy, load_remembering, train
-from pickenv.agents.evaluation.compared_policies import kind_of, maker_of
+from pickenv.agents.evaluation.contenders import kind_of, maker_of
 from pickenv.agents.policies.foreign import foreign_policy
 from pickenv.agents.policies.remembering import remembers
 from pickenv.agents.training.checkpoints import read_checkpoint

@@ -15,8 +15,16 @@ from pickenv.arm import forward, joint_jacobian, load_plant, noncompensable_erro
 from pickenv.arm.plant.campaign import effect_shares
 from pickenv.inspect import Comparison, RecordedPolicy, record_comparison
 from pickenv.inspect.colours import GREY, STEEL, policy_colours, viridis
-from pickenv.inspect.recordings.details import FLOOR, attitude_fields, details_of, effect_fields
-from pickenv.inspect.recordings.field_day import CAMERA_STD, day_of, drifting_plant, joints_at
+from pickenv.inspect.recordings.details import (
+    CAMERA_STD,
+    FLOOR,
+    attitude_fields,
+    day_of,
+    details_of,
+    drifting_plant,
+    effect_fields,
+    joints_at,
+)
 from pickenv.inspect.runs.comparison_summary import cell_means
 from pickenv.inspect.runs.saved import cut_away
 

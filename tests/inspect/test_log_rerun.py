@@ -25,7 +25,7 @@ from pickenv.base import InputError
 from pickenv.envs import HarvestEnv, ReachVectorEnv
 from pickenv.inspect import LogRerun, LogRerunVector
 from pickenv.inspect.recordings import live, log_rerun
-from pickenv.inspect.recordings.episodes import capped_cubic
+from pickenv.inspect.recordings.episode_entities import capped_cubic
 from pickenv.inspect.recordings.live import Live, check_answers
 
 RERUN = Path(sys.executable).with_name("rerun")

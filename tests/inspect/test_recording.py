@@ -17,7 +17,7 @@ from pickenv.base import InputError
 from pickenv.inspect import Comparison, record_comparison
 from pickenv.inspect.colours import lane, viridis
 from pickenv.inspect.recordings import comparison_recording as recording
-from pickenv.inspect.recordings.scribe import Scribe, f32, recording_bytes, send_arrows
+from pickenv.inspect.recordings.scribe import Scribe, f32, recording_bytes
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm
 from pickenv.inspect.runs.saved import cut_away
 
@@ -195,7 +195,7 @@ def test_a_hundred_thousand_arrows(read_out: bool, most: float, benchmark: Any) 
 
     def send(stream: Any) -> None:
         if read_out:
-            send_arrows(Scribe(stream), "field", points, 20.0 * errors, 1e3 * errors, 3.0)
+            Scribe(stream).arrows("field", points, 20.0 * errors, 1e3 * errors, 3.0)
         else:
             colours = viridis(np.linalg.norm(1e3 * errors, axis=-1) / 3.0)
             arrows = rr.Arrows3D(origins=f32(points), vectors=f32(20.0 * errors), colors=colours)

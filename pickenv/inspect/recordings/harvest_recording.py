@@ -21,8 +21,7 @@ from pickenv.harvester.harvest_run import Round
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.joint_motion import master_time, profile
 from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL, Rgb, arm_colour
-from pickenv.inspect.recordings.blueprint import layout, seen_from
-from pickenv.inspect.recordings.scribe import Scribe, f32, write_recording
+from pickenv.inspect.recordings.scribe import Scribe, f32, layout, seen_from, write_recording
 
 STEP = 0.05
 """s, between two pictures."""

@@ -17,11 +17,24 @@ from pickenv.arm import Array
 from pickenv.base import versions
 from pickenv.inspect.colours import WHITE, lane, policy_colours
 from pickenv.inspect.figures.field_figure import field_gain
-from pickenv.inspect.recordings.blueprint import seen_from, with_colour_bar
-from pickenv.inspect.recordings.episode_blueprint import EYE, at_the_end, distance_plot, number_plots, target_view
-from pickenv.inspect.recordings.episode_entities import GAIN, send_looks, send_rows
-from pickenv.inspect.recordings.episodes import Row, Scene
-from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, write_recording
+from pickenv.inspect.recordings.episode_entities import (
+    EYE,
+    GAIN,
+    Row,
+    Scene,
+    at_the_end,
+    distance_plot,
+    number_plots,
+    send_looks,
+    send_rows,
+    target_view,
+)
+from pickenv.inspect.recordings.scribe import (
+    Scribe,
+    seen_from,
+    with_colour_bar,
+    write_recording,
+)
 from pickenv.inspect.runs.comparison_summary import comparison_markdown, error_spread, field_mm, scale_end
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.saved import shown_box
@@ -113,8 +126,8 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
         scribe.still(
             f"fields/{name}/name", rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
         )
-        send_arrows(scribe, f"fields/{name}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
-    send_colour_bar(scribe, "legend/position", top, "mm")
+        scribe.arrows(f"fields/{name}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
+    scribe.colour_bar("legend/position", top, "mm")
 
 
 def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:

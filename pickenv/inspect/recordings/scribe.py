@@ -84,6 +84,84 @@ class Scribe:
         if self.times:
             self.stream.send_columns(entity, self.times, [c for several in columns for c in several], strict=True)
 
+    def arrows(self, entity: str, origins: Array, arrows: Array, values: Array, top: float, unit: str = "mm") -> None:
+        """A field of arrows for all time, coloured by the length of what they stand for.
+
+        Args:
+            entity: Its name.
+            origins: Where the arrows stand ``(N, 3)``, m.
+            arrows: The arrows as drawn ``(N, 3)``, m.
+            values: The vectors that a click reads out ``(N, 3)``, in ``unit``.
+            top: Upper end of the colour scale, in ``unit``.
+            unit: Unit of ``values``.
+        """
+        colours = viridis(np.linalg.norm(values, axis=-1) / top)
+        drawn = rr.Arrows3D(origins=f32(origins), vectors=f32(arrows), colors=colours, radii=rr.Radius.ui_points(1.6))
+        self.still(entity, drawn, reading(values, unit))
+
+    def arm(
+        self, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
+    ) -> None:
+        """An arm that stands elsewhere at every moment; ``points`` ``(T, K, 3)``, m, and ``parts`` as of `capsules`."""
+        count = len(parts)
+        self.still(
+            entity,
+            rr.Capsules3D.from_fields(
+                radii=f32(thickness * np.linspace(BASE_RADIUS, TOOL_RADIUS, count)),
+                colors=[colour] * count,
+                line_radii=rr.Radius.ui_points(0.6),
+                fill_mode=fill_mode,
+            ),
+        )
+        self.move_arm(entity, points, parts)
+
+    def move_arm(self, entity: str, points: Array, parts: list[int]) -> None:
+        """Where an arm stands at every moment, for one whose looks were sent by `arm`."""
+        rods = capsules(points, parts)
+        moving = rr.Capsules3D.columns(
+            lengths=f32(rods.length.ravel()),
+            translations=f32(rods.start.reshape(-1, 3)),
+            quaternions=f32(rods.quaternion.reshape(-1, 4)),
+        )
+        self.along(entity, moving.partition([len(parts)] * len(points)))
+
+    def capture(self, tolerance_mm: float) -> None:
+        """The gripper's capture region as seen from the fruit, a ball of that radius, mm."""
+        ball = rr.Ellipsoids3D(
+            half_sizes=[[tolerance_mm] * 3],
+            colors=[(*RED, 200)],
+            line_radii=rr.Radius.ui_points(0.8),
+            fill_mode="majorwireframe",
+        )
+        self.still("target/capture", ball)
+
+    def voxels(
+        self, entity: str, index: NDArray[np.int64], values: Array, top: float, step: float, corner: Array
+    ) -> None:
+        """Cells ``index`` ``(C, 3)`` of a grid of ``step`` m from ``corner`` on, coloured by ``values`` ``(C,)``."""
+        self.still(
+            entity,
+            rr.VoxelGridMap(
+                np.asarray(index, dtype=np.int32),
+                [step] * 3,
+                values=f32(values),
+                value_range=[0.0, top],
+                colormap="Viridis",
+                translation=corner,
+            ),
+        )
+
+    def colour_bar(self, entity: str, top: float, unit: str) -> None:
+        """A colour scale from 0 to ``top`` with its unit: an image and its ticks below ``entity``."""
+        width, height = COLOUR_BAR_PIXELS
+        bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
+        self.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
+        at = ticks(top)
+        positions = [(tick / top * width, height - 1.0) for tick in at]
+        labels = [f"{tick:g}" for tick in at[:-1]] + [f"{at[-1]:g} {unit}"]
+        words = rr.Points2D(positions, labels=labels, radii=0.0, colors=[WHITE], show_labels=True)
+        self.still(f"{entity}/ticks", words)
+
 
 def f32(values: ArrayLike) -> Any:
     """Values in the precision in which rerun keeps them."""
@@ -110,88 +188,47 @@ def _readings(vectors: Array, unit: str) -> dict[str, Any]:
     return {f"norm_{unit}": lengths, f"xyz_{unit}": rr.components.Vector3DBatch(f32(vectors))}
 
 
-def send_arrows(
-    scribe: Scribe, entity: str, origins: Array, arrows: Array, values: Array, top: float, unit: str = "mm"
-) -> None:
-    """A field of arrows for all time, coloured by the length of what they stand for.
-
-    Args:
-        scribe: Where to.
-        entity: Its name.
-        origins: Where the arrows stand ``(N, 3)``, m.
-        arrows: The arrows as drawn ``(N, 3)``, m.
-        values: The vectors that a click reads out ``(N, 3)``, in ``unit``.
-        top: Upper end of the colour scale, in ``unit``.
-        unit: Unit of ``values``.
-    """
-    colours = viridis(np.linalg.norm(values, axis=-1) / top)
-    drawn = rr.Arrows3D(origins=f32(origins), vectors=f32(arrows), colors=colours, radii=rr.Radius.ui_points(1.6))
-    scribe.still(entity, drawn, reading(values, unit))
+BACKGROUND = (72, 72, 80)
+"""Explicit, so that 3D views look the same in either theme; a grey from which both ends of Viridis stand out."""
+MOST_ABREAST = 4
+"""Views side by side before there is another row of them."""
 
 
-def send_arm(
-    scribe: Scribe, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
-) -> None:
-    """An arm that stands at another pose at every moment; ``points`` ``(T, K, 3)`` and ``parts`` as in `links`, m."""
-    count = len(parts)
-    scribe.still(
-        entity,
-        rr.Capsules3D.from_fields(
-            radii=f32(thickness * np.linspace(BASE_RADIUS, TOOL_RADIUS, count)),
-            colors=[colour] * count,
-            line_radii=rr.Radius.ui_points(0.6),
-            fill_mode=fill_mode,
-        ),
-    )
-    move_arm(scribe, entity, points, parts)
-
-
-def move_arm(scribe: Scribe, entity: str, points: Array, parts: list[int]) -> None:
-    """Where an arm stands at every moment, for one whose looks were sent by `send_arm`."""
-    rods = capsules(points, parts)
-    moving = rr.Capsules3D.columns(
-        lengths=f32(rods.length.ravel()),
-        translations=f32(rods.start.reshape(-1, 3)),
-        quaternions=f32(rods.quaternion.reshape(-1, 4)),
-    )
-    scribe.along(entity, moving.partition([len(parts)] * len(points)))
-
-
-def send_capture(scribe: Scribe, tolerance_mm: float) -> None:
-    """The gripper's capture region as seen from the fruit, a ball of that radius, mm."""
-    ball = rr.Ellipsoids3D(
-        half_sizes=[[tolerance_mm] * 3],
-        colors=[(*RED, 200)],
-        line_radii=rr.Radius.ui_points(0.8),
-        fill_mode="majorwireframe",
-    )
-    scribe.still("target/capture", ball)
-
-
-def send_voxels(
-    scribe: Scribe, entity: str, index: NDArray[np.int64], values: Array, top: float, step: float, corner: Array
-) -> None:
-    """Cells ``index`` ``(C, 3)`` of a grid of ``step`` m that begins at ``corner``, coloured by ``values`` ``(C,)``."""
-    scribe.still(
-        entity,
-        rr.VoxelGridMap(
-            np.asarray(index, dtype=np.int32),
-            [step] * 3,
-            values=f32(values),
-            value_range=[0.0, top],
-            colormap="Viridis",
-            translation=corner,
-        ),
+def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
+    """A blueprint without panels but the time line, which stands still at first and then loops, if not told else."""
+    return rrb.Blueprint(
+        content,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=time_line, **{"loop_mode": "all", "play_state": "paused"} | time),
+        auto_views=False,
     )
 
 
-def send_colour_bar(scribe: Scribe, entity: str, top: float, unit: str) -> None:
-    """A colour scale from 0 to ``top`` with its unit: an image and its ticks below ``entity``."""
-    width, height = COLOUR_BAR_PIXELS
-    bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
-    scribe.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
-    at = ticks(top)
-    positions = [(tick / top * width, height - 1.0) for tick in at]
-    labels = [f"{tick:g}" for tick in at[:-1]] + [f"{at[-1]:g} {unit}"]
-    words = rr.Points2D(positions, labels=labels, radii=0.0, colors=[WHITE], show_labels=True)
-    scribe.still(f"{entity}/ticks", words)
+def seen_from(
+    eye: Array, look: Array, origin: str, contents: list[str], name: str, *, ground: bool = True, **more: Any
+) -> Any:
+    """A view in 3D from ``eye`` to ``look`` ``(3,)``, above a grid on the ground or not."""
+    grid = {"visible": True, "spacing": 0.5, "stroke_width": 0.5, "color": (255, 255, 255, 30)}
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=contents,
+        name=name,
+        background=BACKGROUND,
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=look, eye_up=[0.0, 0.0, 1.0]),
+        line_grid=rrb.LineGrid3D(**(grid if ground else {"visible": False})),
+        **more,
+    )
+
+
+def with_colour_bar(views: list[Any], key: str, meaning: str, name: str) -> Any:
+    """A tab: ``views`` side by side, in rows where they are many, and below them the colour bar `/legend/key`."""
+    bar = rrb.Spatial2DView(
+        origin=f"/legend/{key}",
+        contents=[f"+ /legend/{key}/**"],
+        name=meaning,
+        background=BACKGROUND,
+        visual_bounds=rrb.VisualBounds2D(x_range=[-14.0, 534.0], y_range=[-4.0, 20.0]),
+    )
+    rows = rrb.Grid(*views, grid_columns=-(-len(views) // -(-len(views) // MOST_ABREAST)))
+    return rrb.Vertical(rows, bar, row_shares=[5.2, 1.0], name=name)

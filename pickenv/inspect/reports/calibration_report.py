@@ -20,8 +20,18 @@ from pickenv.calibration.pipeline.result import SIGMAS, has_moved
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
-from pickenv.inspect.reports.report_page import Bar, Folded, Page, PageTable, PageVerdict, Pair, Section, html_of
-from pickenv.inspect.reports.report_words import axis_table, named_values, parameter_words
+from pickenv.inspect.reports.report_page import (
+    Bar,
+    Folded,
+    Page,
+    PageTable,
+    PageVerdict,
+    Pair,
+    Section,
+    axis_table,
+    html_of,
+)
+from pickenv.inspect.reports.report_words import named_values, parameter_words
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, views_of
 from pickenv.inspect.runs.matters import matters, pick_changes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report

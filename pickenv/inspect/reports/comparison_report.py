@@ -5,21 +5,8 @@ from __future__ import annotations
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.field_figure import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn
-from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, PageVerdict
-from pickenv.inspect.runs.comparison_summary import (
-    DIFFERENCES,
-    HEADS,
-    INTERVALS,
-    NO_INTERVAL,
-    change_table,
-    difference_cells,
-    explanation,
-    outcome_sentence,
-    policy_differences,
-    policy_rows,
-    row_cells,
-)
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
+from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
@@ -68,31 +55,31 @@ def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """The page of a comparison's run folder."""
     episodes = load_part(run, RecordedEpisodes)
-    rows, lines = policy_rows(episodes), policy_differences(episodes)
+    rows, lines = summary.policy_rows(episodes), summary.policy_differences(episodes)
     enough = any(row["ci95_mm"] is not None for row in rows)
-    said = INTERVALS if enough else NO_INTERVAL
+    said = summary.INTERVALS if enough else summary.NO_INTERVAL
     tables = [
         PageTable(
             f"Miss where the gripper closed, attitude at the end, and fruit picked by {episodes.gripper}; {said}",
-            HEADS,
-            [row_cells(row) for row in rows],
+            summary.HEADS,
+            [summary.row_cells(row) for row in rows],
         )
     ]
     if lines:
         tables.append(
             PageTable(
                 "Fruit by fruit, the later policy minus the earlier one; of shares picked Newcombe's paired interval",
-                DIFFERENCES,
-                [difference_cells(line) for line in lines],
+                summary.DIFFERENCES,
+                [summary.difference_cells(line) for line in lines],
             )
         )
-    if changed := change_table(episodes):
+    if changed := summary.change_table(episodes):
         tables.append(
             PageTable(
                 "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)", *changed
             )
         )
-    verdict = PageVerdict("note", outcome_sentence(episodes), explanation(episodes))
+    verdict = PageVerdict("note", summary.outcome_sentence(episodes), summary.explanation(episodes))
     plant = f" on the plant {episodes.plant_name}" if episodes.plant_name else ""
     subtitle = f"Simulated; {len(episodes.seeds)} episodes of {episodes.env_id}{plant}, the same for all policies"
     return plain_report(run, "Comparison of policies", subtitle, verdict, tables, policy_drawings(episodes))

@@ -7,8 +7,7 @@ from typing import Any
 
 from pickenv.inspect.figures import plot_conditions
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
-from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, PageVerdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.reports.report_words import estimated
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_conditions
 

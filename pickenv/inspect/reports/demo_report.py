@@ -10,14 +10,13 @@ import numpy as np
 from pickenv.arm import Array, noncompensable_error
 from pickenv.base import InputError, mean_interval, share_interval
 from pickenv.calibration import Calibration
-from pickenv.calibration.assessment import metrics
-from pickenv.calibration.assessment.metrics import LEAST_ROWS
+from pickenv.calibration.assessment.metrics import LEAST_ROWS, ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.inspect.figures.plot_calibration import joint_ranges
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
 from pickenv.inspect.reports.report_interactive import field_spec, pose_spec
-from pickenv.inspect.reports.report_words import axis_table, between, estimated, named_values, percent
+from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
@@ -88,7 +87,7 @@ def demo_verdict(
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     first_mm, last_mm = first.ends.position_error_mm, last.ends.position_error_mm
-    before, after, gain = metrics.error_statistics(first_mm), metrics.error_statistics(last_mm), first_mm - last_mm
+    before, after, gain = error_statistics(first_mm), error_statistics(last_mm), first_mm - last_mm
     ends = mean_interval(gain, LEAST_ROWS)
     picked, total = within(comparison, last), len(last_mm)
     least, most = share_interval(picked, total)
@@ -154,16 +153,16 @@ def _expected(chances: Array) -> str:
     return percent(float(chances.mean()), *share_interval(float(chances.sum()), len(chances)))
 
 
-def _mean(statistics: metrics.ErrorStatistics, digits: int = 2) -> str:
+def _mean(statistics: ErrorStatistics, digits: int = 2) -> str:
     low, high = statistics.mean_ci95 or (None, None)
     return estimated(statistics.mean, low, high, digits)
 
 
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
     first, last = (
-        metrics.error_statistics(p.ends.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1])
+        error_statistics(p.ends.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1])
     )
-    held_out = [metrics.error_statistics(values) for values in norms_mm(trace.errors).values()]
+    held_out = [error_statistics(values) for values in norms_mm(trace.errors).values()]
     return {
         "mean position error of the reaches, raw → calibrated": f"{first.mean:.2f} → {last.mean:.2f} mm",
         "95 of 100 reaches are better than this": f"{last.p95:.2f} mm",
@@ -180,8 +179,8 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
     rows = []
     for policy in comparison.policies:
         position, attitude = (
-            metrics.error_statistics(policy.ends.position_error_mm),
-            metrics.error_statistics(policy.ends.attitude_error_deg),
+            error_statistics(policy.ends.position_error_mm),
+            error_statistics(policy.ends.attitude_error_deg),
         )
         shares = [_share(comparison, policy), *(_expected(held[policy.label].success[name]) for name in grippers)]
         cells = [share.replace(" %", "") for share in shares]
@@ -220,7 +219,7 @@ def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, 
     return report_page.Section(
         "Held-out poses",
         (
-            axis_table(caption, stages, "{:.3f}".format),
+            report_page.axis_table(caption, stages, "{:.3f}".format),
             _floors(comparison, trace) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
             report_page.Interactive(drawn["error_per_test_pose"], pose_spec(norms_mm(trace.errors)), hint),
             report_page.Pair((drawn["error_histogram"], drawn["error_against_extension"])),

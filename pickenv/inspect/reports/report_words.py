@@ -3,13 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
-
-from pickenv.calibration.assessment.quality import AxisErrors
-
-if TYPE_CHECKING:
-    from pickenv.inspect.reports.report_page import PageTable
+from collections.abc import Mapping, Sequence
 
 LINK_WORDS = {
     "alpha": "twist between the axes of {before} and {after}",
@@ -59,31 +53,6 @@ def percent(share: float, low: float | None, high: float | None, digits: int = 0
 def named_values(values: Mapping[str, object]) -> str:
     """Names and values in a line: numpy 2.0, scipy 1.15."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
-
-
-def axis_table(caption: str, stages: Mapping[str, Sequence[AxisErrors]], say: Callable[[float], str]) -> PageTable:
-    """Errors per degree of freedom, four columns for each stage.
-
-    Args:
-        caption: What the errors are of.
-        stages: For each stage, by label, its errors along and about each axis.
-        say: How a number is written.
-    """
-    from pickenv.inspect.reports.report_page import PageTable  # pages need Jinja, numbers on a terminal do not
-
-    heads = ["axis", *(f"{label} {what}" for label in stages for what in ("mean", "std", "RMSE", "max"))]
-    rows = [
-        [
-            f"{axes[0].axis} ({axes[0].unit})",
-            *(
-                cell
-                for a in axes
-                for cell in ("+" * (a.mean >= 0.0) + say(a.mean), say(a.std), say(a.rmse), say(a.max))
-            ),
-        ]
-        for axes in zip(*stages.values(), strict=True)
-    ]
-    return PageTable(caption, heads, rows, "dense")
 
 
 def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[str] | None = None) -> str:

@@ -14,8 +14,7 @@ from gymnasium import spaces
 
 from pickenv.agents import RandomReach, ServoReach, compare, episode_seeds
 from pickenv.agents.evaluation.compare import GRID_STEP, _command, _field
-from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
-from pickenv.agents.evaluation.contenders import contenders_of
+from pickenv.agents.evaluation.contenders import Kind, contenders_of, kind_of, maker_of, policy_name
 from pickenv.agents.policies.adaptive import CALIBRATED_PRIOR
 from pickenv.arm import load_plant
 from pickenv.base import InputError, seed_words, stream
