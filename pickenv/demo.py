@@ -16,7 +16,7 @@ import numpy as np
 import pickenv
 from pickenv.agents import Reaches, ScriptedReach, episode_seeds, run_reaches
 from pickenv.arm import Array, Plant, forward, load_plant, noncompensable_error, pose_error
-from pickenv.base import absent_extras, share_interval, write_json, write_text
+from pickenv.base import absent_extras, command_line, share_interval, write_json, write_text
 from pickenv.calibration import (
     BpnnSettings,
     Choices,
@@ -93,7 +93,7 @@ class DemoSettings:
         """The command line, or the call, that makes the same numbers."""
         if not self.is_quick and replace(self, network=True) != DemoSettings(self.seed):
             return f"run_demo({self!r})"
-        return f"pickenv demo --seed {self.seed}" + " --quick" * self.is_quick + " --no-network" * (not self.network)
+        return command_line("pickenv", "demo", seed=self.seed, quick=self.is_quick, no_network=not self.network)
 
 
 @dataclass(frozen=True, eq=False)

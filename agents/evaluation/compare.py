@@ -266,8 +266,8 @@ def _recorded_policy(
 def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
     """Probability ``(E,)`` that the gripper takes each fruit, given true against wanted pose ``(E, 6)``."""
     turn = np.concatenate([np.zeros((len(error), 3)), -error[:, 3:]], axis=1)
-    wanted = displace_pose(tool, turn).rotation[..., 2]
-    lying = misalignment(fruit - tool.position, tool.rotation[..., 2], wanted)
+    aim = displace_pose(tool, turn).rotation[..., 2]
+    lying = misalignment(fruit - tool.position, tool.rotation[..., 2], aim)
     return capture_probability(judge, lying.lateral, lying.axial, lying.angle)
 
 
@@ -297,7 +297,7 @@ def _field(
 def _recorded(folder: Path) -> RecordedEpisodes:
     run = read_run(folder)
     if run.kind != "comparison":
-        raise InputError(f"{folder} is a run of kind '{run.kind}'; give a folder that `pickenv compare --out` wrote")
+        raise InputError(f"{folder} is a run of kind '{run.kind}'; give a folder that `pickenv compare` wrote")
     return load_part(run, RecordedEpisodes)
 
 

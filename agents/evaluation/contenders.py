@@ -100,8 +100,8 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
 
     def make(env: Any, seed: int) -> Policy:
         if name in names("policy"):
-            known = {"camera_noise_mm": camera_noise_mm, "compensation": compensation}
-            return foreign.registered_policy(name, env, seed, known if kind_of(name).sequential else {})
+            options = {"camera_noise_mm": camera_noise_mm, "compensation": compensation}
+            return foreign.registered_policy(name, env, seed, options if kind_of(name).sequential else {})
         if Path(name).suffix in foreign.SUFFIXES:
             return foreign.foreign_policy(name, env, seed)
         policy = load_any(name, env.unwrapped.task.plant.arm)
@@ -193,31 +193,34 @@ def contenders_of(
             calibration.
     """
     pairs = [_pair(policy) for policy in policies]
-    given = [None if each in (None, NONE) else each for each in compensate]
-    if len(pairs) == 1 and len(given) > 1 and pairs[0][1] is None:
-        pairs = pairs * len(given)
-    if len(given) == 1:
-        given = given * len(pairs)
-    if given and len(given) != len(pairs):
+    calibrations = [None if calibration in (None, NONE) else calibration for calibration in compensate]
+    if len(pairs) == 1 and len(calibrations) > 1 and pairs[0][1] is None:
+        pairs = pairs * len(calibrations)
+    if len(calibrations) == 1:
+        calibrations = calibrations * len(pairs)
+    if calibrations and len(calibrations) != len(pairs):
         raise InputError(
-            f"there are {len(pairs)} policies and {len(given)} calibrations; give one for each ({NONE} for a raw arm), "
-            "one for all, or one policy"
+            f"there are {len(pairs)} policies and {len(calibrations)} calibrations; give one for each ({NONE} for a raw "
+            "arm), one for all, or one policy"
         )
-    pairs = [(policy, own or other) for (policy, own), other in zip(pairs, given or [None] * len(pairs), strict=True)]
-    stages = [_calibrated(calibration, arm, allow) for _, calibration in pairs]
+    behind = calibrations or [None] * len(pairs)
+    stages = [
+        _calibrated(built_in or calibration, arm, allow)
+        for (_, built_in), calibration in zip(pairs, behind, strict=True)
+    ]
     names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _, _ in stages])
     if len(names) != len(pairs):
         raise InputError(f"there are {len(pairs)} policies and {len(names)} labels; give each one label")
-    found = []
+    contenders = []
     for (policy, _), (stage, calibration, compensator), label in zip(pairs, stages, names, strict=True):
         if isinstance(policy, str | Path):
             kind_of(str(policy))
             make = maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)
         else:
             make = _ready(policy)
-        found.append(Contender(label, make, compensator, calibration))
+        contenders.append(Contender(label, make, compensator, calibration))
     check_labels(names)
-    return sorted(found, key=lambda each: policy_rank(each.label))
+    return sorted(contenders, key=lambda contender: policy_rank(contender.label))
 
 
 def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) -> Compensate:
@@ -243,7 +246,7 @@ def check_labels(labels: Sequence[str]) -> None:
         if not key:
             raise InputError(f"the label '{label}' has no letter or digit; give another")
         if keys.count(key) > 1:
-            raise InputError(f"two policies are called '{label}'; give each its own --label")
+            raise InputError(f"two policies are called '{label}'; give each its own `label`")
 
 
 def _ready(policy: Policy) -> PolicyMaker:

@@ -146,13 +146,13 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
         return
     scribe.still("world/fruit", rr.Points3D(comparison.fruit, colors=[FRUIT], radii=FRUIT_RADIUS))
     first = comparison.policies[0].ends
-    believed = nominal_points(comparison.nominal, first.joint_command)
+    nominal = nominal_points(comparison.nominal, first.joint_command)
     true = true_points(comparison.plant.geometry, first.joint_command, first.tool_position)
-    parts = drawn_parts(believed)
-    drawn = believed + gain * (true - believed)
-    scribe.arm("world/arm/nominal", believed, parts, GREY, "majorwireframe")
+    parts = drawn_parts(nominal)
+    exaggerated = nominal + gain * (true - nominal)
+    scribe.arm("world/arm/nominal", nominal, parts, GREY, "majorwireframe")
     scribe.arm("world/arm/true", true, parts, STEEL, "solid")
-    scribe.arm("world/arm/exaggerated", drawn, parts, _colours(comparison)[0], "solid", 0.5)
+    scribe.arm("world/arm/exaggerated", exaggerated, parts, _colours(comparison)[0], "solid", 0.5)
 
 
 def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, gain: float) -> None:
@@ -164,9 +164,9 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, 
     )
     errors, step = policy.field_errors, comparison.grid.step
     scribe.arrows(f"{entity}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
-    kept, index = ~cut_away(comparison), comparison.grid.index
+    visible, index = ~cut_away(comparison), comparison.grid.index
     corner = comparison.grid.origin - step / 2.0
-    scribe.voxels(f"{entity}/voxels", *summary.cell_means(index[kept], magnitude[kept]), top, step, corner)
+    scribe.voxels(f"{entity}/voxels", *summary.cell_means(index[visible], magnitude[visible]), top, step, corner)
     index, mean = summary.cell_means(index, magnitude)
     grid = np.full(comparison.grid.shape, np.nan, dtype=np.float32)
     grid[tuple(index.T)] = mean

@@ -66,13 +66,13 @@ def send_details(scribe: Scribe, comparison: Comparison, details: Details, gain:
 
 def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array) -> None:
     """Predicted uncertainty and what the last policy really misses by, on one scale."""
-    top, kept = summary.uncertainty_scale_mm(comparison), ~cut_away(comparison)
+    top, visible = summary.uncertainty_scale_mm(comparison), ~cut_away(comparison)
     corner = comparison.grid.corner
     for name, values in (
         ("predicted", 1e3 * uncertainty),
         ("actual", summary.field_mm(comparison.policies[-1])),
     ):
-        cells = summary.cell_means(comparison.grid.index[kept], values[kept])
+        cells = summary.cell_means(comparison.grid.index[visible], values[visible])
         scribe.voxels(f"world/uncertainty/{name}", *cells, top, comparison.grid.step, corner)
     scribe.colour_bar("legend/uncertainty", top, "mm")
 
@@ -155,10 +155,10 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
     The tool is settled, the arm warm and the machine sunk. Effects that show only on the way there have no field.
     """
     plant, joints = comparison.plant, comparison.grid.joints
-    believed = forward(comparison.nominal, joints).position
+    nominal = forward(comparison.nominal, joints).position
     fields = {}
     for name in causes_of(plant):
-        field = alone(plant, name).tool_pose(joints).position - believed
+        field = alone(plant, name).tool_pose(joints).position - nominal
         if np.abs(field).max(initial=0.0) > NO_FIELD:
             fields[name] = field
     return fields
@@ -223,10 +223,10 @@ class Day:
 
     def lines(self, labels: Mapping[str, str]) -> dict[str, tuple[str, Array]]:
         """Label and errors ``(R times, any)`` of each line that is drawn, by key, given the policies' labels."""
-        drawn = {key: (labels[key], errors) for key, errors in self.errors_mm.items()}
+        lines = {key: (labels[key], errors) for key, errors in self.errors_mm.items()}
         if self.adapted_mm is not None:
-            drawn[ADAPTED] = (f"{list(labels.values())[-1]}, adapted", self.adapted_mm)
-        return drawn
+            lines[ADAPTED] = (f"{list(labels.values())[-1]}, adapted", self.adapted_mm)
+        return lines
 
     def explanation(self, labels: Mapping[str, str]) -> str:
         """What happens here and why, in Markdown, with the mean errors of the day."""
@@ -313,11 +313,11 @@ def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     for k in range(count):
         turn = (starts + k) % count
         joints = aimed(nominal, filters, intended[turn])
-        given = np.clip(commands[turn] + joints - intended[turn], nominal.lower, nominal.upper)
-        state, tool = _driven(plant, state, given, dt)
+        command = np.clip(commands[turn] + joints - intended[turn], nominal.lower, nominal.upper)
+        state, tool = _driven(plant, state, command, dt)
         errors[k] = 1e3 * np.linalg.norm(tool - comparison.fruit[turn], axis=-1)
-        seen = tool + CAMERA_STD * rng.standard_normal(tool.shape)
-        filters = taught(filters, joints, seen, LOOK, WALK, dt)
+        looks = tool + CAMERA_STD * rng.standard_normal(tool.shape)
+        filters = taught(filters, joints, looks, LOOK, WALK, dt)
     return errors
 
 

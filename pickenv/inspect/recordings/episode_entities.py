@@ -229,8 +229,8 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
             name = f"gripper's tolerance, {scene.tolerance_mm:g} mm"
             scribe.still("distance/tolerance", rr.SeriesLines(names=[name], colors=[RED], widths=[WIDTHS[0]]))
     for unit, names in number_groups(info).items():
-        said = [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
-        _name_curves(scribe, f"metrics/{unit}/{lane(key)}", rows, said, colour)
+        labels = [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
+        _name_curves(scribe, f"metrics/{unit}/{lane(key)}", rows, labels, colour)
     if "is_success" in info:
         states = rr.StateConfiguration(
             values=["yes", "no"],
@@ -350,8 +350,8 @@ def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
     """
     assert scene.nominal is not None
     command = column(rows, "joint_command")
-    believed = command if rows[0].target is None else np.array([row.target for row in rows], dtype=float)
-    return nominal_points(scene.nominal, believed), true_points(scene.nominal, command, column(rows, "tool_position"))
+    target = command if rows[0].target is None else np.array([row.target for row in rows], dtype=float)
+    return nominal_points(scene.nominal, target), true_points(scene.nominal, command, column(rows, "tool_position"))
 
 
 # The default layout: the arms beside how far the tool is from the fruit, and what `info` says.

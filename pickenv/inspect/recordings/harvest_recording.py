@@ -43,16 +43,16 @@ def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Pat
     """
     if not harvest.rounds:
         raise InputError("the harvest has no round, so there is no zone to show; harvest a tree with fruit in reach")
-    shown = max(harvest.rounds, key=lambda item: len(item.fruit))
-    zone = shown.zone.name.replace(",", "").replace(" ", "_")
-    fruit = harvest.tree.fruit[shown.zone.holds(harvest.tree.fruit)]
-    masters = np.stack([machine.master_start, shown.master])
+    busiest = max(harvest.rounds, key=lambda item: len(item.fruit))
+    zone = busiest.zone.name.replace(",", "").replace(" ", "_")
+    fruit = harvest.tree.fruit[busiest.zone.holds(harvest.tree.fruit)]
+    masters = np.stack([machine.master_start, busiest.master])
     resting = machine.tips(masters, np.broadcast_to(machine.slave_home, (2, machine.arms, 3))).reshape(-1, 3)
     return write_recording(
         path,
         f"harvest-{zone}",
-        _blueprint(np.concatenate([fruit, resting]), machine.frame3(shown.master), machine.arms),
-        lambda stream: _send(stream, machine, harvest, shown),
+        _blueprint(np.concatenate([fruit, resting]), machine.frame3(busiest.master), machine.arms),
+        lambda stream: _send(stream, machine, harvest, busiest),
     )
 
 

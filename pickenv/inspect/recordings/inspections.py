@@ -79,9 +79,9 @@ def evaluation_compared(runs: Mapping[str, Reaches], plant: Plant, tolerance_mm:
     if not runs:
         raise InputError("there are no episodes to show; give the ends of at least one policy's episodes")
     label, first = next(iter(runs.items()))
-    for other, ends in runs.items():
+    for name, ends in runs.items():
         if not np.array_equal(ends.fruit_position, first.fruit_position):
-            raise InputError(f"'{other}' did not reach for the same fruit as '{label}'; evaluate both with equal seeds")
+            raise InputError(f"'{name}' did not reach for the same fruit as '{label}'; evaluate both with equal seeds")
     return Comparison(
         policies=tuple(
             ended(name, ends).with_field(
@@ -105,12 +105,12 @@ def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: i
             "fit one for this arm"
         )
     grid = field_grid(calibration.nominal, grid_step, seed)
-    wanted = forward(calibration.nominal, grid.joints)
+    target = forward(calibration.nominal, grid.joints)
     stages: dict[str, Compensator | None] = {"raw": None, "LS": calibration.compensator(with_residual=False)}
     if calibration.learnt is not None:
         stages[stage_label(calibration)] = calibration.compensator()
     errors = {
-        label: pose_error(wanted, plant.tool_pose(grid.joints if send is None else send(grid.joints)))
+        label: pose_error(target, plant.tool_pose(grid.joints if send is None else send(grid.joints)))
         for label, send in stages.items()
     }
     return _without_reaches(calibration, plant, errors, grid, seed)

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pickenv.base import InputError
+from pickenv.base import InputError, command_line
 
 VIEWER_PORT = 9876
 """Where rerun's viewer listens unless told otherwise."""
@@ -127,7 +127,7 @@ def check_screen() -> None:
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError(
             "there is no screen to open a viewer on (DISPLAY and WAYLAND_DISPLAY are not set); show it in a browser "
-            "with `pickenv inspect RUN --web`"
+            f"with `{command_line('pickenv', 'inspect', 'RUN', web=True)}`"
         )
 
 

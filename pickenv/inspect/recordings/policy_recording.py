@@ -76,7 +76,7 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
 def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
     """A policy's episodes as recorded steps, with what `info` said of them."""
     rows: list[Row] = []
-    known = not np.isnan(policy.attitude_error_deg).all()
+    has_attitude = not np.isnan(policy.attitude_error_deg).all()
     for e, moments in enumerate(policy.moments):
         for t in range(int(moments)):
             info = {
@@ -86,7 +86,7 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
                 "tool_position": policy.tool_position[e, t],
                 "fruit_position": policy.fruit_position[e, t],
             }
-            info |= {"attitude_error_deg": float(policy.attitude_error_deg[e, t])} if known else {}
+            info |= {"attitude_error_deg": float(policy.attitude_error_deg[e, t])} if has_attitude else {}
             info |= {"joint_command": policy.joint_command[e, t]} if arm else {}
             rows.append(Row(len(rows), e, t, e, float(policy.reward[e, t]), info, policy.joint_target[e, t]))
     return rows
@@ -158,8 +158,8 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     step, count = _step(low, high), len(episodes.policies)
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
     eye = middle + (0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))) * EYE
-    what = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
-    side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{what}; last episode")
+    subject = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
+    side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{subject}; last episode")
     largest = max(float(policy.ends.position_error_mm.max()) for policy in episodes.policies)
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
     first = rrb.Horizontal(

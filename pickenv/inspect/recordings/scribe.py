@@ -96,8 +96,10 @@ class Scribe:
             unit: Unit of ``values``.
         """
         colours = viridis(np.linalg.norm(values, axis=-1) / top)
-        drawn = rr.Arrows3D(origins=f32(origins), vectors=f32(arrows), colors=colours, radii=rr.Radius.ui_points(1.6))
-        self.still(entity, drawn, reading(values, unit))
+        archetype = rr.Arrows3D(
+            origins=f32(origins), vectors=f32(arrows), colors=colours, radii=rr.Radius.ui_points(1.6)
+        )
+        self.still(entity, archetype, reading(values, unit))
 
     def arm(
         self, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0

@@ -57,10 +57,10 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     episodes = load_part(run, RecordedEpisodes)
     rows, lines = summary.policy_rows(episodes), summary.policy_differences(episodes)
     enough = any(row["ci95_mm"] is not None for row in rows)
-    said = summary.INTERVALS if enough else summary.NO_INTERVAL
+    intervals = summary.INTERVALS if enough else summary.NO_INTERVAL
     tables = [
         PageTable(
-            f"Miss where the gripper closed, attitude at the end, and fruit picked by {episodes.gripper}; {said}",
+            f"Miss where the gripper closed, attitude at the end, and fruit picked by {episodes.gripper}; {intervals}",
             summary.HEADS,
             [summary.row_cells(row) for row in rows],
         )

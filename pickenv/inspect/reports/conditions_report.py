@@ -52,13 +52,13 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
     least = min(
         figure["mean_mm"] for sweep in result["sweeps"].values() for figure in sweep["methods"][usual]
     )  # what it leaves where it was made
-    said = "; ".join(f"{name} {_mean(figure)} mm" for name, figure in figures.items())
+    means = "; ".join(f"{name} {_mean(figure)} mm" for name, figure in figures.items())
     headline = (
         f"{usual.capitalize()}: {least:.2f} mm at its best, {figures[usual]['mean_mm']:.2f} mm over a working day"
     )
     if best not in ("raw", usual):
         headline += f"; {best}: {figures[best]['mean_mm']:.2f} mm"
-    return headline, f"In sessions that no fit has seen: {said}. Intervals are over {_over(result)}."
+    return headline, f"In sessions that no fit has seen: {means}. Intervals are over {_over(result)}."
 
 
 def condition_tables(result: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:

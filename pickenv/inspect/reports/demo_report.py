@@ -47,26 +47,26 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If a file of the run is missing or damaged.
     """
     comparison, trace = load_part(run, Comparison), load_part(run, CalibrationTrace)
-    cases = {name: [PickChange(**each) for each in case] for name, case in load_cases(run).items()}
+    cases = {name: [PickChange(**change) for change in case] for name, case in load_cases(run).items()}
     if not len(comparison.fruit):
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
     every = [*comparison_drawings(comparison), *trace_drawings(trace)]
-    drawn = {drawing.name: drawing for drawing in every if isinstance(drawing, Drawing)}
+    by_name = {drawing.name: drawing for drawing in every if isinstance(drawing, Drawing)}
     recording = run.folder / RECORDING
     sections = (
-        _reaches(comparison, drawn),
+        _reaches(comparison, by_name),
         _cases(cases),
-        _field(comparison, drawn),
-        _poses(comparison, trace, drawn),
-        _fit(trace, calibration, drawn),
+        _field(comparison, by_name),
+        _poses(comparison, trace, by_name),
+        _fit(trace, calibration, by_name),
         _recording(picture(recording) if picture and recording.is_file() else None),
     )
     return report_page.html_of(
         report_page.Page(
             f"Calibration and picking: {comparison.plant.name}",
             f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
-            f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("--quick" in run.command),
+            f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("quick" in run.command),
             demo_verdict(comparison, cases),
             sections,
             _origin(run, comparison, trace, calibration),
@@ -99,18 +99,18 @@ def demo_verdict(
     else:
         tone, headline = "bad", f"The calibrated arm does not suffice for {tolerance}"
     if (gain.mean() if ends is None else ends[0]) > 0.0:
-        said = NO_INTERVAL if ends is None else f"95 % interval {between(*ends, 2)}"
+        interval = NO_INTERVAL if ends is None else f"95 % interval {between(*ends, 2)}"
         removed = (
-            f"This one calibration removes {gain.mean():.2f} mm ({said}) of a mean position error of "
+            f"This one calibration removes {gain.mean():.2f} mm ({interval}) of a mean position error of "
             f"{before.mean:.2f} mm: {100 * gain.mean() / before.mean:.0f} %."
         )
     else:
-        said = NO_INTERVAL if ends is None else f"95 % interval {between(-ends[1], -ends[0], 2, '+')}"
+        interval = NO_INTERVAL if ends is None else f"95 % interval {between(-ends[1], -ends[0], 2, '+')}"
         removed = (
             f"This one calibration does not lower the mean position error of {before.mean:.2f} mm: it changes by "
-            f"{-gain.mean():+.2f} mm ({said})."
+            f"{-gain.mean():+.2f} mm ({interval})."
         )
-    lateral = [held.lateral_mm for held in gripped(comparison).values()]
+    lateral = [grip.lateral_mm for grip in gripped(comparison).values()]
     changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
     worth = " ".join(matters(name, changes) for name, changes in changed.items())
     return report_page.PageVerdict(
@@ -172,8 +172,8 @@ def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
 
 
 def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
-    held = gripped(comparison)
-    grippers = list(next(iter(held.values())).success)
+    grips = gripped(comparison)
+    grippers = list(next(iter(grips.values())).success)
     heads = ["policy", f"within {comparison.tolerance_mm:g} mm (%)", *(f"taken by {name} (%)" for name in grippers)]
     heads += ["position, mean (mm)", "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)"]
     rows = []
@@ -182,7 +182,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
             error_statistics(policy.ends.position_error_mm),
             error_statistics(policy.ends.attitude_error_deg),
         )
-        shares = [_share(comparison, policy), *(_expected(held[policy.label].success[name]) for name in grippers)]
+        shares = [_share(comparison, policy), *(_expected(grips[policy.label].success[name]) for name in grippers)]
         cells = [share.replace(" %", "") for share in shares]
         cells += [_mean(position, 3), *(f"{value:.3f}" for value in (position.rms, position.p95, position.max))]
         cells += [_mean(attitude, 3)]
@@ -235,15 +235,15 @@ def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
     def degrees(errors: Array) -> float:
         return float(np.degrees(np.linalg.norm(errors[:, 3:], axis=1)).mean())
 
-    said = "; ".join(
+    parts = "; ".join(
         f"{label} {degrees(errors):.3f}°, of which {degrees(noncompensable_error(geometry, joints, errors)):.3f}°"
         for label, errors in trace.errors.items()
     )
-    return f"Mean attitude error, and the part that no motion of {geometry.joints} joints removes on this arm: {said}."
+    return f"Mean attitude error, and the part that no motion of {geometry.joints} joints removes on this arm: {parts}."
 
 
 def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, Drawing]) -> report_page.Section:
-    dropped = ", ".join(name for name, kept in zip(trace.names, trace.kept, strict=True) if not kept)
+    dropped = ", ".join(name for name, identified in zip(trace.names, trace.kept, strict=True) if not identified)
     condition = trace.singular_values[0] / trace.singular_values[-1]
     name, joints = next(iter(trace.sets.items()))
     kind = "" if calibration.learnt is None else f", then {calibration.record['residual']['kind']} on what remains"

@@ -200,22 +200,22 @@ def html_of(page: Page) -> str:
 
 @cache
 def _templates() -> Environment:
-    found = Environment(
+    environment = Environment(
         loader=FileSystemLoader(HERE),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    found.globals["library"] = library
-    found.filters |= {
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.globals["library"] = library
+    environment.filters |= {
         "base64": lambda content: base64.b64encode(content).decode(),
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
         "kind": lambda part: type(part).__name__,
         "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
     }
-    return found
+    return environment
 
 
 def plain_report(
@@ -243,8 +243,8 @@ def plain_report(
 
 def drawings_of(run: Run) -> Drawings:
     """Every figure of a run, drawable or left out."""
-    found: Drawings = _pages(run).drawings(run)
-    return found
+    drawings: Drawings = _pages(run).drawings(run)
+    return drawings
 
 
 def page_of(run: Run, picture: TakePicture | None = None) -> str:
@@ -271,7 +271,7 @@ def axis_table(caption: str, stages: Mapping[str, Sequence[AxisErrors]], say: Ca
         stages: For each stage, by label, its errors along and about each axis.
         say: How a number is written.
     """
-    heads = ["axis", *(f"{label} {what}" for label in stages for what in ("mean", "std", "RMSE", "max"))]
+    heads = ["axis", *(f"{label} {statistic}" for label in stages for statistic in ("mean", "std", "RMSE", "max"))]
     rows = [
         [
             f"{axes[0].axis} ({axes[0].unit})",

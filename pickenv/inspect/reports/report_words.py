@@ -35,8 +35,8 @@ def between(low: float | None, high: float | None, digits: int, sign: str = "") 
 
 def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "") -> str:
     """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); alone where there is no interval."""
-    said = f"{_plain(value, digits):.{digits}f}{unit}"
-    return said if low is None and high is None else f"{said} ({between(low, high, digits)})"
+    text = f"{_plain(value, digits):.{digits}f}{unit}"
+    return text if low is None and high is None else f"{text} ({between(low, high, digits)})"
 
 
 def _plain(value: float, digits: int) -> float:
@@ -65,9 +65,9 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
             theta and d.
     """
     links = link_names or joint_names
-    found = re.fullmatch(r"(alpha|a|beta|theta|d)(\d+)", name)
-    if found:
-        kind, number = found[1], int(found[2])
+    match = re.fullmatch(r"(alpha|a|beta|theta|d)(\d+)", name)
+    if match:
+        kind, number = match[1], int(match[2])
         place = number if kind in ("alpha", "a", "beta") else number - 1
         if not 0 <= place < len(links):
             return ""
@@ -78,9 +78,9 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
     if kind in FRAME_WORDS:
         station = f", station {frame[len(kind) :]}" if frame != kind else ""
         return f"{FRAME_WORDS[kind]}{station}: {'turn about ' if axis.startswith('r') else 'position along '}{axis[-1]}"
-    found = re.match(r"([a-z]+)(\d*)", name)
-    if found and found[1] in EFFECT_WORDS:
-        place = int(found[2] or 1) - 1
+    match = re.match(r"([a-z]+)(\d*)", name)
+    if match and match[1] in EFFECT_WORDS:
+        place = int(match[2] or 1) - 1
         after = joint_names[place] if place < len(joint_names) else ""
-        return EFFECT_WORDS[found[1]].format(after=after)
+        return EFFECT_WORDS[match[1]].format(after=after)
     return ""

@@ -94,10 +94,10 @@ def trace_of(
         errors: Held-out errors of each stage, by label.
         views: Of pictures the views held out.
     """
-    found, calibration = fit.identification, fit.calibration
-    seen, test = found.identifiability, sets["test"]
+    identification, calibration = fit.identification, fit.calibration
+    identifiability, test = identification.identifiability, sets["test"]
     train = next(iter(sets.values()))
-    steps = list(zip(found.iterates, found.unknown_iterates, strict=True))
+    steps = list(zip(identification.iterates, identification.unknown_iterates, strict=True))
     attitude = None
     if isinstance(train, Measurements) and train.rotation is not None:
         attitude = np.array([_rms(train.difference(model)[:, 3:]) for model, _ in steps])
@@ -112,10 +112,10 @@ def trace_of(
         position_rms=np.array([_rms(train.misses(model, unknowns)) for model, unknowns in steps]),
         attitude_rms=attitude,
         loss=learnt.model.loss if learnt is not None and isinstance(learnt.model, Bpnn) else None,
-        names=seen.names,
-        kept=np.isin(np.arange(len(seen.names)), seen.kept),
-        r_diagonal=seen.r_diagonal,
-        singular_values=seen.singular_values,
+        names=identifiability.names,
+        kept=np.isin(np.arange(len(identifiability.names)), identifiability.kept),
+        r_diagonal=identifiability.r_diagonal,
+        singular_values=identifiability.singular_values,
         fingerprints={name: data.fingerprint() for name, data in sets.items()},
         views=views,
     )
@@ -133,4 +133,6 @@ def views_of(result: Result) -> tuple[ViewErrors, ...]:
         return ()
     paths = [None] * len(views.joints) if views.pictures is None else [str(path) for path in views.pictures]
     parts = zip(result.pixels.names, views.corners, views.seen, result.held_out.pixels, paths, strict=True)
-    return tuple(ViewErrors(name, at[seen], left, views.camera.size, path) for name, at, seen, left, path in parts)
+    return tuple(
+        ViewErrors(name, at[visible], errors, views.camera.size, path) for name, at, visible, errors, path in parts
+    )

@@ -83,7 +83,7 @@ def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
 
 def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
     """Each policy against each that stands before it, fruit by fruit: the later minus the earlier one."""
-    return [_difference(one, other) for one, other in combinations(episodes.policies, 2)]
+    return [_difference(before, after) for before, after in combinations(episodes.policies, 2)]
 
 
 def _difference(one: RecordedPolicy, other: RecordedPolicy) -> dict[str, Any]:
@@ -169,17 +169,17 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
 def explanation(episodes: RecordedEpisodes) -> str:
     """By how much it is better, whether that changes a pick for any gripper, and what this gripper picked here."""
     rows = policy_rows(episodes)
-    known = [row for row in rows if row["mean_mm"] is not None]
-    if not known:
+    closed = [row for row in rows if row["mean_mm"] is not None]
+    if not closed:
         return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
-    best = min(known, key=lambda row: row["mean_mm"])
-    other, line = _against(episodes, best["policy"]) if len(known) > 1 else ("", {"difference_mm": None})
+    best = min(closed, key=lambda row: row["mean_mm"])
+    rival, line = _against(episodes, best["policy"]) if len(closed) > 1 else ("", {"difference_mm": None})
     if line["difference_mm"] is None:  # no fruit for which two of them closed the gripper
         return f"{_picking(episodes, rows)}."
     by = said(abs(line["difference_mm"]), _turned(line), 3)
-    first = f"{best['policy']} misses by {by} mm less than {other} for the same {line['pairs']} fruit"
-    between = (f"with {other}", f"with {best['policy']}")
-    worth = matters(episodes.plant_name or episodes.env_id, _changes(episodes, other, best["policy"]), between)
+    first = f"{best['policy']} misses by {by} mm less than {rival} for the same {line['pairs']} fruit"
+    between = (f"with {rival}", f"with {best['policy']}")
+    worth = matters(episodes.plant_name or episodes.env_id, _changes(episodes, rival, best["policy"]), between)
     return f"{first}. {worth} {_picking(episodes, rows)}."
 
 
@@ -193,23 +193,23 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
 
     What counts is the miss across the tool. Empty where no two policies closed the gripper for the same fruit.
     """
-    known = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
-    if len(known) < 2:
+    closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
+    if len(closed) < 2:
         return {}
-    best = min(known, key=lambda row: row["mean_mm"])["policy"]
-    other, line = _against(episodes, best)
+    best = min(closed, key=lambda row: row["mean_mm"])["policy"]
+    rival, line = _against(episodes, best)
     if line["difference_mm"] is None:
         return {}
-    return {"from": other, "to": best, "changes": [vars(each) for each in _changes(episodes, other, best)]}
+    return {"from": rival, "to": best, "changes": [vars(change) for change in _changes(episodes, rival, best)]}
 
 
 def change_table(episodes: RecordedEpisodes) -> tuple[tuple[str, ...], list[tuple[str, ...]]] | None:
     """Heads and rows of `policy_changes`; None where there are none."""
-    found = policy_changes(episodes)
-    if not found:
+    changes = policy_changes(episodes)
+    if not changes:
         return None
-    heads = ("gripper", "fruit seen to, per axis (mm)", f"taken, {found['from']} (%)", f"{found['to']} (%)")
-    return (*heads, "change (points of %)"), [change_cells(PickChange(**each)) for each in found["changes"]]
+    heads = ("gripper", "fruit seen to, per axis (mm)", f"taken, {changes['from']} (%)", f"{changes['to']} (%)")
+    return (*heads, "change (points of %)"), [change_cells(PickChange(**change)) for change in changes["changes"]]
 
 
 def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChange]:
@@ -220,9 +220,9 @@ def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChan
 def _across(policy: RecordedPolicy) -> Array:
     """What each miss is across the tool, mm; all of it where the tool's attitude to that fruit is not known."""
     axis, across = policy.tool_rotation[..., 2], policy.miss_mm.copy()
-    known = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
-    apart = (policy.fruit_position - policy.tool_position)[known]
-    across[known] = 1e3 * misalignment(apart, axis[known]).lateral
+    comparable = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
+    apart = (policy.fruit_position - policy.tool_position)[comparable]
+    across[comparable] = 1e3 * misalignment(apart, axis[comparable]).lateral
     return _finite(across)
 
 
@@ -347,8 +347,8 @@ def colour_scale_mm(comparison: Comparison) -> float:
 def uncertainty_scale_mm(comparison: Comparison) -> float:
     """Upper end of the colour scale that predicted uncertainty and the last policy's field share, mm."""
     assert comparison.field_uncertainty is not None
-    shown = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
-    return scale_end(shown)
+    lengths = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
+    return scale_end(lengths)
 
 
 def attitude_scale_deg(fields: Mapping[str, Array]) -> float:

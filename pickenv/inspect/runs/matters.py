@@ -48,12 +48,12 @@ def gripped(comparison: Comparison, names: tuple[str, ...] = GRIPPERS) -> dict[s
     The tool is as the true arm holds it; it should point as the nominal arm does at the first policy's command.
     """
     grippers: dict[str, Gripper] = {name: load_gripper(name) for name in names}
-    wanted = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
+    target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
     by_policy = {}
     for policy in comparison.policies:
         ends = policy.ends
         axis = comparison.plant.tool_pose(ends.joint_command).rotation[..., 2]
-        lying = misalignment(comparison.fruit - ends.tool_position, axis, wanted)
+        lying = misalignment(comparison.fruit - ends.tool_position, axis, target)
         success = {n: capture_probability(g, lying.lateral, lying.axial, lying.angle) for n, g in grippers.items()}
         by_policy[policy.label] = Gripped(lying.lateral * 1e3, success)
     return by_policy
@@ -99,10 +99,10 @@ def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) ->
         lateral_mm: Distance of the fruit across the tool's axis that the arm's own error leaves ``(N,)``, mm.
         perception_mm: Standard deviation per axis of where the fruit is seen, mm.
     """
-    own = np.asarray(lateral_mm, dtype=float)[:, None, None]
+    error = np.asarray(lateral_mm, dtype=float)[:, None, None]
     ring = perception_mm * np.sqrt(-2.0 * np.log1p(-(np.arange(RINGS) + 0.5) / RINGS))[:, None]
     spoke = 2.0 * np.pi * (np.arange(SPOKES) + 0.5) / SPOKES
-    lateral: Array = np.sqrt(np.maximum(own**2 + ring**2 + 2.0 * own * ring * np.cos(spoke), 0.0))
+    lateral: Array = np.sqrt(np.maximum(error**2 + ring**2 + 2.0 * error * ring * np.cos(spoke), 0.0))
     return float(capture_probability(gripper, lateral * 1e-3, 0.0, 0.0).mean())
 
 
@@ -115,9 +115,9 @@ def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike, grippers: Sequence[s
         grippers: Names of grippers.
     """
     return [
-        PickChange(name, seen, *(pick_share(gripper, errors, seen) for errors in (before_mm, after_mm)))
+        PickChange(name, perception, *(pick_share(gripper, errors, perception) for errors in (before_mm, after_mm)))
         for name, gripper in ((name, load_gripper(name)) for name in grippers)
-        for seen in PERCEPTION_MM
+        for perception in PERCEPTION_MM
     ]
 
 
@@ -169,5 +169,5 @@ def matters(
 
 
 def _where(change: PickChange) -> str:
-    seen = f"seen to {change.perception_mm:g} mm per axis" if change.perception_mm else "seen without error"
-    return f"with {change.gripper} and the fruit {seen}"
+    perception = f"seen to {change.perception_mm:g} mm per axis" if change.perception_mm else "seen without error"
+    return f"with {change.gripper} and the fruit {perception}"

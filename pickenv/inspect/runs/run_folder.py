@@ -19,6 +19,7 @@ from typing import Any, TypeAlias, TypeVar
 from pickenv.base import (
     InputError,
     code_fingerprint,
+    command_line,
     file_sha256,
     locked,
     refusing_damage,
@@ -70,14 +71,22 @@ class RunKind:
 
 
 _KINDS: Mapping[str, RunKind] = {
-    "demo": RunKind("pickenv demo --out RUN", "pickenv.inspect.reports.demo_report"),
-    "calibration": RunKind("pickenv calibrate FILE --arm ARM --run RUN", "pickenv.inspect.reports.calibration_report"),
-    "comparison": RunKind("pickenv compare POLICY POLICY --out RUN", "pickenv.inspect.reports.comparison_report"),
-    "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.experiments.policy_tables"),
-    "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
-    "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
-    "harvest": RunKind("python -m papers.li2016 --out RUN", "pickenv.inspect.reports.harvest_report"),
-    "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.experiments.study_report"),
+    "demo": RunKind(command_line("pickenv", "demo", out="RUN"), "pickenv.inspect.reports.demo_report"),
+    "calibration": RunKind(
+        command_line("pickenv", "calibrate", "FILE", arm="ARM", run="RUN"), "pickenv.inspect.reports.calibration_report"
+    ),
+    "comparison": RunKind(
+        command_line("pickenv", "compare", "POLICY", "POLICY", out="RUN"), "pickenv.inspect.reports.comparison_report"
+    ),
+    "evaluation": RunKind(command_line("pickenv", "evaluate", out="RUN"), "pickenv.experiments.policy_tables"),
+    "iso9283": RunKind(command_line("pickenv", "iso9283", out="RUN"), "pickenv.inspect.reports.iso9283_report"),
+    "conditions": RunKind(
+        command_line("pickenv", "conditions", "PLANT", out="RUN"), "pickenv.inspect.reports.conditions_report"
+    ),
+    "harvest": RunKind(
+        command_line("python", "-m", "papers.li2016", out="RUN"), "pickenv.inspect.reports.harvest_report"
+    ),
+    "study": RunKind(command_line("pickenv", "study", "CONFIG", out="RUN"), "pickenv.experiments.study_report"),
 }
 for _name, _run_kind in _KINDS.items():
     register("report", _name)(lambda run_kind=_run_kind: run_kind)
@@ -162,14 +171,14 @@ def added_to(run: Run) -> Iterator[None]:
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
     """What tells whether a file was written again, for every file of a folder; hidden files are not its own."""
-    found = {}
+    stamps = {}
     for root, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
         for path in (Path(root, name) for name in names if not name.startswith(".")):
             if path.is_file():
                 state = path.stat()
-                found[path.relative_to(folder).as_posix()] = (state.st_ino, state.st_mtime_ns, state.st_size)
-    return found
+                stamps[path.relative_to(folder).as_posix()] = (state.st_ino, state.st_mtime_ns, state.st_size)
+    return stamps
 
 
 def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]:
@@ -193,8 +202,8 @@ def _record_text(run: Run) -> str:
         "code": run.code,
         "files": dict(run.files or {}),
     }
-    own = hashlib.sha256(json.dumps(content).encode()).hexdigest()
-    return json.dumps(content | {"sha256": own}, indent=2) + "\n"
+    digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    return json.dumps(content | {"sha256": digest}, indent=2) + "\n"
 
 
 def read_run(folder: str | Path) -> Run:
@@ -243,18 +252,18 @@ def faults_of(run: Run) -> list[tuple[Path, str | None]]:
 
 
 def _faults(folder: Path, listed: Mapping[str, str], own: str) -> list[tuple[Path, str | None]]:
-    there = _stamps(folder)
-    found: list[tuple[Path, str | None]] = []
-    for name in sorted({*listed, *there} - {own}):
+    stamps = _stamps(folder)
+    faults: list[tuple[Path, str | None]] = []
+    for name in sorted({*listed, *stamps} - {own}):
         path, reason = folder / name, None
-        if name not in there:
+        if name not in stamps:
             reason = "is missing; the run wrote it"
         elif name not in listed:
             reason = "is stray: this run did not write it"
         elif file_sha256(path) != listed[name]:
             reason = "was edited since the run wrote it"
-        found.append((path, reason))
-    return found
+        faults.append((path, reason))
+    return faults
 
 
 @contextmanager
@@ -268,8 +277,8 @@ def listed_files(folder: Path) -> Iterator[None]:
 
 def _list_text(files: Mapping[str, str]) -> str:
     """The only text that `LIST` may hold for these files: its own hash stands in it."""
-    own = hashlib.sha256(json.dumps(dict(files)).encode()).hexdigest()
-    return json.dumps({"files": dict(files), "sha256": own}, indent=2) + "\n"
+    digest = hashlib.sha256(json.dumps(dict(files)).encode()).hexdigest()
+    return json.dumps({"files": dict(files), "sha256": digest}, indent=2) + "\n"
 
 
 def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
@@ -314,10 +323,10 @@ def load_iso9283(run: Run) -> dict[str, Any]:
     Raises:
         InputError: If the file is missing or damaged.
     """
-    found = _load_result(run, ISO9283, "an ISO 9283 result", ("raw", "settings", "plant", "standard"))
+    result = _load_result(run, ISO9283, "an ISO 9283 result", ("raw", "settings", "plant", "standard"))
     with refusing_damage(run.folder / ISO9283, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
-        found["raw"]["poses"]
-    return found
+        result["raw"]["poses"]
+    return result
 
 
 def load_cases(run: Run) -> dict[str, list[dict[str, Any]]]:
@@ -335,10 +344,10 @@ def load_conditions(run: Run) -> dict[str, Any]:
 def _load_result(run: Run, name: str, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
     path = unedited(run, name)
     with refusing_damage(path, what, f"`{run.made_by}` makes it anew"):
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         for key in keys:
-            found[key]
-    return found
+            result[key]
+    return result
 
 
 def written_report(run: Run) -> str:
