@@ -14,12 +14,7 @@ from pickenv.agents.evaluation.rollout import PolicyMaker
 from pickenv.agents.policies import foreign
 from pickenv.agents.policies.learned import LearnedPolicy, load_policy
 from pickenv.agents.policies.policy import Policy
-from pickenv.agents.policies.remembering import (
-    RememberingPolicy,
-    RememberingReach,
-    load_remembering,
-    remembers,
-)
+from pickenv.agents.policies.remembering import RememberingPolicy, RememberingReach, load_remembering, remembers
 from pickenv.arm import Arm
 from pickenv.base import InputError, obey, read_container
 from pickenv.base.registry import get, names
@@ -200,8 +195,8 @@ def contenders_of(
         calibrations = calibrations * len(pairs)
     if calibrations and len(calibrations) != len(pairs):
         raise InputError(
-            f"there are {len(pairs)} policies and {len(calibrations)} calibrations; give one for each ({NONE} for a raw "
-            "arm), one for all, or one policy"
+            f"there are {len(pairs)} policies and {len(calibrations)} calibrations; give one for each ({NONE} for a "
+            "raw arm), one for all, or one policy"
         )
     behind = calibrations or [None] * len(pairs)
     stages = [

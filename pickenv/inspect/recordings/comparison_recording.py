@@ -16,7 +16,7 @@ from rerun.components import Colormap
 from rerun.encodings import TensorDimensionIndexSelection
 
 from pickenv.arm import Array
-from pickenv.base import InputError, versions
+from pickenv.base import InputError
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, lane, policy_colours, policy_key
 from pickenv.inspect.recordings.details import DAY_WORDS, FLOOR, Day, Details, attitude_length, details_of, send_details
 from pickenv.inspect.recordings.scribe import (
@@ -27,6 +27,7 @@ from pickenv.inspect.recordings.scribe import (
     reading,
     reading_columns,
     seen_from,
+    view_of,
     with_colour_bar,
     write_recording,
 )
@@ -102,20 +103,15 @@ def _colours(comparison: Comparison) -> list[Rgb]:
 
 
 def _send_properties(scribe: Scribe, comparison: Comparison, gain: float) -> None:
-    made_with: Any = {f"{name}_version": version for name, version in {**versions(), "rerun": rr.__version__}.items()}
-    scribe.stream.send_property(
-        "pickenv",
-        rr.AnyValues(
-            plant=comparison.plant.name,
-            arm=comparison.plant.arm.name,
-            arm_fingerprint=comparison.plant.arm.fingerprint(),
-            seed=comparison.seed,
-            policies=[policy.key for policy in comparison.policies],
-            gain=gain,
-            tolerance_mm=comparison.tolerance_mm,
-            colour_scale_mm=summary.colour_scale_mm(comparison),
-            **made_with,
-        ),
+    scribe.properties(
+        plant=comparison.plant.name,
+        arm=comparison.plant.arm.name,
+        arm_fingerprint=comparison.plant.arm.fingerprint(),
+        seed=comparison.seed,
+        policies=[policy.key for policy in comparison.policies],
+        gain=gain,
+        tolerance_mm=comparison.tolerance_mm,
+        colour_scale_mm=summary.colour_scale_mm(comparison),
     )
 
 
@@ -198,23 +194,17 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy
     scribe.still(f"target/{policy.key}", shots, reading(1e3 * miss))
     for name, values in (("error_mm", ends.position_error_mm), ("attitude_deg", ends.attitude_error_deg)):
         entity = f"metrics/{name}/{lane(policy.key)}"
-        scribe.still(entity, rr.SeriesLines(names=[policy.label], colors=[colour], widths=[1.8]))
-        scribe.along(entity, rr.Scalars.columns(scalars=four_digits(values)))
-    entity = f"outcome/{lane(policy.key)}"
-    configuration = rr.StateConfiguration(
-        values=["pick", "miss"], labels=["pick", "miss"], colors=[(*colour, 255), (*RED, 255)]
-    )
-    scribe.still(entity, configuration)
-    scribe.along(entity, rr.StateChange.columns(state=["pick" if ok else "miss" for ok in ends.success]))
+        scribe.curve(entity, policy.label, colour, four_digits(values), 1.8)
+    states = ["pick" if success else "miss" for success in ends.success]
+    scribe.lane(f"outcome/{lane(policy.key)}", {"pick": ("pick", colour), "miss": ("miss", RED)}, states)
 
 
 def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The gripper's capture region: a line on the error plot and, enlarged like the errors, a ball around the fruit."""
     if not scribe.times:
         return
-    line = rr.SeriesLines(names=[f"tolerance {comparison.tolerance_mm:g} mm"], colors=[RED], widths=[1.5])
-    scribe.still("metrics/tolerance_mm", line)
-    scribe.along("metrics/tolerance_mm", rr.Scalars.columns(scalars=[comparison.tolerance_mm] * len(comparison.fruit)))
+    level = [comparison.tolerance_mm] * len(comparison.fruit)
+    scribe.curve("metrics/tolerance_mm", f"tolerance {comparison.tolerance_mm:g} mm", RED, level, 1.5)
     radius = gain * comparison.tolerance_mm * 1e-3
     ball = rr.Ellipsoids3D.from_fields(
         half_sizes=[[radius] * 3], colors=[(*RED, 160)], line_radii=rr.Radius.ui_points(0.6), fill_mode="majorwireframe"
@@ -248,7 +238,7 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
 def _send_legend(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The colour bar with its unit, and the summary."""
     scribe.colour_bar("legend/position", summary.colour_scale_mm(comparison), "mm")
-    scribe.still("summary", rr.TextDocument(summary.summary_markdown(comparison, gain), media_type="text/markdown"))
+    scribe.document("summary", summary.summary_markdown(comparison, gain))
 
 
 # The default layout: fields side by side on top, reaches and numbers below. All 3D views start with the same eye, and
@@ -314,7 +304,7 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
     if has_reaches:
         tabs.insert(1, _picking(comparison, gain))
         tabs.append(_table(policies))
-        below = [_reaches(comparison), _histogram(), *below]
+        below = [_reaches(comparison), view_of(rrb.BarChartView, "hist", "Reaches by final position error, mm"), *below]
     content = rrb.Vertical(
         rrb.Tabs(*tabs, active_tab=0),
         rrb.Horizontal(*below, column_shares=[3.0, 2.0, 3.0][-len(below) :]),
@@ -381,12 +371,8 @@ def _reaches(comparison: Comparison) -> Any:
         axis_y=rrb.ScalarAxis(range=(0.0, 1.4 * max(largest, comparison.tolerance_mm)), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
     )
-    outcome = rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Picked or missed (red)")
+    outcome = view_of(rrb.StateTimelineView, "outcome", "Picked or missed (red)")
     return rrb.Vertical(errors, outcome, row_shares=[1.0, 1.0])
-
-
-def _histogram() -> Any:
-    return rrb.BarChartView(origin="/hist", contents=["+ /hist/**"], name="Reaches by final position error, mm")
 
 
 def _table(policies: tuple[RecordedPolicy, ...]) -> Any:
@@ -480,10 +466,10 @@ def _uncertainty(comparison: Comparison) -> Any:
 
 def _day(day: Day) -> Any:
     largest = max(float(np.percentile(errors, 95, axis=1).max()) for errors in day.errors_mm.values())
-    plot = rrb.TimeSeriesView(
-        origin="/day",
-        contents=["+ /day/**"],
-        name=f"Position error over {day.hours[-1]:g} h of warming up, tilting and sinking as in '{day.plant}', mm | "
+    plot = view_of(
+        rrb.TimeSeriesView,
+        "day",
+        f"Position error over {day.hours[-1]:g} h of warming up, tilting and sinking as in '{day.plant}', mm | "
         f"commands as on firm ground | across: reaches, {60.0 * day.hours[0]:.0f} min apart; or choose 'hours'",
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),

@@ -81,17 +81,15 @@ def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
     """Mean and 95th percentile over all fruit at every time of the day, and why they are so."""
     times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day.hours)]
     hours = Scribe(scribe.stream, times)
-    lines = day.lines({policy.key: policy.label for policy in comparison.policies})
+    labels = {policy.key: policy.label for policy in comparison.policies}
+    lines = day.lines(labels)
     for (key, (label, errors)), colour in zip(lines.items(), policy_colours(list(lines)), strict=True):
         for name, values, width in (
             ("mean", errors.mean(axis=1), 2.2),
             ("p95", np.percentile(errors, 95, axis=1), 1.0),
         ):
-            entity = f"day/{name}_mm/{key}"
-            scribe.still(entity, rr.SeriesLines(names=[f"{label}, {name}"], colors=[colour], widths=[width]))
-            hours.along(entity, rr.Scalars.columns(scalars=values))
-    words = day.explanation({policy.key: policy.label for policy in comparison.policies})
-    scribe.still(DAY_WORDS, rr.TextDocument(words, media_type="text/markdown"))
+            hours.curve(f"day/{name}_mm/{key}", f"{label}, {name}", colour, values, width)
+    scribe.document(DAY_WORDS, day.explanation(labels))
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:

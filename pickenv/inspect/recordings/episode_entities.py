@@ -20,13 +20,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Array, Geometry, forward
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
-from pickenv.inspect.recordings.scribe import (
-    Scribe,
-    f32,
-    layout,
-    reading_columns,
-    seen_from,
-)
+from pickenv.inspect.recordings.scribe import Scribe, f32, layout, reading_columns, seen_from, view_of
 from pickenv.inspect.runs.recorded_episodes import POSITIONS
 from pickenv.inspect.runs.saved import drawn_parts, nominal_points, true_points
 
@@ -34,7 +28,7 @@ Trigger = Callable[[int], bool]
 
 UNITS = {"mm": "mm", "deg": "°"}
 """Ends of the names of numbers, and their units; numbers with another end are counts, or have the unit 1."""
-OTHERS = "other"
+OTHERS, REST = "other", "Reward and counts"
 
 
 def capped_cubic(episode: int) -> bool:
@@ -372,7 +366,7 @@ def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
     numbers = number_plots(info)
     plots.append(rrb.Tabs(*numbers, active_tab=len(numbers) - 1) if plots else rrb.Vertical(*numbers))
     if "is_success" in info:
-        plots.append(rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Success"))
+        plots.append(view_of(rrb.StateTimelineView, "outcome", "Success"))
     views = _space_views(scene, rows)
     columns = [rrb.Vertical(*views)] if views else []
     return at_the_end(rrb.Horizontal(*columns, rrb.Vertical(*plots)))
@@ -386,23 +380,16 @@ def at_the_end(content: Any) -> rrb.Blueprint:
 def number_plots(info: Mapping[str, Any]) -> list[Any]:
     """One plot for each unit of the numbers in `info`, and one for reward and counts."""
     return [
-        rrb.TimeSeriesView(
-            origin=f"/metrics/{unit}",
-            contents=[f"+ /metrics/{unit}/**"],
-            name=f"Numbers in {UNITS[unit]}" if unit in UNITS else "Reward and counts",
-        )
+        view_of(rrb.TimeSeriesView, f"metrics/{unit}", f"Numbers in {UNITS[unit]}" if unit in UNITS else REST)
         for unit in number_groups(info)
     ]
 
 
 def distance_plot(name: str) -> Any:
     """How far the tool is from the fruit, on a logarithmic axis that leaves nothing out."""
-    return rrb.TimeSeriesView(
-        origin="/distance",
-        contents=["+ /distance/**"],
-        name=f"{name}, {DECADES}; legend: mean at the end",
-        plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True),
-    )
+    title = f"{name}, {DECADES}; legend: mean at the end"
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True)
+    return view_of(rrb.TimeSeriesView, "distance", title, plot_legend=legend)
 
 
 def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:

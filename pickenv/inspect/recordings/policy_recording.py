@@ -14,7 +14,6 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from pickenv.arm import Array
-from pickenv.base import versions
 from pickenv.inspect.colours import WHITE, lane, policy_colours
 from pickenv.inspect.figures.field_figure import field_gain
 from pickenv.inspect.recordings.episode_entities import (
@@ -29,12 +28,7 @@ from pickenv.inspect.recordings.episode_entities import (
     send_rows,
     target_view,
 )
-from pickenv.inspect.recordings.scribe import (
-    Scribe,
-    seen_from,
-    with_colour_bar,
-    write_recording,
-)
+from pickenv.inspect.recordings.scribe import Scribe, seen_from, view_of, with_colour_bar, write_recording
 from pickenv.inspect.runs.comparison_summary import comparison_markdown, error_spread, field_mm, scale_end
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.saved import shown_box
@@ -61,11 +55,8 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
     identity = ":".join([env, *plant, f"seed{episodes.seed}", "compared"])
 
     def send(stream: rr.RecordingStream) -> None:
-        made_with: Any = {
-            f"{name}_version": version for name, version in {**versions(), "rerun": rr.__version__}.items()
-        }
-        facts = {"policies": [policy.label for policy in episodes.policies], "gripper": episodes.gripper, **made_with}
-        stream.send_property("pickenv", rr.AnyValues(seed=episodes.seed, **facts))
+        labels = [policy.label for policy in episodes.policies]
+        Scribe(stream).properties(seed=episodes.seed, policies=labels, gripper=episodes.gripper)
         _send_episodes(stream, episodes)
         if isinstance(episodes, Comparison):
             _send_fields(stream, episodes)
@@ -112,8 +103,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
         send_rows(stream, scene, policy.key, rows, root)
         misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)
         scribe.still(f"ends/{policy.key}", rr.Points3D(misses, colors=[colour], radii=rr.Radius.ui_points(3.0)))
-    words = comparison_markdown(episodes)
-    scribe.still("verdict", rr.TextDocument(words, media_type="text/markdown"))
+    scribe.document("verdict", comparison_markdown(episodes))
 
 
 def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
@@ -171,7 +161,7 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     if isinstance(episodes, Comparison):
         tabs.append(_field_tab(episodes))
     info = rows_of(episodes.policies[0], arm=False)[0].info
-    lanes = rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Success, last episode")
+    lanes = view_of(rrb.StateTimelineView, "outcome", "Success, last episode")
     tabs.append(rrb.Vertical(rrb.Horizontal(*number_plots(info)), lanes, name="Numbers"))
     return at_the_end(rrb.Tabs(*tabs, active_tab=0))
 

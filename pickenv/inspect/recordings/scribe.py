@@ -5,7 +5,7 @@ Metres in space; millimetres and degrees on plots, as their titles say.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.base import InputError, write_whole
+from pickenv.base import InputError, versions, write_whole
 from pickenv.inspect.colours import RED, WHITE, Rgb, viridis
 from pickenv.inspect.runs.comparison_summary import ticks
 from pickenv.inspect.runs.saved import capsules
@@ -83,6 +83,26 @@ class Scribe:
         """Send columns with one row per moment."""
         if self.times:
             self.stream.send_columns(entity, self.times, [c for several in columns for c in several], strict=True)
+
+    def properties(self, **facts: Any) -> None:
+        """Facts that a reader sees beside the recording, and the versions of what made it."""
+        made_with: Any = {f"{name}_version": made for name, made in {**versions(), "rerun": rr.__version__}.items()}
+        self.stream.send_property("pickenv", rr.AnyValues(**facts, **made_with))
+
+    def document(self, entity: str, markdown: str) -> None:
+        """A text for all time."""
+        self.still(entity, rr.TextDocument(markdown, media_type="text/markdown"))
+
+    def curve(self, entity: str, name: str, colour: Rgb, values: ArrayLike, width: float | None = None) -> None:
+        """Numbers along the time lines ``(T,)``, and how they are drawn; the width is in points."""
+        self.still(entity, rr.SeriesLines(names=[name], colors=[colour], widths=None if width is None else [width]))
+        self.along(entity, rr.Scalars.columns(scalars=values))
+
+    def lane(self, entity: str, looks: Mapping[str, tuple[str, Rgb]], states: Sequence[str]) -> None:
+        """States along the time lines ``(T,)``; each has a label and a colour in ``looks``."""
+        labels, colours = [label for label, _ in looks.values()], [(*colour, 255) for _, colour in looks.values()]
+        self.still(entity, rr.StateConfiguration(values=list(looks), labels=labels, colors=colours))
+        self.along(entity, rr.StateChange.columns(state=states))
 
     def arrows(self, entity: str, origins: Array, arrows: Array, values: Array, top: float, unit: str = "mm") -> None:
         """A field of arrows for all time, coloured by the length of what they stand for.
@@ -223,14 +243,14 @@ def seen_from(
     )
 
 
+def view_of(kind: Any, entity: str, name: str, **more: Any) -> Any:
+    """A view of that kind of all below an entity."""
+    return kind(origin=f"/{entity}", contents=[f"+ /{entity}/**"], name=name, **more)
+
+
 def with_colour_bar(views: list[Any], key: str, meaning: str, name: str) -> Any:
     """A tab: ``views`` side by side, in rows where they are many, and below them the colour bar `/legend/key`."""
-    bar = rrb.Spatial2DView(
-        origin=f"/legend/{key}",
-        contents=[f"+ /legend/{key}/**"],
-        name=meaning,
-        background=BACKGROUND,
-        visual_bounds=rrb.VisualBounds2D(x_range=[-14.0, 534.0], y_range=[-4.0, 20.0]),
-    )
+    bounds = rrb.VisualBounds2D(x_range=[-14.0, 534.0], y_range=[-4.0, 20.0])
+    bar = view_of(rrb.Spatial2DView, f"legend/{key}", meaning, background=BACKGROUND, visual_bounds=bounds)
     rows = rrb.Grid(*views, grid_columns=-(-len(views) // -(-len(views) // MOST_ABREAST)))
     return rrb.Vertical(rows, bar, row_shares=[5.2, 1.0], name=name)

@@ -21,12 +21,7 @@ from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_pos
 from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.inspect import trace_drawings
 from pickenv.inspect.colours import viridis
-from pickenv.inspect.figures.plot_pixels import (
-    MOST_VIEWS,
-    corner_errors,
-    faint_picture,
-    view_errors,
-)
+from pickenv.inspect.figures.plot_pixels import MOST_VIEWS, corner_errors, faint_picture, view_errors
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.reports.calibration_report import calibration_page
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of, views_of
