@@ -60,15 +60,10 @@ def record_comparison(comparison: Comparison, path: str | Path, *, gain: float =
     times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
     return write_recording(
         path,
-        recording_id(comparison),
+        f"{comparison.plant.name}:seed{comparison.seed}",
         comparison_blueprint(comparison, details, gain),
         lambda stream: _send(Scribe(stream, times), comparison, details, gain),
     )
-
-
-def recording_id(comparison: Comparison) -> str:
-    """Identity of a recording: recordings of one scene and seed are shown as one."""
-    return f"{comparison.plant.name}:seed{comparison.seed}"
 
 
 def _check(comparison: Comparison, gain: float) -> None:
@@ -87,32 +82,30 @@ def _check(comparison: Comparison, gain: float) -> None:
 
 
 def _send(scribe: Scribe, comparison: Comparison, details: Details, gain: float) -> None:
-    _send_properties(scribe, comparison, gain)
+    plant, top = comparison.plant, summary.colour_scale_mm(comparison)
+    scribe.properties(
+        plant=plant.name,
+        arm=plant.arm.name,
+        arm_fingerprint=plant.arm.fingerprint(),
+        seed=comparison.seed,
+        policies=[policy.key for policy in comparison.policies],
+        gain=gain,
+        tolerance_mm=comparison.tolerance_mm,
+        colour_scale_mm=top,
+    )
     _send_scene(scribe, comparison, gain)
     for policy in comparison.policies:
         _send_field(scribe, comparison, policy, gain)
         _send_reaches(scribe, comparison, policy, gain)
     _send_tolerance(scribe, comparison, gain)
     _send_histograms(scribe, comparison)
-    _send_legend(scribe, comparison, gain)
+    scribe.colour_bar("legend/position", top, "mm")
+    scribe.document("summary", summary.summary_markdown(comparison, gain))
     send_details(scribe, comparison, details, gain)
 
 
 def _colours(comparison: Comparison) -> list[Rgb]:
     return policy_colours([policy.key for policy in comparison.policies])
-
-
-def _send_properties(scribe: Scribe, comparison: Comparison, gain: float) -> None:
-    scribe.properties(
-        plant=comparison.plant.name,
-        arm=comparison.plant.arm.name,
-        arm_fingerprint=comparison.plant.arm.fingerprint(),
-        seed=comparison.seed,
-        policies=[policy.key for policy in comparison.policies],
-        gain=gain,
-        tolerance_mm=comparison.tolerance_mm,
-        colour_scale_mm=summary.colour_scale_mm(comparison),
-    )
 
 
 def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
@@ -235,12 +228,6 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
         scribe.still(f"hist/{lane(policy.key)}", chart)
 
 
-def _send_legend(scribe: Scribe, comparison: Comparison, gain: float) -> None:
-    """The colour bar with its unit, and the summary."""
-    scribe.colour_bar("legend/position", summary.colour_scale_mm(comparison), "mm")
-    scribe.document("summary", summary.summary_markdown(comparison, gain))
-
-
 # The default layout: fields side by side on top, reaches and numbers below. All 3D views start with the same eye, and
 # all fields share one colour scale and one gain, which their titles state.
 
@@ -280,14 +267,8 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
         space(comparison, _field_title(policy, gain), [f"+ /world/field/{policy.key}/vectors", *arm])
         for policy in policies
     ]
-    voxels = [
-        space(
-            comparison,
-            f"{policy.label} | error magnitude, mm, corner cut away",
-            [f"+ /world/field/{policy.key}/voxels"],
-        )
-        for policy in policies
-    ]
+    title = "{} | error magnitude, mm, corner cut away"
+    voxels = [space(comparison, title.format(p.label), [f"+ /world/field/{p.key}/voxels"]) for p in policies]
     slices = [_slice(comparison, policy) for policy in policies]
     if details.removed is not None:
         fields.append(_removed(comparison, details.removed, gain))
@@ -297,9 +278,7 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
         with_colour_bar(voxels, "position", meaning, "Voxels"),
         with_colour_bar(slices, "position", meaning, "Slices"),
     ]
-    below: list[Any] = [
-        rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary"),
-    ]
+    below = [rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary")]
     tabs += detail_tabs(comparison, details, gain)
     if has_reaches:
         tabs.insert(1, _picking(comparison, gain))

@@ -83,16 +83,13 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
     return rows
 
 
-def _scene(episodes: RecordedEpisodes, policy: RecordedPolicy) -> Scene:
-    return Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
-
-
 def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> None:
     scribe = Scribe(stream)
     low, high = _box(episodes)
     colours = policy_colours([policy.key for policy in episodes.policies])
     for number, (policy, colour) in enumerate(zip(episodes.policies, colours, strict=True)):
-        rows, scene = rows_of(policy, arm=episodes.nominal is not None), _scene(episodes, policy)
+        rows = rows_of(policy, arm=episodes.nominal is not None)
+        scene = Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
         root = f"side/{lane(policy.key)}"
         scribe.still(root, rr.Transform3D(translation=number * _step(low, high)))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]

@@ -139,11 +139,11 @@ class Scribe:
 
     def move_arm(self, entity: str, points: Array, parts: list[int]) -> None:
         """Where an arm stands at every moment, for one whose looks were sent by `arm`."""
-        rods = capsules(points, parts)
+        start, length, quaternion = capsules(points, parts)
         moving = rr.Capsules3D.columns(
-            lengths=f32(rods.length.ravel()),
-            translations=f32(rods.start.reshape(-1, 3)),
-            quaternions=f32(rods.quaternion.reshape(-1, 4)),
+            lengths=f32(length.ravel()),
+            translations=f32(start.reshape(-1, 3)),
+            quaternions=f32(quaternion.reshape(-1, 4)),
         )
         self.along(entity, moving.partition([len(parts)] * len(points)))
 

@@ -36,19 +36,9 @@ def episode_misses(policy: RecordedPolicy) -> Array:
         return np.asarray(np.where(closed, policy.miss_mm, 0.0).sum(axis=1) / closed.sum(axis=1))
 
 
-def episode_attitudes(policy: RecordedPolicy) -> Array:
-    """Attitude error at the end of each episode ``(E,)``, deg; nan where it is not known."""
-    return np.asarray(policy.attitude_error_deg[:, -1])
-
-
 def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
     """How often the gripper closed in each episode ``(E,)``."""
     return np.asarray(np.isfinite(policy.miss_mm).sum(axis=1))
-
-
-def picks_of(policy: RecordedPolicy) -> NDArray[np.int64]:
-    """Fruit picked in each episode ``(E,)``."""
-    return np.asarray(policy.picked[:, -1])
 
 
 def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
@@ -57,8 +47,8 @@ def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
 
 
 def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
-    misses, attitudes = _finite(episode_misses(policy)), _finite(episode_attitudes(policy))
-    picks, tries = picks_of(policy), tries_of(policy)
+    misses, attitudes = _finite(episode_misses(policy)), _finite(policy.attitude_error_deg[:, -1])
+    picks, tries = policy.picked[:, -1], tries_of(policy)
     tried, taken = int(tries.sum()), int(picks.sum())
     ends = None
     if tried:
@@ -86,18 +76,17 @@ def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
     return [_difference(before, after) for before, after in combinations(episodes.policies, 2)]
 
 
-def _difference(one: RecordedPolicy, other: RecordedPolicy) -> dict[str, Any]:
-    misses = _finite(episode_misses(other) - episode_misses(one))
-    attitudes = _finite(episode_attitudes(other) - episode_attitudes(one))
+def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]:
+    misses = _finite(episode_misses(after) - episode_misses(before))
+    attitudes = _finite(after.attitude_error_deg[:, -1] - before.attitude_error_deg[:, -1])
     ends = mean_interval(misses)
-    single = (
-        max(tries_of(one).max(), tries_of(other).max()) == 1 and min(tries_of(one).min(), tries_of(other).min()) == 1
-    )
-    shares = [_policy_row(policy)["share_picked"] for policy in (one, other)]
-    share_ends = paired_share_interval(picks_of(other) > 0, picks_of(one) > 0) if single else None
+    tries = np.concatenate([tries_of(before), tries_of(after)])
+    single = bool((tries == 1).all())
+    shares = [_policy_row(policy)["share_picked"] for policy in (before, after)]
+    share_ends = paired_share_interval(after.picked[:, -1] > 0, before.picked[:, -1] > 0) if single else None
     return {
-        "from": one.label,
-        "to": other.label,
+        "from": before.label,
+        "to": after.label,
         "pairs": len(misses),
         "difference_mm": _mean(misses),
         "ci95_mm": _ends(ends),

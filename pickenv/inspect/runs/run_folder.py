@@ -70,23 +70,19 @@ class RunKind:
     pages: str
 
 
+def _kind(pages: str, *words: str, **options: str) -> RunKind:
+    return RunKind(command_line(*words, **options), f"pickenv.{pages}")
+
+
 _KINDS: Mapping[str, RunKind] = {
-    "demo": RunKind(command_line("pickenv", "demo", out="RUN"), "pickenv.inspect.reports.demo_report"),
-    "calibration": RunKind(
-        command_line("pickenv", "calibrate", "FILE", arm="ARM", run="RUN"), "pickenv.inspect.reports.calibration_report"
-    ),
-    "comparison": RunKind(
-        command_line("pickenv", "compare", "POLICY", "POLICY", out="RUN"), "pickenv.inspect.reports.comparison_report"
-    ),
-    "evaluation": RunKind(command_line("pickenv", "evaluate", out="RUN"), "pickenv.experiments.policy_tables"),
-    "iso9283": RunKind(command_line("pickenv", "iso9283", out="RUN"), "pickenv.inspect.reports.iso9283_report"),
-    "conditions": RunKind(
-        command_line("pickenv", "conditions", "PLANT", out="RUN"), "pickenv.inspect.reports.conditions_report"
-    ),
-    "harvest": RunKind(
-        command_line("python", "-m", "papers.li2016", out="RUN"), "pickenv.inspect.reports.harvest_report"
-    ),
-    "study": RunKind(command_line("pickenv", "study", "CONFIG", out="RUN"), "pickenv.experiments.study_report"),
+    "demo": _kind("inspect.reports.demo_report", "pickenv", "demo", out="RUN"),
+    "calibration": _kind("inspect.reports.calibration_report", "pickenv", "calibrate", "FILE", arm="ARM", run="RUN"),
+    "comparison": _kind("inspect.reports.comparison_report", "pickenv", "compare", "POLICY", "POLICY", out="RUN"),
+    "evaluation": _kind("experiments.policy_tables", "pickenv", "evaluate", out="RUN"),
+    "iso9283": _kind("inspect.reports.iso9283_report", "pickenv", "iso9283", out="RUN"),
+    "conditions": _kind("inspect.reports.conditions_report", "pickenv", "conditions", "PLANT", out="RUN"),
+    "harvest": _kind("inspect.reports.harvest_report", "python", "-m", "papers.li2016", out="RUN"),
+    "study": _kind("experiments.study_report", "pickenv", "study", "CONFIG", out="RUN"),
 }
 for _name, _run_kind in _KINDS.items():
     register("report", _name)(lambda run_kind=_run_kind: run_kind)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -25,26 +25,14 @@ from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.base import InputError, read_container, refusing_damage, registry, write_container
 from pickenv.inspect.runs.recorded_episodes import Comparison
 
-# The links of an arm as capsules (rods with round ends), as the viewer wants them. Metres.
 
+def capsules(points: Array, parts: list[int]) -> tuple[Array, Array, Array]:
+    """Capsules (rods with round ends) along the ``parts`` of polylines ``points`` ``(..., K, 3)``, from `drawn_parts`.
 
-@dataclass(frozen=True, eq=False)
-class Capsules:
-    """Rods with round ends.
-
-    Attributes:
-        start: Centre of the first end ``(..., 3)``, m.
-        length: Distance between the ends' centres ``(...)``, m.
-        quaternion: Turns the z axis into the rod's direction ``(..., 4)``, order x, y, z, w.
+    Returns:
+        Centres of their first ends ``(..., P, 3)``, m; distances between the ends' centres ``(..., P)``, m; quaternions
+        that turn the z axis into the rods' directions ``(..., P, 4)``, order x, y, z, w.
     """
-
-    start: Array
-    length: Array
-    quaternion: Array
-
-
-def capsules(points: Array, parts: list[int]) -> Capsules:
-    """Capsules ``(..., P)`` along the ``parts`` of the polyline ``points`` ``(..., K, 3)``, from `drawn_parts`."""
     start, end = points[..., parts, :], points[..., [i + 1 for i in parts], :]
     along = end - start
     length = np.linalg.norm(along, axis=-1)
@@ -56,7 +44,7 @@ def capsules(points: Array, parts: list[int]) -> Capsules:
     quaternion = np.stack([-direction[..., 1], direction[..., 0], np.zeros_like(w), w], axis=-1)
     quaternion[down] = [1.0, 0.0, 0.0, 0.0]
     quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    return Capsules(start, length, quaternion)
+    return start, length, quaternion
 
 
 # Where the eye stands: at one point for every picture of a comparison, on screen and on paper. Metres, radians.
