@@ -21,12 +21,11 @@ from pickenv.agents.policies.foreign import foreign_policy
 from pickenv.arm import forward, load_plant, pose_error
 from pickenv.base import InputError, mean_interval, paired_share_interval, share_interval
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.inspect import Comparison, read_run
+from pickenv.inspect import Comparison, RecordedEpisodes, load_part, read_run
 from pickenv.inspect.colours import lane, policy_colours, policy_rank
 from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.matters import pick_share
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, missing_positions
-from pickenv.inspect.runs.run_folder import load_part
+from pickenv.inspect.runs.recorded_episodes import missing_positions
 from pickenv.inspect.runs.saved import nominal_points, true_points
 from pickenv.orchard import load_gripper
 

@@ -13,7 +13,7 @@ from pickenv.agents.evaluation.compare import _capture, _joined, _lengthened, _r
 from pickenv.agents.evaluation.reaches import Moment
 from pickenv.arm import Pose, load_plant
 from pickenv.base import InputError
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
+from pickenv.inspect import RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import capture_probability, load_gripper
 
 CUP, HAND = load_gripper("li_cup"), load_gripper("compliant_hand")

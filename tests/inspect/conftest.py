@@ -13,10 +13,18 @@ import pytest
 
 from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse, load_plant, parameter_jacobian, pose_error
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.inspect import Comparison, Reaches, RecordedPolicy, Run, record_comparison
-from pickenv.inspect.runs.calibration_trace import trace_of
-from pickenv.inspect.runs.recorded_episodes import MOMENTS, FieldGrid, ended
-from pickenv.inspect.runs.run_folder import recorded_run, save_part
+from pickenv.inspect import (
+    Comparison,
+    FieldGrid,
+    Reaches,
+    RecordedPolicy,
+    Run,
+    ended,
+    record_comparison,
+    recorded_run,
+    save_part,
+    trace_of,
+)
 
 STEP = 0.055
 
@@ -95,8 +103,8 @@ def synthetic_comparison(
 
 def cut(policy: RecordedPolicy, number: int) -> RecordedPolicy:
     """The first ``number`` episodes of a policy."""
-    moments = {name: getattr(policy, name)[:number] for name in ("moments", *MOMENTS)}
-    return replace(policy, **moments)
+    arrays = {name: value for name, value in vars(policy).items() if isinstance(value, np.ndarray)}
+    return replace(policy, **{name: value[:number] for name, value in arrays.items() if not name.startswith("field")})
 
 
 @pytest.fixture(scope="session")

@@ -262,7 +262,7 @@ def test_a_folder_that_cannot_be_written_is_named(comparison: Comparison, tmp_pa
 def test_a_full_disk_is_one_sentence_and_leaves_nothing(room: int, tmp_path: Path) -> None:
     script = f"""
 import resource, runpy, sys
-from pickenv.base.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect import record_comparison
 comparison = runpy.run_path(sys.argv[1])["synthetic_comparison"](reaches=5, cells_per_axis=3)
 resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))
@@ -282,7 +282,7 @@ except InputError as error:
 def test_a_recording_that_rerun_did_not_write_is_not_passed_off_as_one(tmp_path: Path) -> None:
     script = """
 import runpy, sys
-from pickenv.base.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect import record_comparison
 try:
     record_comparison(runpy.run_path(sys.argv[1])["synthetic_comparison"](reaches=5, cells_per_axis=3), sys.argv[2])

@@ -14,24 +14,26 @@ import pytest
 
 from pickenv.base import share_interval
 from pickenv.calibration import error_statistics
-from pickenv.inspect import Comparison, Run, trace_drawings
-from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
-from pickenv.inspect.figures.style import new_figure
-from pickenv.inspect.reports.demo_report import demo_verdict, page as demo_report
-from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
-from pickenv.inspect.reports.report_page import (
+from pickenv.inspect import (
+    CalibrationTrace,
+    Comparison,
+    Drawing,
     Interactive,
-    Page as ReportPage,
+    NotDrawn,
     PageTable,
     PageVerdict,
     Pair,
-    Part,
     Picture,
+    Run,
     Section,
     html_of,
+    load_part,
+    trace_drawings,
 )
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.run_folder import load_part
+from pickenv.inspect.figures.style import new_figure
+from pickenv.inspect.reports.demo_report import demo_verdict, page as demo_report
+from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
+from pickenv.inspect.reports.report_page import Page as ReportPage, Part
 
 VOID = {"meta", "link", "img", "br"}
 

@@ -18,13 +18,29 @@ from pickenv.calibration import Choices, Result, assess, calibrate, fit, random_
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
-from pickenv.inspect import Comparison, RecordedPolicy, Run
+from pickenv.inspect import (
+    Bar,
+    CalibrationTrace,
+    Comparison,
+    Folded,
+    Interactive,
+    Page,
+    Pair,
+    PickChange,
+    Picture,
+    RecordedPolicy,
+    Run,
+    between,
+    estimated,
+    gripped,
+    load_part,
+    matters,
+    percent,
+    pick_changes,
+)
 from pickenv.inspect.reports import calibration_report, demo_report, report_page
-from pickenv.inspect.reports.report_page import Bar, Folded, Interactive, Page, Pair, Picture
-from pickenv.inspect.reports.report_words import between, estimated, parameter_words, percent
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
-from pickenv.inspect.runs.run_folder import MATTERS_FILE, load_part
+from pickenv.inspect.reports.report_words import parameter_words
+from pickenv.inspect.runs.run_folder import MATTERS_FILE
 
 
 def built(make: Callable[[], object]) -> Page:

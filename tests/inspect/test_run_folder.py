@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_plant, shipped_plants
-from pickenv.base import InputError, read_container, write_container, write_text
-from pickenv.base.registry import names
+from pickenv.base import InputError, read_container, registry, write_container, write_text
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.inspect import Comparison, Run, read_run
-from pickenv.inspect.runs import saved
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.run_folder import (
-    added_to,
-    faults_of,
-    load_iso9283,
+from pickenv.inspect import (
+    CalibrationTrace,
+    Comparison,
+    Run,
     load_part,
+    read_run,
     recorded_run,
     run_kind,
     save_part,
+    trace_of,
 )
+from pickenv.inspect.runs import saved
+from pickenv.inspect.runs.run_folder import added_to, faults_of, load_iso9283
 
 
 def assert_same(one, other):
@@ -182,7 +182,7 @@ def test_a_record_that_cannot_be_read_is_refused(folder: Path, text: str, words:
 def test_a_path_that_is_no_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere is no folder; make a run folder with one of"):
         read_run(tmp_path / "nowhere")
-    assert all(run_kind(name).made_by.split()[-1] == "RUN" for name in names("report"))
+    assert all(run_kind(name).made_by.split()[-1] == "RUN" for name in registry.names("report"))
 
 
 def test_what_holds_code_cannot_be_saved(tmp_path: Path, comparison: Comparison) -> None:

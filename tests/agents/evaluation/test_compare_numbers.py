@@ -20,11 +20,10 @@ from pickenv.arm import load_plant
 from pickenv.base import InputError, seed_words, stream
 from pickenv.base.registry import names
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.inspect import Comparison, Reaches
+from pickenv.inspect import Comparison, PickChange, Reaches, ended, field_grid, matters, pick_changes
 from pickenv.inspect.runs import matters as matters_module
 from pickenv.inspect.runs.comparison_summary import stage_label
-from pickenv.inspect.runs.matters import PERCEPTION_MM, PickChange, change_cells, matters, pick_changes, pick_share
-from pickenv.inspect.runs.recorded_episodes import ended, field_grid
+from pickenv.inspect.runs.matters import PERCEPTION_MM, change_cells, pick_share
 from pickenv.orchard import load_gripper
 
 

@@ -9,7 +9,7 @@ import pytest
 from pickenv.arm import forward
 from pickenv.calibration import assess, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
-from pickenv.inspect.reports.calibration_report import calibration_page
+from pickenv.inspect import calibration_page, gripped, gripper_curves
 from pickenv.inspect.runs.comparison_summary import (
     attitude_scale_deg,
     cell_means,
@@ -22,7 +22,6 @@ from pickenv.inspect.runs.comparison_summary import (
     ticks,
     uncertainty_scale_mm,
 )
-from pickenv.inspect.runs.matters import gripped, gripper_curves
 from pickenv.orchard import capture_probability, load_gripper
 
 
