@@ -187,7 +187,7 @@ def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Arr
 
 
 def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[PickChange]:
-    """What least squares do to picks on the plant `OTHER`, over a field of upright tool poses at rest."""
+    """The effect of least squares on picks on the plant `OTHER`, over a field of upright tool poses at rest."""
     plant = load_plant(OTHER)
     nominal = plant.arm.nominal
     (poses,) = random_sets(plant, (settings.identification_poses,), rng)

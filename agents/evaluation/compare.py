@@ -302,7 +302,7 @@ def _recorded(folder: Path) -> RecordedEpisodes:
 
 
 SAME = ("env_id", "plant_name", "gripper", "seed", "seeds")
-"""What comparisons must share to be put together."""
+"""Attributes that comparisons must share to be put together."""
 
 
 def _joined(runs: Sequence[RecordedEpisodes]) -> RecordedEpisodes:

@@ -1,4 +1,4 @@
-"""Who takes part in a comparison: policies with what stands between them and the arm, by the names that people give.
+"""The contenders of a comparison: policies with what stands between them and the arm, by the names that people give.
 
 A name on the command line stands for a kind of policy, a shipped one, a file, or a folder of trainings.
 """
@@ -52,7 +52,7 @@ class Kind:
 
 
 def kind_of(name: str) -> Kind:
-    """What kind of policy a name stands for.
+    """The kind of policy that a name stands for.
 
     Raises:
         InputError: If it is no kind, no shipped policy, no policy file and no folder of one training with several
@@ -85,7 +85,7 @@ def load_any(name: str, arm: Arm | None = None) -> LearnedPolicy | RememberingPo
 
 
 def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw") -> PolicyMaker:
-    """How a policy is made for an environment, from a seed.
+    """A maker of a policy for an environment, from a seed.
 
     Args:
         name: Of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
@@ -106,7 +106,7 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
 
 
 def policy_name(name: str) -> str:
-    """How a policy is called in tables: files and folders by the end of their path."""
+    """Name of a policy in tables: files and folders by the end of their path."""
     path = Path(name)
     if path.suffix in foreign.SUFFIXES:
         return path.stem
@@ -267,7 +267,7 @@ def _is_calibration(name: str) -> bool:
 def _calibrated(
     given: str | Path | Calibration | None, arm: Any, allow: Collection[str]
 ) -> tuple[str, Calibration | None, Compensate | None]:
-    """What a calibration is called among policies, itself, and its compensator."""
+    """A calibration's name among policies, itself, and its compensator."""
     if given is None:
         return "raw", None, None
     calibration, part = given, ""

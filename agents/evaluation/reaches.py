@@ -16,7 +16,7 @@ from pickenv.envs import PickVectorEnv
 from pickenv.inspect.runs.recorded_episodes import Reaches as Reaches, believed_joints, reaches_of
 
 FRUIT = ("collected", "damaged", "attempted", "reachable")
-"""What is counted of each canopy."""
+"""Counts of each canopy's fruit."""
 
 
 def pick_canopies(policy: Any, envs: PickVectorEnv, seed: int | Sequence[int]) -> dict[str, Array]:
@@ -57,7 +57,7 @@ def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
 
 
 class Moment(NamedTuple):
-    """What is known after a reset or a step.
+    """The state of an episode after a reset or a step.
 
     Attributes:
         reward: Of the step; 0 after the reset.

@@ -122,7 +122,7 @@ FLOOR = "floor"
 
 @dataclass(frozen=True, eq=False)
 class Details:
-    """What a comparison's further views show.
+    """Fields and curves of a comparison's further views.
 
     Attributes:
         removed: What the last policy removes of the error that the one before it leaves ``(F, 3)``, m; None where there
@@ -173,7 +173,7 @@ def attitude_fields(comparison: Comparison) -> dict[str, Array]:
 
 
 def attitude_length(comparison: Comparison, fields: Mapping[str, Array]) -> float:
-    """How long an attitude error of 1 deg is drawn, m: round, and such that neighbouring arrows rarely overlap."""
+    """Length of an attitude error of 1 deg as drawn, m: round, and such that neighbouring arrows rarely overlap."""
     return summary.round_step(comparison.grid.step / summary.attitude_scale_deg(fields))
 
 
@@ -189,7 +189,7 @@ DAY_HOURS = 8.0
 CAMERA_STD = 1e-3
 """Of one look at the tool, per axis, m."""
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
-"""What a filter is told of it: with half a millimetre that a geometry cannot explain."""
+"""Noise of a look as a filter assumes it: with half a millimetre that a geometry cannot explain."""
 PRIOR, WALK = 0.2, 0.3
 """Of the filter: what a calibration leaves, in tolerances, and how far parameters wander per root hour."""
 FILTERED = 10
@@ -227,7 +227,7 @@ class Day:
         return lines
 
     def explanation(self, labels: Mapping[str, str]) -> str:
-        """What happens here and why, in Markdown, with the mean errors of the day."""
+        """Explanation of what happens here, in Markdown, with the mean errors of the day."""
         lines = self.lines(labels)
         rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in lines.values()]
         first, last = (list(self.errors_mm)[i] for i in (0, -1))

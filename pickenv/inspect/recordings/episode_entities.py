@@ -114,7 +114,7 @@ class EpisodeLog:
 
 @dataclass(frozen=True)
 class Scene:
-    """What all environments of a recording share.
+    """The scene that all environments of a recording share.
 
     Attributes:
         nominal: The nominal arm, or None for environments without one.
@@ -190,7 +190,7 @@ def column(rows: Sequence[Row], name: str) -> Array:
 FRUIT_RADIUS, TOOL_RADIUS = 0.02, 0.012
 """m."""
 GAIN = 20.0
-"""How much larger than true the true arm's deviation from the believed one is drawn."""
+"""Factor by which the true arm's deviation from the believed one is drawn larger than true."""
 GAP = 1.0
 """s; between two episodes on `sim_time`."""
 NEAREST_MM = 1e-4
@@ -202,7 +202,7 @@ WIDTHS = (1.8, 1.2, 0.8, 0.5)
 
 
 def curve_name(scene: Scene, rows: Sequence[Row]) -> str:
-    """What a policy's curves are called: its name, and how far from the fruit its episodes end in the mean."""
+    """Name of a policy's curves: its own, and the mean distance from the fruit at the ends of its episodes."""
     ends = distances_mm(last_rows(rows))
     return scene.label if ends is None else f"{scene.label}: {ends.mean():.3f} mm"
 
@@ -356,7 +356,7 @@ EYE = np.array([0.75, -1.0, 0.55])
 SHOWN_TOLERANCES = 5.0
 """The view from the fruit shows errors up to this many tolerances, or those at the ends of episodes if larger."""
 DECADES = "log10 of mm (-1: 0.1 mm, 0: 1 mm, 1: 10 mm)"
-"""What the axis of distances says; the viewer has no logarithmic axes of its own."""
+"""Words on the axis of distances; the viewer has no logarithmic axes of its own."""
 
 
 def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
@@ -386,7 +386,7 @@ def number_plots(info: Mapping[str, Any]) -> list[Any]:
 
 
 def distance_plot(name: str) -> Any:
-    """How far the tool is from the fruit, on a logarithmic axis that leaves nothing out."""
+    """Plot of the distance from tool to fruit, on a logarithmic axis that leaves nothing out."""
     title = f"{name}, {DECADES}; legend: mean at the end"
     legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True)
     return view_of(rrb.TimeSeriesView, "distance", title, plot_legend=legend)

@@ -16,19 +16,19 @@ import rerun.blueprint as rrb
 from pickenv.base import InputError, command_line
 
 VIEWER_PORT = 9876
-"""Where rerun's viewer listens unless told otherwise."""
+"""Port at which rerun's viewer listens unless told otherwise."""
 VIEWER_MEMORY = "2GiB"
 """A viewer that is left open all day forgets the oldest steps beyond this."""
 PATIENCE = 5.0
-"""How long to wait for a viewer that runs, s."""
+"""Time to wait for a viewer that runs, s."""
 START_PATIENCE = 30.0
-"""How long to wait for one that is being started, s."""
+"""Time to wait for one that is being started, s."""
 LOCAL = "127.0.0.1"
 
 
 @dataclass(frozen=True)
 class Live:
-    """Where a recording is shown while it grows; all three at once are possible.
+    """Places where a recording is shown while it grows; all three at once are possible.
 
     Attributes:
         spawn: Start a viewer on this machine, or use the one that runs.

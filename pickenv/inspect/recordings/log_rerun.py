@@ -37,7 +37,7 @@ GROWTH = 2.0
 
 
 class _Recorder:
-    """What both wrappers share: which environments are logged, the file, and the live viewers."""
+    """The part that both wrappers share: logs of environments, the file, and the live viewers."""
 
     def __init__(
         self,

@@ -36,7 +36,7 @@ from pickenv.inspect.recordings.live import viewer_environment
 
 HANDED_ON = ("content-type", "content-encoding", "cache-control")
 PATIENCE = 30.0
-"""How long to wait for the viewer's own server, s."""
+"""Time to wait for the viewer's own server, s."""
 
 
 @contextmanager

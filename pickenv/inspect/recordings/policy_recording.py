@@ -34,7 +34,7 @@ from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes,
 from pickenv.inspect.runs.saved import shown_box
 
 SIDEWAYS = np.array([0.8, 0.6, 0.0])
-"""Where the next policy stands: to the right as the eye sees it."""
+"""Direction to the next policy: to the right as the eye sees it."""
 APART = 1.25
 """Distance between policies, in widths of what is shown of one."""
 NAME_SIZE = rr.Radius.ui_points(6.0)
@@ -136,7 +136,7 @@ def field_top_mm(comparison: Comparison) -> float:
 
 
 def _arrow_gain(comparison: Comparison) -> float:
-    """How much longer than true size the fields' arrows are drawn."""
+    """Factor by which the fields' arrows are drawn longer than true size."""
     return field_gain(comparison.grid.step, field_top_mm(comparison))
 
 

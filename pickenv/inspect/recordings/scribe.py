@@ -1,4 +1,4 @@
-"""How anything becomes a Rerun recording: one stream, whole columns, no wall-clock times: equal data give equal files.
+"""Rerun recordings of anything: one stream, whole columns, no wall-clock times: equal data give equal files.
 
 Metres in space; millimetres and degrees on plots, as their titles say.
 """
@@ -138,7 +138,7 @@ class Scribe:
         self.move_arm(entity, points, parts)
 
     def move_arm(self, entity: str, points: Array, parts: list[int]) -> None:
-        """Where an arm stands at every moment, for one whose looks were sent by `arm`."""
+        """Places of an arm at every moment, for one whose looks were sent by `arm`."""
         start, length, quaternion = capsules(points, parts)
         moving = rr.Capsules3D.columns(
             lengths=f32(length.ravel()),
@@ -196,7 +196,7 @@ def four_digits(values: ArrayLike) -> Array:
 
 
 def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
-    """What a click on an arrow reads out: length and components of ``vectors`` ``(N, 3)``, in ``unit``."""
+    """Numbers that a click on an arrow reads out: length and components of ``vectors`` ``(N, 3)``, in ``unit``."""
     return rr.DynamicArchetype("PickError", components=_readings(vectors, unit))
 
 

@@ -99,7 +99,7 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
 
 
 def _measured(data: Observations) -> str:
-    """What the rows of a data set are."""
+    """Kind of the rows of a data set, in words."""
     return "views of a board" if data.kind == "pixels" else f"{data.kind} measurements"
 
 
@@ -265,7 +265,7 @@ def _poses(r: Result, train: Observations) -> Section:
 
 
 def _uncertainty(r: Result) -> Drawing | None:
-    """Where predicted positions are uncertain; None where that is unknown."""
+    """Map of the uncertainty of predicted positions; None where that is unknown."""
     model, uncertainty, geometry = r.fit.calibration.model, r.uncertainty, r.fit.identification.geometry
     if not np.isfinite(uncertainty.covariance).all() or model.terms:
         return None

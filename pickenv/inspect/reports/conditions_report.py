@@ -44,7 +44,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
-    """What a reader should take away: a headline, and what it rests on."""
+    """The verdict for a reader: a headline, and what it rests on."""
     methods = result["sweeps"][HELD_OUT]["methods"]
     figures = {name: by_level[0] for name, by_level in methods.items()}
     usual = next(name for name in figures if name != "raw")

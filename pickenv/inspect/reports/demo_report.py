@@ -79,7 +79,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 def demo_verdict(
     comparison: Comparison, cases: Mapping[str, Sequence[PickChange]] | None = None
 ) -> report_page.PageVerdict:
-    """What the last policy's calibration is worth against the first, and whether that changes picks.
+    """The worth of the last policy's calibration against the first, and whether that changes picks.
 
     Args:
         comparison: The reaches.

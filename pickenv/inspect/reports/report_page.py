@@ -31,7 +31,7 @@ TONES = ("good", "care", "bad", "note")
 
 @dataclass(frozen=True)
 class PageVerdict:
-    """What a reader should take away.
+    """The verdict that a page begins with.
 
     Attributes:
         tone: One of `TONES`.
@@ -61,7 +61,7 @@ class Bar:
     limit: float
 
     def at(self, sigmas: float = 0.0) -> float:
-        """Where the value plus so many standard deviations stands: 4 to 116, with zero at 60."""
+        """Place of the value plus so many standard deviations: 4 to 116, with zero at 60."""
         return 60.0 + 56.0 * min(max((self.value + sigmas * self.sigma) / self.limit, -1.0), 1.0)
 
 
@@ -137,7 +137,7 @@ class Folded:
 
 
 Part: TypeAlias = str | PageTable | Drawing | Interactive | Picture | Pair | Folded | Mapping[str, str] | None
-"""What a section holds: a paragraph, a table, a figure, names with values; what is empty is left out."""
+"""A part of a section: a paragraph, a table, a figure, names with values; what is empty is left out."""
 
 
 @dataclass(frozen=True)

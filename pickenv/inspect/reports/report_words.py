@@ -1,4 +1,4 @@
-"""How reports say numbers with their intervals, and what a parameter's name means to who does not know the notation."""
+"""Numbers with their intervals in words, and the meanings of parameters for who does not know the notation."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a calibration leaves for its figures and its report: poses, held-out errors, convergence, identifiability."""
+"""The trace of a calibration, for its figures and its report: poses, held-out errors, convergence, identifiability."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def episode_misses(policy: RecordedPolicy) -> Array:
 
 
 def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
-    """How often the gripper closed in each episode ``(E,)``."""
+    """Number of times that the gripper closed in each episode ``(E,)``."""
     return np.asarray(np.isfinite(policy.miss_mm).sum(axis=1))
 
 
@@ -100,7 +100,7 @@ def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]
 
 
 def row_cells(row: Mapping[str, Any]) -> list[str]:
-    """What people are shown of a row, under `HEADS`."""
+    """Cells of a row, under `HEADS`."""
     return [
         row["policy"],
         said(row["mean_mm"], row["ci95_mm"], 3),
@@ -113,7 +113,7 @@ def row_cells(row: Mapping[str, Any]) -> list[str]:
 
 
 def difference_cells(line: Mapping[str, Any]) -> list[str]:
-    """What people are shown of a difference, under `DIFFERENCES`."""
+    """Cells of a difference, under `DIFFERENCES`."""
     return [
         line["from"],
         line["to"],
@@ -140,7 +140,7 @@ def _plain(value: float, digits: int) -> float:
 
 
 def outcome_sentence(episodes: RecordedEpisodes) -> str:
-    """Which policy is better, in a few words."""
+    """The verdict in a few words: the better policy."""
     rows = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
     if not rows:
         return "No policy closed the gripper"
@@ -178,7 +178,7 @@ def _picking(episodes: RecordedEpisodes, rows: Sequence[Mapping[str, Any]]) -> s
 
 
 def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """What the best policy instead of the other changes in picks, for each gripper and perception error.
+    """The change in picks by the best policy instead of the other, for each gripper and perception error.
 
     What counts is the miss across the tool. Empty where no two policies closed the gripper for the same fruit.
     """
@@ -207,7 +207,7 @@ def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChan
 
 
 def _across(policy: RecordedPolicy) -> Array:
-    """What each miss is across the tool, mm; all of it where the tool's attitude to that fruit is not known."""
+    """The part of each miss across the tool, mm; all of it where the tool's attitude to that fruit is not known."""
     axis, across = policy.tool_rotation[..., 2], policy.miss_mm.copy()
     comparable = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
     apart = (policy.fruit_position - policy.tool_position)[comparable]
@@ -278,12 +278,12 @@ def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[floa
 
 
 def stage_label(calibration: Calibration) -> str:
-    """What a calibration is called among policies: LS, or LS+BPNN after what it learnt of the rest."""
+    """The name of a calibration among policies: LS, or LS+BPNN after what it learnt of the rest."""
     return "LS" if calibration.learnt is None else f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
 
 
 GAIN = 20.0
-"""How much longer than true size recordings draw errors, and figures where their arrows then fit."""
+"""Factor by which recordings draw errors longer than true size, and figures where their arrows then fit."""
 SCALE_PERCENTILE = 99.0
 """The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
 

@@ -43,7 +43,7 @@ def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, 
 
 
 def gripped(comparison: Comparison, names: tuple[str, ...] = GRIPPERS) -> dict[str, Gripped]:
-    """How the fruit of each reach lies in the true tool, by policy label.
+    """The fruit of each reach as it lies in the true tool, by policy label.
 
     The tool is as the true arm holds it; it should point as the nominal arm does at the first policy's command.
     """
@@ -71,7 +71,7 @@ RINGS, SPOKES = 24, 24
 
 @dataclass(frozen=True)
 class PickChange:
-    """What a calibration does to the picks of one gripper.
+    """The effect of a calibration on the picks of one gripper.
 
     Attributes:
         gripper: Its name.
@@ -87,7 +87,7 @@ class PickChange:
 
     @property
     def gain(self) -> float:
-        """What calibration adds, as a share of fruit."""
+        """Gain by calibration, as a share of fruit."""
         return self.after - self.before
 
 
@@ -107,7 +107,7 @@ def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) ->
 
 
 def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike, grippers: Sequence[str] = GRIPPERS) -> list[PickChange]:
-    """What a calibration does to picks, for each gripper and each of `PERCEPTION_MM`.
+    """The effect of a calibration on picks, for each gripper and each of `PERCEPTION_MM`.
 
     Args:
         before_mm: Lateral errors without calibration ``(N,)``, mm.
@@ -122,7 +122,7 @@ def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike, grippers: Sequence[s
 
 
 def change_cells(change: PickChange) -> tuple[str, ...]:
-    """What people are shown of a change: gripper, perception error, shares without and with, points of % between."""
+    """A change as cells of a table: gripper, perception error, shares without and with, points of % between."""
     shares = (f"{100.0 * share:.1f}" for share in (change.before, change.after))
     return (change.gripper, f"{change.perception_mm:g}", *shares, f"{100.0 * change.gain:+.1f}")
 

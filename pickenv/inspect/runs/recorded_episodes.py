@@ -229,7 +229,7 @@ class FieldGrid:
 
     @property
     def corner(self) -> Array:
-        """Where the first cell begins ``(3,)``, m."""
+        """Lowest corner of the first cell ``(3,)``, m."""
         return self.origin - self.step / 2.0
 
     @property
@@ -287,11 +287,11 @@ def field_grid(nominal: Geometry, step: float, seed: int) -> FieldGrid:
 
 
 POSITIONS = ("tool_position", "fruit_position")
-"""What an environment's `info` must hold to be drawn and compared: three finite numbers each, m, in one frame."""
+"""Entries of `info` that drawing and comparing an environment need: three finite numbers each, m, in one frame."""
 
 
 def missing_positions(info: Mapping[str, Any]) -> str:
-    """What `info` lacks of `POSITIONS`, in a sentence that says what to do; empty where nothing is missing.
+    """The `POSITIONS` that `info` lacks, in a sentence that says what to do; empty where nothing is missing.
 
     Raises:
         InputError: If one of them is there, but no position.

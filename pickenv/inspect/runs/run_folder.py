@@ -36,7 +36,7 @@ from pickenv.inspect.runs.saved import load_numbers, save_numbers
 
 RECORD = "run.json"
 LIST = "files.json"
-"""What a folder of many runs, tables and calibrations holds, where it is no run itself."""
+"""The list of files of a folder of many runs, tables and calibrations that is no run itself."""
 
 PARTS: Mapping[type, str] = {
     Comparison: "comparison.npz",
@@ -127,7 +127,7 @@ class Run:
 
     @property
     def made_by(self) -> str:
-        """How such a folder is made, for error messages."""
+        """The command that makes such a folder, for error messages."""
         return run_kind(self.kind).made_by.replace("RUN", shlex.quote(str(self.folder)))
 
 
@@ -166,7 +166,7 @@ def added_to(run: Run) -> Iterator[None]:
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """What tells whether a file was written again, for every file of a folder; hidden files are not its own."""
+    """Inode, time and size of every file of a folder, which tell whether it was written again; no hidden ones."""
     stamps = {}
     for root, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
@@ -203,7 +203,7 @@ def _record_text(run: Run) -> str:
 
 
 def read_run(folder: str | Path) -> Run:
-    """What kind of run ``folder`` holds.
+    """The run that ``folder`` holds.
 
     Raises:
         InputError: If it is no run folder, is incomplete, damaged, edited, or of another version.
@@ -326,7 +326,7 @@ def load_iso9283(run: Run) -> dict[str, Any]:
 
 
 def load_cases(run: Run) -> dict[str, list[dict[str, Any]]]:
-    """What calibration does to picks on each plant of a demonstration; empty for a run that says nothing of it."""
+    """The effect of calibration on picks, by plant of a demonstration; empty for a run that says nothing of it."""
     if not (run.folder / MATTERS_FILE).is_file():
         return {}
     return _load_result(run, MATTERS_FILE, "what calibration does to picks", ())

@@ -76,7 +76,7 @@ def eye_direction(comparison: Comparison) -> Array:
 
 
 def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
-    """Which field points ``(F,)`` lie in the corner nearest to the eye, where voxels would hide all others."""
+    """Whether each field point ``(F,)`` lies in the corner nearest to the eye, where voxels would hide all others."""
     offset = comparison.grid.points - shown_box(comparison)[0]
     return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
 
