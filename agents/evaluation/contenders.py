@@ -154,13 +154,11 @@ class Contender:
         label: Name for people.
         make: Makes it for an environment, from a seed.
         compensator: Stands between it and the arm; None for a raw arm.
-        calibration: Where the compensator is from.
     """
 
     label: str
     make: PolicyMaker
     compensator: Compensate | None = None
-    calibration: Calibration | None = None
 
 
 def contenders_of(
@@ -203,17 +201,17 @@ def contenders_of(
         _calibrated(built_in or calibration, arm, allow)
         for (_, built_in), calibration in zip(pairs, behind, strict=True)
     ]
-    names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _, _ in stages])
+    names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _ in stages])
     if len(names) != len(pairs):
         raise InputError(f"there are {len(pairs)} policies and {len(names)} labels; give each one label")
     contenders = []
-    for (policy, _), (stage, calibration, compensator), label in zip(pairs, stages, names, strict=True):
+    for (policy, _), (stage, compensator), label in zip(pairs, stages, names, strict=True):
         if isinstance(policy, str | Path):
             kind_of(str(policy))
             make = maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)
         else:
             make = _ready(policy)
-        contenders.append(Contender(label, make, compensator, calibration))
+        contenders.append(Contender(label, make, compensator))
     check_labels(names)
     return sorted(contenders, key=lambda contender: policy_rank(contender.label))
 
@@ -266,10 +264,10 @@ def _is_calibration(name: str) -> bool:
 
 def _calibrated(
     given: str | Path | Calibration | None, arm: Any, allow: Collection[str]
-) -> tuple[str, Calibration | None, Compensate | None]:
-    """A calibration's name among policies, itself, and its compensator."""
+) -> tuple[str, Compensate | None]:
+    """A calibration's name among policies, and its compensator."""
     if given is None:
-        return "raw", None, None
+        return "raw", None
     calibration, part = given, ""
     if not isinstance(calibration, Calibration):
         path, _, part = str(given).partition("#")
@@ -279,7 +277,7 @@ def _calibrated(
     obey(calibration.reservations(), allow)
     if part:
         calibration = calibration.without_residual()
-    return stage_label(calibration), calibration, calibration.compensator()
+    return stage_label(calibration), calibration.compensator()
 
 
 def _name(policy: Given) -> str:

@@ -293,7 +293,7 @@ def comparison_blueprint(comparison: Comparison, details: Details, gain: float) 
 
 
 def _removed(comparison: Comparison, removed: Array, gain: float) -> Any:
-    """View of the error that the last policy takes away from that of the one before it; beside the fields themselves."""
+    """View of the error that the last policy takes away from that of the one before; beside the fields themselves."""
     before, last = comparison.policies[-2:]
     mean = summary.error_spread(np.linalg.norm(1e3 * removed, axis=-1)).mean
     title = f"{before.label} minus {last.label} | mean {mean:.2f} mm | ×{gain:g}"

@@ -181,7 +181,7 @@ def test_policies_are_paired_with_calibrations_and_named_by_what_differs(
     with pytest.raises(InputError, match="unknown policy"):
         contenders_of([tmp_path / "none.npy"])
     made = contenders_of([object()], [calibration])[0]
-    assert made.label == "LS+RBF" and made.calibration is calibration
+    assert made.label == "LS+RBF" and made.compensator is not None
     assert contenders_of([SimpleNamespace()])[0].label == "SimpleNamespace"
     assert stage_label(calibration) == "LS+RBF" and stage_label(calibration.without_residual()) == "LS"
     learnt = SimpleNamespace(learnt=SimpleNamespace(kind="some_kind"))
