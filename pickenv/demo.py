@@ -7,7 +7,6 @@ seeded fruit raw, with least squares (LS) and with least squares and network (LS
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +14,9 @@ import gymnasium as gym
 import numpy as np
 
 import pickenv
-from pickenv.agents import Reaches, ScriptedReach, episode_seeds
-from pickenv.agents.evaluation.reaches import moments_of
+from pickenv.agents import Reaches, ScriptedReach, episode_seeds, run_reaches
 from pickenv.arm import Array, Plant, forward, load_plant, noncompensable_error, pose_error
-from pickenv.base import absent_extras, share_interval, write_json, write_text
+from pickenv.base import absent_extras, command_line, share_interval, write_json, write_text
 from pickenv.calibration import (
     BpnnSettings,
     Choices,
@@ -30,16 +28,13 @@ from pickenv.calibration import (
     fit,
     held_out_r2,
 )
-from pickenv.experiments import Experiment, run
 from pickenv.experiments.engine import Progress
 from pickenv.experiments.gains import FIELD, ROWS, BlockedGain, blocked_gains, grid_joints, measured_gains, random_sets
 from pickenv.inspect import Comparison, Run
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.comparison_summary import compared, policy_errors
-from pickenv.inspect.runs.episode_summary import reaches_of
-from pickenv.inspect.runs.field_grid import field_grid
 from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
+from pickenv.inspect.runs.recorded_episodes import ended, field_grid
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, recorded_run, save_part
 from pickenv.orchard import misalignment
 from pickenv.wrappers import CompensationWrapper
@@ -98,7 +93,7 @@ class DemoSettings:
         """The command line, or the call, that makes the same numbers."""
         if not self.is_quick and replace(self, network=True) != DemoSettings(self.seed):
             return f"run_demo({self!r})"
-        return f"pickenv demo --seed {self.seed}" + " --quick" * self.is_quick + " --no-network" * (not self.network)
+        return command_line("pickenv", "demo", seed=self.seed, quick=self.is_quick, no_network=not self.network)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,20 +167,17 @@ def _reaches(settings: DemoSettings, compensators: Compensators, report: Progres
         "tolerance_mm": settings.tolerance_mm,
         "angle_tolerance_deg": settings.attitude_tolerance_deg,
     }
-    envs: dict[str, Any] = {}
-    for key, compensator in compensators.items():
-        env = gym.make("pickenv/Reach-v0", plant=settings.plant, **tolerances)
-        envs[key] = env if compensator is None else CompensationWrapper(env, compensator)
-    seeds, reach = episode_seeds(settings.seed, settings.reaches), partial(_reach, envs=envs)
-    rows = run(Experiment("reaching", {"episode": seeds}, {"policy": list(envs)}, reach), progress=report)
-    geometry = envs["raw"].unwrapped.plant.geometry
-    return {key: reaches_of(geometry, seeds, rows.where(policy=key).columns) for key in envs}
+    reaches, seeds = {}, episode_seeds(settings.seed, settings.reaches)
+    total = len(compensators) * len(seeds)
+    for number, (key, compensator) in enumerate(compensators.items()):
+        env: Any = gym.make("pickenv/Reach-v0", plant=settings.plant, **tolerances)
+        env = env if compensator is None else CompensationWrapper(env, compensator)
 
+        def reached(done: int, earlier: int = number * len(seeds)) -> None:
+            report("reaching", earlier + done, total)
 
-def _reach(rng: np.random.Generator, policy: str, episode: int, envs: dict[str, Any]) -> dict[str, Array]:
-    """What is known at the end of one reach."""
-    *_, last = moments_of(envs[policy], ScriptedReach(envs[policy]), episode)
-    return {name: np.asarray(value)[None] for name, value in last.info.items()}
+        reaches[key] = run_reaches(env, ScriptedReach(env), seeds, reached)
+    return reaches
 
 
 def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Array:
@@ -195,7 +187,7 @@ def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Arr
 
 
 def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[PickChange]:
-    """What least squares do to picks on the plant `OTHER`, over a field of upright tool poses at rest."""
+    """The effect of least squares on picks on the plant `OTHER`, over a field of upright tool poses at rest."""
     plant = load_plant(OTHER)
     nominal = plant.arm.nominal
     (poses,) = random_sets(plant, (settings.identification_poses,), rng)
@@ -215,15 +207,18 @@ def _comparison(
 ) -> Comparison:
     """The error field on a regular grid of upright tool poses, and the reaches, for pictures."""
     grid = field_grid(plant.arm.nominal, settings.grid_step, settings.seed)
-    policies = []
-    for key, compensator in compensators.items():
-        reach, field = reaches[key], _errors(plant, grid.joints, compensator)
-        ends = (reach.joint_command, reach.tool_position, reach.pose_error, reach.success)
-        policies.append(policy_errors(policy_label(key), field, *ends, key=key))
-    calibration, facts = result.calibration, dict[str, Any](seed=settings.seed, tolerance_mm=settings.tolerance_mm)
-    uncertainty = result.uncertainty.standard(calibration.model, grid.joints)[0]
-    fruit, identified = reaches["raw"].fruit_position, calibration.identified
-    return compared(plant, grid, policies, **facts, fruit=fruit, identified=identified, uncertainty=uncertainty)
+    return Comparison(
+        policies=tuple(
+            ended(policy_label(key), reaches[key], key).with_field(_errors(plant, grid.joints, compensator))
+            for key, compensator in compensators.items()
+        ),
+        plant=plant,
+        tolerance_mm=settings.tolerance_mm,
+        seed=settings.seed,
+        seeds=reaches["raw"].seeds,
+        grid=grid,
+        field_uncertainty=result.uncertainty.standard(result.calibration.model, grid.joints)[0],
+    )
 
 
 def summarise(result: DemoResult) -> dict[str, Any]:

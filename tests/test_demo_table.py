@@ -17,7 +17,7 @@ from pickenv.experiments.gains import (
     left_by_models,
     random_sets,
 )
-from pickenv.inspect.runs.field_grid import field_grid
+from pickenv.inspect import field_grid
 
 SMOOTH = load_plant("qiao2026")
 

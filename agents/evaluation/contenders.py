@@ -1,21 +1,142 @@
-"""Who takes part in a comparison: policies with what stands between them and the arm, by the names that people give."""
+"""The contenders of a comparison: policies with what stands between them and the arm, by the names that people give.
+
+A name on the command line stands for a kind of policy, a shipped one, a file, or a folder of trainings.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from pickenv.agents.evaluation.compared_policies import kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.rollout import PolicyMaker
+from pickenv.agents.policies import foreign
+from pickenv.agents.policies.learned import LearnedPolicy, load_policy
 from pickenv.agents.policies.policy import Policy
+from pickenv.agents.policies.remembering import RememberingPolicy, RememberingReach, load_remembering, remembers
 from pickenv.arm import Arm
 from pickenv.base import InputError, obey, read_container
+from pickenv.base.registry import get, names
 from pickenv.calibration import Calibration
+from pickenv.envs.shared.task import FEEDBACK
 from pickenv.inspect.colours import policy_key, policy_rank
 from pickenv.inspect.runs.comparison_summary import stage_label
 from pickenv.wrappers import Compensate
+from pickenv.wrappers.tool_steps import ToolSteps
+
+SEQUENTIAL_STEPS = 30
+"""Steps of an episode of a policy that learns from pick to pick: the longest way takes 20."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of policy.
+
+    Attributes:
+        feedback: What it can use: "encoders", "camera".
+        sequential: Whether it learns from episode to episode.
+        raw_only: Whether a compensator would only stand in its way.
+        files: Of a learned policy, one per training seed; else empty.
+    """
+
+    feedback: tuple[str, ...] = FEEDBACK
+    sequential: bool = False
+    raw_only: bool = False
+    files: tuple[str, ...] = ()
+
+    @property
+    def steps(self) -> int:
+        """Steps of an episode."""
+        return SEQUENTIAL_STEPS if self.sequential else 60
+
+
+def kind_of(name: str) -> Kind:
+    """The kind of policy that a name stands for.
+
+    Raises:
+        InputError: If it is no kind, no shipped policy, no policy file and no folder of one training with several
+            seeds.
+    """
+    if name in names("policy"):
+        maker, plain = get("policy", name), Kind()
+        traits = ("feedback", "sequential", "raw_only")
+        return Kind(**{trait: getattr(maker, trait, getattr(plain, trait)) for trait in traits})
+    if Path(name).suffix in foreign.SUFFIXES:
+        return Kind(files=(name,))
+    if Path(name).is_dir():
+        files = tuple(str(path) for path in sorted(Path(name).glob("*/policy.npz")))
+        return replace(_kind_of_files(name, files), files=files)
+    try:
+        policy = load_any(name)
+    except InputError as error:
+        if name.endswith(".npz"):
+            raise
+        raise InputError(
+            f"unknown policy '{name}'; give {', '.join(names('policy'))}, a shipped baseline, a file or a folder of "
+            "trainings"
+        ) from error
+    return replace(_kind_of_policy(policy), files=(name,))
+
+
+def load_any(name: str, arm: Arm | None = None) -> LearnedPolicy | RememberingPolicy:
+    """A shipped policy or a policy file, with or without a memory; errors as of `load_policy`."""
+    return load_remembering(name, arm) if remembers(name) else load_policy(name, arm)
+
+
+def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw") -> PolicyMaker:
+    """A maker of a policy for an environment, from a seed.
+
+    Args:
+        name: Of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
+        camera_noise_mm: Noise that an adaptive policy expects, per axis.
+        compensation: What it stands behind.
+    """
+
+    def make(env: Any, seed: int) -> Policy:
+        if name in names("policy"):
+            options = {"camera_noise_mm": camera_noise_mm, "compensation": compensation}
+            return foreign.registered_policy(name, env, seed, options if kind_of(name).sequential else {})
+        if Path(name).suffix in foreign.SUFFIXES:
+            return foreign.foreign_policy(name, env, seed)
+        policy = load_any(name, env.unwrapped.task.plant.arm)
+        return policy if isinstance(policy, LearnedPolicy) else RememberingReach(env, policy)
+
+    return make
+
+
+def policy_name(name: str) -> str:
+    """Name of a policy in tables: files and folders by the end of their path."""
+    path = Path(name)
+    if path.suffix in foreign.SUFFIXES:
+        return path.stem
+    if name.endswith(".npz"):
+        return "/".join(path.with_suffix("").parts[-3:])
+    return path.name if len(path.parts) > 1 else name
+
+
+def _kind_of_files(folder: str, files: tuple[str, ...]) -> Kind:
+    """The kind of a folder's trainings; they must differ in their seeds alone."""
+    if not files:
+        raise InputError(f"{folder} holds no trainings; give a folder whose folders hold a policy.npz each, one a seed")
+    policies = [load_any(file) for file in files]
+    trainings = [dict(policy.record.get("training", {})) for policy in policies]
+    seeds = [training.pop("seed", None) for training in trainings]
+    if len(set(seeds)) < len(seeds) or any(training != trainings[0] for training in trainings):
+        raise InputError(
+            f"{folder} holds trainings that differ in more than their seeds, or two of one seed; give one training "
+            "with several seeds, each in a folder of its own"
+        )
+    return _kind_of_policy(policies[0])
+
+
+def _kind_of_policy(policy: LearnedPolicy | RememberingPolicy) -> Kind:
+    if isinstance(policy, RememberingPolicy):
+        return Kind(("camera",), sequential=True)
+    if isinstance(policy.scaling, ToolSteps):
+        raise InputError("this policy picks, and cannot be compared on reaches; judge it in pickenv/Pick-v0")
+    return Kind(("camera",) if policy.scaling.camera else ("encoders",))
+
 
 NONE = "none"
 LEAST_SQUARES = "ls"
@@ -33,13 +154,11 @@ class Contender:
         label: Name for people.
         make: Makes it for an environment, from a seed.
         compensator: Stands between it and the arm; None for a raw arm.
-        calibration: Where the compensator is from.
     """
 
     label: str
     make: PolicyMaker
     compensator: Compensate | None = None
-    calibration: Calibration | None = None
 
 
 def contenders_of(
@@ -67,31 +186,34 @@ def contenders_of(
             calibration.
     """
     pairs = [_pair(policy) for policy in policies]
-    given = [None if each in (None, NONE) else each for each in compensate]
-    if len(pairs) == 1 and len(given) > 1 and pairs[0][1] is None:
-        pairs = pairs * len(given)
-    if len(given) == 1:
-        given = given * len(pairs)
-    if given and len(given) != len(pairs):
+    calibrations = [None if calibration in (None, NONE) else calibration for calibration in compensate]
+    if len(pairs) == 1 and len(calibrations) > 1 and pairs[0][1] is None:
+        pairs = pairs * len(calibrations)
+    if len(calibrations) == 1:
+        calibrations = calibrations * len(pairs)
+    if calibrations and len(calibrations) != len(pairs):
         raise InputError(
-            f"there are {len(pairs)} policies and {len(given)} calibrations; give one for each ({NONE} for a raw arm), "
-            "one for all, or one policy"
+            f"there are {len(pairs)} policies and {len(calibrations)} calibrations; give one for each ({NONE} for a "
+            "raw arm), one for all, or one policy"
         )
-    pairs = [(policy, own or other) for (policy, own), other in zip(pairs, given or [None] * len(pairs), strict=True)]
-    stages = [_calibrated(calibration, arm, allow) for _, calibration in pairs]
-    names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _, _ in stages])
+    behind = calibrations or [None] * len(pairs)
+    stages = [
+        _calibrated(built_in or calibration, arm, allow)
+        for (_, built_in), calibration in zip(pairs, behind, strict=True)
+    ]
+    names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _ in stages])
     if len(names) != len(pairs):
         raise InputError(f"there are {len(pairs)} policies and {len(names)} labels; give each one label")
-    found = []
-    for (policy, _), (stage, calibration, compensator), label in zip(pairs, stages, names, strict=True):
+    contenders = []
+    for (policy, _), (stage, compensator), label in zip(pairs, stages, names, strict=True):
         if isinstance(policy, str | Path):
             kind_of(str(policy))
             make = maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)
         else:
             make = _ready(policy)
-        found.append(Contender(label, make, compensator, calibration))
+        contenders.append(Contender(label, make, compensator))
     check_labels(names)
-    return sorted(found, key=lambda each: policy_rank(each.label))
+    return sorted(contenders, key=lambda contender: policy_rank(contender.label))
 
 
 def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) -> Compensate:
@@ -117,7 +239,7 @@ def check_labels(labels: Sequence[str]) -> None:
         if not key:
             raise InputError(f"the label '{label}' has no letter or digit; give another")
         if keys.count(key) > 1:
-            raise InputError(f"two policies are called '{label}'; give each its own --label")
+            raise InputError(f"two policies are called '{label}'; give each its own `label`")
 
 
 def _ready(policy: Policy) -> PolicyMaker:
@@ -142,10 +264,10 @@ def _is_calibration(name: str) -> bool:
 
 def _calibrated(
     given: str | Path | Calibration | None, arm: Any, allow: Collection[str]
-) -> tuple[str, Calibration | None, Compensate | None]:
-    """What a calibration is called among policies, itself, and its compensator."""
+) -> tuple[str, Compensate | None]:
+    """A calibration's name among policies, and its compensator."""
     if given is None:
-        return "raw", None, None
+        return "raw", None
     calibration, part = given, ""
     if not isinstance(calibration, Calibration):
         path, _, part = str(given).partition("#")
@@ -155,7 +277,7 @@ def _calibrated(
     obey(calibration.reservations(), allow)
     if part:
         calibration = calibration.without_residual()
-    return stage_label(calibration), calibration, calibration.compensator()
+    return stage_label(calibration), calibration.compensator()
 
 
 def _name(policy: Given) -> str:

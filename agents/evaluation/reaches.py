@@ -13,13 +13,10 @@ from pickenv.agents.policies.policy import Policy
 from pickenv.arm import Array
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import PickVectorEnv
-from pickenv.inspect.runs.episode_summary import Reaches as Reaches, reaches_of
-
-# What becomes of a canopy's fruit under a policy, in many environments `pickenv/Pick-v0` side by side.
-
+from pickenv.inspect.runs.recorded_episodes import Reaches as Reaches, believed_joints, reaches_of
 
 FRUIT = ("collected", "damaged", "attempted", "reachable")
-"""What is counted of each canopy."""
+"""Counts of each canopy's fruit."""
 
 
 def pick_canopies(policy: Any, envs: PickVectorEnv, seed: int | Sequence[int]) -> dict[str, Array]:
@@ -34,20 +31,20 @@ def pick_canopies(policy: Any, envs: PickVectorEnv, seed: int | Sequence[int]) -
         Arrays ``(N,)``: `FRUIT`, "steps" that the canopy took, and "reward", their sum.
     """
     policy.reset()
-    seen, _ = envs.reset(seed=seed)
+    observation, _ = envs.reset(seed=seed)
     over, steps = np.zeros(envs.num_envs, dtype=np.bool_), 0
-    found = {name: np.zeros(envs.num_envs) for name in (*FRUIT, "steps", "reward")}
+    totals = {name: np.zeros(envs.num_envs) for name in (*FRUIT, "steps", "reward")}
     while not over.all():
-        fresh, rewards, terminated, truncated, infos = envs.step(policy.act(seen))
+        fresh, rewards, terminated, truncated, infos = envs.step(policy.act(observation))
         steps += 1
-        found["reward"] += np.where(over, 0.0, rewards)
+        totals["reward"] += np.where(over, 0.0, rewards)
         ended = (terminated | truncated) & ~over
-        found["steps"][ended] = steps
+        totals["steps"][ended] = steps
         for name in FRUIT:
-            found[name][ended] = infos[name][ended]
+            totals[name][ended] = infos[name][ended]
         over |= ended
-        seen = np.where(over[:, None], seen, fresh)  # canopies that are done ask for no thought
-    return found
+        observation = np.where(over[:, None], observation, fresh)  # canopies that are done ask for no thought
+    return totals
 
 
 LONGEST_EPISODE = 10_000
@@ -59,44 +56,18 @@ def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
     return tuple(seed_words(stream(seed, "fruit"), count))
 
 
-def run_reaches(
-    env: gym.Env[Any, Any], policy: Policy, seeds: Sequence[int], progress: Callable[[int], None] | None = None
-) -> Reaches:
-    """Run one episode per seed and keep the last step of each.
-
-    Args:
-        env: A reach environment with its time limit.
-        policy: The policy.
-        seeds: One per episode; the same seeds give the same fruit to every policy.
-        progress: Called after each episode with the number done.
-
-    Raises:
-        InputError: If there are no seeds, or an episode does not end.
-    """
-    if not seeds:
-        raise InputError("there are no episodes to run; give at least one seed")
-    last = []
-    for done, seed in enumerate(seeds, start=1):
-        for moment in moments_of(env, policy, seed):
-            info = moment.info
-        last.append(info)
-        if progress is not None:
-            progress(done)
-    inner: Any = env.unwrapped
-    stacked = {key: np.array([info[key] for info in last]) for key in last[0]}
-    return reaches_of(inner.plant.geometry, seeds, stacked)
-
-
 class Moment(NamedTuple):
-    """What is known after a reset or a step.
+    """The state of an episode after a reset or a step.
 
     Attributes:
         reward: Of the step; 0 after the reset.
         info: The environment's.
+        target: Joints at which the controller believes the arm to be ``(n,)``; None where it does not tell.
     """
 
     reward: float
     info: Mapping[str, Any]
+    target: Array | None = None
 
 
 def moments_of(
@@ -120,12 +91,44 @@ def moments_of(
     """
     observation, info = env.reset(seed=seed, options=options)
     policy.reset()
-    yield Moment(0.0, info)
+    yield Moment(0.0, info, believed_joints(env))
     for _ in range(LONGEST_EPISODE if steps is None else steps):
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
-        yield Moment(float(reward), info)
+        yield Moment(float(reward), info, believed_joints(env))
         if terminated or truncated:
             return
-    if steps is not None:
-        return
-    raise InputError(f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit")
+    if steps is None:
+        raise InputError(f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit")
+
+
+def run_episodes(
+    env: gym.Env[Any, Any], policy: Policy, seeds: Sequence[int], progress: Callable[[int], None] | None = None
+) -> list[list[Moment]]:
+    """Run one episode per seed and keep every moment; arguments and errors as of `run_reaches`."""
+    if not seeds:
+        raise InputError("there are no episodes to run; give at least one seed")
+    episodes = []
+    for done, seed in enumerate(seeds, start=1):
+        episodes.append(list(moments_of(env, policy, seed)))
+        if progress is not None:
+            progress(done)
+    return episodes
+
+
+def run_reaches(
+    env: gym.Env[Any, Any], policy: Policy, seeds: Sequence[int], progress: Callable[[int], None] | None = None
+) -> Reaches:
+    """Run one episode per seed and keep the last step of each.
+
+    Args:
+        env: A reach environment with its time limit.
+        policy: The policy.
+        seeds: One per episode; the same seeds give the same fruit to every policy.
+        progress: Called after each episode with the number done.
+
+    Raises:
+        InputError: If there are no seeds, or an episode does not end.
+    """
+    infos = [episode[-1].info for episode in run_episodes(env, policy, seeds, progress)]
+    inner: Any = env.unwrapped
+    return reaches_of(inner.plant.geometry, seeds, {key: np.array([info[key] for info in infos]) for key in infos[0]})

@@ -14,7 +14,7 @@ from pickenv.agents.policies.policy import Policy, read_observation
 from pickenv.arm import Array, Pose, displace_pose, forward
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import ReachVectorEnv
-from pickenv.inspect.runs.episode_summary import Reaches, reaches_of
+from pickenv.inspect.runs.recorded_episodes import Reaches, reaches_of
 from pickenv.orchard import Gripper, capture_probability, misalignment
 from pickenv.wrappers import Compensate
 
@@ -43,8 +43,8 @@ class Rollout:
 
     def capture(self, gripper: Gripper) -> Array:
         """Probability ``(R,)`` that the gripper takes each fruit."""
-        wanted = Pose(np.zeros((len(self.arm), 3)), self.wanted_rotation)
-        axis = displace_pose(wanted, self.reaches.pose_error).rotation[..., 2]
+        target = Pose(np.zeros((len(self.arm), 3)), self.wanted_rotation)
+        axis = displace_pose(target, self.reaches.pose_error).rotation[..., 2]
         offset = self.reaches.fruit_position - self.reaches.tool_position
         lying = misalignment(offset, axis, self.wanted_rotation[..., 2])
         return capture_probability(gripper, lying.lateral, lying.axial, lying.angle)
@@ -69,8 +69,8 @@ class PerArm:
             raise InputError(f"{len(joints)} rows of joints were given to compensators of {len(self.arm)} rows")
         command, rows = np.empty_like(joints), np.array(self.arm)
         for number in np.unique(rows):
-            chosen = rows == number
-            command[chosen] = self.compensators[number](joints[chosen])
+            mine = rows == number
+            command[mine] = self.compensators[number](joints[mine])
         return command
 
 
@@ -129,20 +129,20 @@ def _run(env: ReachVectorEnv, policy: Policy, rows: NDArray[np.int64], seeds: ND
     geometry = env.task.plant.arm.nominal
     reading = read_observation(geometry, observation)
     turn = np.concatenate([np.zeros_like(reading.turn), reading.turn], axis=-1)
-    wanted = displace_pose(forward(geometry, reading.joints), turn).rotation
+    target = displace_pose(forward(geometry, reading.joints), turn).rotation
     policy.reset()
     errors = []
     for _ in range(steps):
         observation, _, _, _, infos = env.step(policy.act(observation))
         errors.append(infos["position_error_mm"].copy())
     reaches = reaches_of(env.plant.geometry, seeds.tolist(), infos)
-    return Rollout(reaches, rows.astype(np.int64), wanted, np.array(errors))
+    return Rollout(reaches, rows.astype(np.int64), target, np.array(errors))
 
 
 def _joined(parts: Sequence[Rollout]) -> Rollout:
     if len(parts) == 1:
         return parts[0]
-    arrays = [each.name for each in fields(Reaches) if each.name != "seeds"]
+    arrays = [field.name for field in fields(Reaches) if field.name != "seeds"]
     reaches = Reaches(
         seeds=tuple(seed for part in parts for seed in part.reaches.seeds),
         **{name: np.concatenate([getattr(part.reaches, name) for part in parts]) for name in arrays},

@@ -57,12 +57,14 @@ class Block:
         header: Column titles with units; empty for plain lines.
         rows: Cells.
         note: What a reader must know of it, or empty.
+        key: What programs call it by.
     """
 
     title: str
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     note: str = ""
+    key: str = ""
 
     def text(self) -> str:
         """For the terminal, whose lines it fits: heads and words are broken, and what is still too wide is parted."""
@@ -150,7 +152,7 @@ def harmonic_block(rows: Sequence[Mapping[str, Any]]) -> Block:
         order_std = "given" if row["order_std"] is None else f"{row['order_std']:.2f}"
         sizes = (f"{row['amplitude']:.5f}", f"{row['amplitude_std']:.5f}")
         cells.append((f"{row['joint']} ({row['name']})", f"{row['order']:.2f}", order_std, *sizes, str(row["unit"])))
-    return Block("Harmonics of the drives", header, tuple(cells), OWN)
+    return Block("Harmonics of the drives", header, tuple(cells), OWN, "harmonics")
 
 
 # Joint stiffnesses as terminal, page, JSON and saved file show them: k = 1/c of the compliance c that was found.
@@ -211,7 +213,7 @@ def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
         unit = row["unit"] if known_stiffness else f"{row['unit']}; not told{least}"
         torques = [figure(row[key]) if key in row else "" for key in ("torque_rms", "torque_left_rms")]
         cells.append((f"{row['joint']} ({row['name']})", *sizes, unit, *torques))
-    return Block("Stiffnesses of the joints", header, tuple(cells), NOTE)
+    return Block("Stiffnesses of the joints", header, tuple(cells), NOTE, "stiffnesses")
 
 
 def _rms(values: Any) -> float:

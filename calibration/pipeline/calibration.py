@@ -144,7 +144,7 @@ class PoseUncertainty:
                 rows.append((quantity, cell, f"{100 * coverage.covered:.1f} %"))
         heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so")
         note = "by pose; held: of held-out rows, each judged by what was found without its block"
-        return Block("How far errors go", heads, tuple(rows), note)
+        return Block("How far errors go", heads, tuple(rows), note, "uncertainty")
 
     def within95_record(self) -> dict[str, Any]:
         """Factors and what they cover (JSON), of position and attitude; None where too few errors show it."""

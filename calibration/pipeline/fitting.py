@@ -451,7 +451,7 @@ class PixelFigures:
             ("the same at the board", f"{figure(self.board_mm.rms)} mm"),
             ("worst view", f"{self.names[worst]}: {figure(self.view_rms_px[worst])} px"),
         ]
-        return Block("Pictures", (), tuple(rows), "distance of the corners from where they are predicted")
+        return Block("Pictures", (), tuple(rows), "distance of the corners from where they are predicted", "pictures")
 
 
 def pixel_figures(fit: Fit, data: PixelObservations, test: PixelObservations, held_out: HeldOut) -> PixelFigures:

@@ -251,12 +251,13 @@ class Result:
             any_kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
             title = self.held_out.rows.capitalize()
-            blocks.append(Block(f"{title} far off, and kept" if any_kept else f"{title} left out", (), places, note))
+            title = f"{title} far off, and kept" if any_kept else f"{title} left out"
+            blocks.append(Block(title, (), places, note, "left_out"))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
             rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"
-            blocks.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note))
+            blocks.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note, "terms"))
         blocks += [stiffness_block(self.stiffnesses), harmonic_block(self.harmonics)]
         blocks += [] if self.gate is None else [self._gate(self.gate)]
         blocks += [] if self.pixels is None else [self.pixels.block()]
@@ -319,7 +320,7 @@ class Result:
             turned = (figure(self.attitude[name].mean),) if name in self.attitude else ()
             rows.append((labels.get(name, name), *error_cells(s), *turned))
         note = f"{self.held_out.text(len(self.test.joints), len(self.train.joints))}; used: {self.best_model}"
-        return Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note)
+        return Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note, "errors")
 
     @cached_property
     def set_ups(self) -> list[dict[str, Any]]:
@@ -377,7 +378,8 @@ class Result:
             rows.append((v.model, "-" if v.blocked_rms is None else figure(v.blocked_rms * 1e3), v.reason))
         verdict = f"'{gate.selected}' is used" if gate.selected else "none is used"
         header = ("model", "blocked hold-out, RMS (mm)", "verdict")
-        return Block("Learnt residual models", header, tuple(rows), f"{verdict}; judged within the training rows")
+        note = f"{verdict}; judged within the training rows"
+        return Block("Learnt residual models", header, tuple(rows), note, "residual_models")
 
     def _facts(self) -> Block:
         solution = self.geometric.identification
@@ -391,7 +393,7 @@ class Result:
         ]
         if self.floor is not None:
             rows.append(("noise floor of a position", self.floor.text()))
-        return Block("Evidence", (), tuple(rows))
+        return Block("Evidence", (), tuple(rows), key="evidence")
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""

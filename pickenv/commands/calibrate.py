@@ -226,9 +226,8 @@ def calibrate(
 def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
     from pickenv.inspect import write_calibration_report
-    from pickenv.inspect.runs.calibration_trace import trace_of
+    from pickenv.inspect.runs.calibration_trace import trace_of, views_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
-    from pickenv.inspect.runs.view_errors import views_of
 
     stages = list(result.errors.values())
     errors = {"nominal": stages[0], "calibrated": stages[1]}

@@ -252,7 +252,7 @@ def _saved(path: Path) -> tuple[int | None, str]:
     kinds: tuple[type, ...] = (CalibrationTrace, Comparison, HarvestTrace, RecordedEpisodes)
     name = read_container(path, None, remake=REMAKE).kind
     saved.load_numbers(path, next(kind for kind in kinds if kind.__name__ == name), "the command that wrote it")
-    return saved.FORMAT, "the numbers behind figures"
+    return saved.FORMATS.get(name, saved.FORMAT), "the numbers behind figures"
 
 
 _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {

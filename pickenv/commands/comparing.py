@@ -83,7 +83,7 @@ def compare(
     """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter."""
     from pickenv.agents import compare as run
     from pickenv.agents.evaluation.compare import write_comparison
-    from pickenv.inspect.runs.episode_summary import content_of_comparison
+    from pickenv.inspect.runs.comparison_summary import content_of_comparison
     from pickenv.inspect.runs.run_folder import RECORD
 
     read = [word.partition("#")[0] for word in [*policies, *(compensate or [])]]
@@ -113,16 +113,16 @@ def compare(
 
 
 def _print_comparison(episodes: RecordedEpisodes) -> None:
-    from pickenv.inspect.runs import episode_summary
+    from pickenv.inspect.runs import comparison_summary
 
-    rows = [episode_summary.row_cells(row) for row in episode_summary.policy_rows(episodes)]
-    lines = [episode_summary.difference_cells(line) for line in episode_summary.policy_differences(episodes)]
+    rows = [comparison_summary.row_cells(row) for row in comparison_summary.policy_rows(episodes)]
+    lines = [comparison_summary.difference_cells(line) for line in comparison_summary.policy_differences(episodes)]
     title = f"{len(episodes.seeds)} episodes of {episodes.env_id}, the same for all; gripper {episodes.gripper}"
-    print_table(title, episode_summary.HEADS, rows, words=("policy",), caption=episode_summary.INTERVALS)
+    print_table(title, comparison_summary.HEADS, rows, words=("policy",), caption=comparison_summary.INTERVALS)
     if lines:
-        heads = episode_summary.DIFFERENCES
+        heads = comparison_summary.DIFFERENCES
         print_table("Fruit by fruit, the later policy minus the earlier one", heads, lines, words=("from", "to"))
-    print(f"{episode_summary.outcome_sentence(episodes)}. {episode_summary.explanation(episodes)}")
+    print(f"{comparison_summary.outcome_sentence(episodes)}. {comparison_summary.explanation(episodes)}")
 
 
 def film(

@@ -65,7 +65,7 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
 
 
 def _record(run: Run, policy: str | None) -> Path:
-    from pickenv.inspect import Comparison, record_comparison
+    from pickenv.inspect import Comparison, RecordedEpisodes, record_comparison
     from pickenv.inspect.runs.run_folder import load_part
 
     if run.kind == "evaluation":
@@ -74,9 +74,8 @@ def _record(run: Run, policy: str | None) -> Path:
         raise InputError(f"{run.folder} holds no evaluation, so it has no --policy {policy}; leave --policy out")
     if run.kind == "comparison":
         from pickenv.inspect.recordings.policy_recording import record_policies
-        from pickenv.inspect.runs.run_folder import load_comparison
 
-        return record_policies(*load_comparison(run), run.folder / "comparison.rrd")
+        return record_policies(load_part(run, RecordedEpisodes), run.folder / "comparison.rrd")
     if run.kind == "demo":
         return record_comparison(load_part(run, Comparison), run.folder / "errors.rrd")
     if run.kind == "study":

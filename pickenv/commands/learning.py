@@ -177,7 +177,7 @@ def evaluate(
     On each of 64 arms, least squares take 0.1 s of processor time, a Gaussian process 3 s and a network 3 s: with all
     defaults about ten minutes on two cores; fewer --arms or --compensation take less, --cache keeps them.
     """
-    from pickenv.agents.evaluation.compared_policies import kind_of
+    from pickenv.agents.evaluation.contenders import kind_of
     from pickenv.base import require
     from pickenv.experiments import CalibrationPlan, PolicySettings, policy_tables as tables, run_policies
     from pickenv.experiments.engine import write_rows

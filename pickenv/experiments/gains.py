@@ -23,7 +23,7 @@ from pickenv.calibration import BpnnSettings, Choices, Measurements, Result, cal
 from pickenv.calibration.model.observations import BLOCKS
 from pickenv.calibration.pipeline.fitting import fit_remainder
 from pickenv.experiments.engine import Experiment, run
-from pickenv.inspect.runs.field_grid import field_grid
+from pickenv.inspect.runs.recorded_episodes import field_grid
 
 NOMINAL, LS, TERMS = "nominal", "LS", "LS + terms"
 LEARNT = {"LS + BPNN": "bpnn", "LS + GP": "gp"}

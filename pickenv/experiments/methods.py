@@ -27,7 +27,7 @@ from pickenv.base.registry import names, origin
 from pickenv.calibration import BpnnSettings, Calibration, fit
 from pickenv.envs.shared.task import check_count
 from pickenv.experiments.gains import random_sets
-from pickenv.inspect.runs.episode_summary import Reaches, reaches_of
+from pickenv.inspect.runs.recorded_episodes import Reaches, reaches_of
 from pickenv.wrappers import Compensate, CompensationVectorWrapper
 
 METHODS: tuple[str, ...] = ("raw", "ls", "ls_bpnn", "best")

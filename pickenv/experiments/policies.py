@@ -18,7 +18,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pickenv.agents import Policy, ScriptedPick, roll_out
-from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
+from pickenv.agents.evaluation.contenders import Kind, kind_of, maker_of, policy_name
 from pickenv.agents.evaluation.reaches import moments_of
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.agents.policies.scripted import HASTY
@@ -32,7 +32,7 @@ from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
 from pickenv.experiments import methods
 from pickenv.experiments.engine import Columns, Experiment, Progress, Rows, run
-from pickenv.inspect.runs.episode_summary import Reaches
+from pickenv.inspect.runs.recorded_episodes import Reaches
 from pickenv.inspect.runs.run_folder import listed_files
 from pickenv.orchard import load_gripper
 

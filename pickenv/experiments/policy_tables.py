@@ -33,8 +33,7 @@ from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
-from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, PageVerdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs.matters import gripper_curves
 from pickenv.inspect.runs.run_folder import TakePicture, recorded_run, unedited
 

@@ -25,12 +25,11 @@ from pickenv.experiments.study_arms import OK, arm_commands
 from pickenv.experiments.study_figures import study_drawings
 from pickenv.experiments.study_findings import Findings, gather, ranked, setting_label, specified, study_verdict
 from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summary, study_of, write_sobol
-from pickenv.inspect import Comparison, PolicyErrors, Run, write_drawings
+from pickenv.inspect import Comparison, RecordedPolicy, Run, write_drawings
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import Page, PageTable, Pair, Part, Section, html_of
 from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
-from pickenv.inspect.runs.comparison_summary import compared, policy_errors
-from pickenv.inspect.runs.field_grid import field_grid
+from pickenv.inspect.runs.recorded_episodes import ended, field_grid, reaches_of
 from pickenv.inspect.runs.run_folder import TakePicture
 
 COUNTS = ("within", "arms", "failed")
@@ -291,7 +290,7 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
     arms = {name: plant_at(protocol.draw(cell, range(arm, arm + 1)), 0) for name, (arm, _) in places.items()}
     fruit = protocol.circumstances(places["worst"][0]).fruit
 
-    def errors_of(name: str, number: int) -> PolicyErrors:
+    def errors_of(name: str, number: int) -> RecordedPolicy:
         """One arm's errors over the field and at the fruit, calibrated as the setting says."""
         arm, around = arms[name], protocol.circumstances(number)
         loaded = carrying(arm, cell.payload_kg)
@@ -304,13 +303,15 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
         _, _, field = reached(grid.joints)
         joints, positions, errors = reached(fruit)
         success = 1e3 * np.linalg.norm(errors[:, :3], axis=1) <= config.radius_mm
-        return policy_errors(f"{name} arm (number {number})", field, joints, positions, errors, success, name)
+        infos = {"pose_error": errors, "joint_command": joints, "tool_position": positions, "is_success": success}
+        infos["fruit_position"] = forward(nominal, fruit).position
+        reaches = reaches_of(arm.geometry, range(len(fruit)), infos)
+        return ended(f"{name} arm (number {number})", reaches, name).with_field(field)
 
-    return compared(
-        arms["worst"],
-        grid,
-        (errors_of(name, arm) for name, (arm, _) in places.items()),
+    return Comparison(
+        plant=arms["worst"],
+        grid=grid,
+        policies=tuple(errors_of(name, arm) for name, (arm, _) in places.items()),
         seed=config.seed,
-        fruit=forward(nominal, fruit).position,
         tolerance_mm=config.radius_mm,
     )

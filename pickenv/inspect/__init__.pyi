@@ -49,7 +49,55 @@ from .recordings.comparison_recording import record_comparison as record_compari
 from .recordings.harvest_recording import inspect_harvest as inspect_harvest
 from .recordings.inspections import inspect_calibration as inspect_calibration, inspect_evaluation as inspect_evaluation
 from .recordings.log_rerun import LogRerun as LogRerun, LogRerunVector as LogRerunVector
-from .reports.calibration_report import write_calibration_report as write_calibration_report
-from .reports.run_pages import drawings_of as drawings_of, page_of as page_of
-from .runs.comparison_summary import Comparison as Comparison, PolicyErrors as PolicyErrors
-from .runs.run_folder import Run as Run, read_run as read_run
+from .reports.calibration_report import (
+    calibration_page as calibration_page,
+    write_calibration_report as write_calibration_report,
+)
+from .reports.report_page import (
+    Bar as Bar,
+    Folded as Folded,
+    Interactive as Interactive,
+    Page as Page,
+    PageTable as PageTable,
+    PageVerdict as PageVerdict,
+    Pair as Pair,
+    Picture as Picture,
+    Section as Section,
+    drawings_of as drawings_of,
+    html_of as html_of,
+    page_of as page_of,
+    plain_report as plain_report,
+)
+from .reports.report_words import between as between, estimated as estimated, percent as percent
+from .runs.calibration_trace import CalibrationTrace as CalibrationTrace, trace_of as trace_of
+from .runs.harvest_trace import (
+    HarvestTrace as HarvestTrace,
+    JointCurves as JointCurves,
+    PickedTree as PickedTree,
+    picked_tree as picked_tree,
+)
+from .runs.matters import (
+    PickChange as PickChange,
+    gripped as gripped,
+    gripper_curves as gripper_curves,
+    matters as matters,
+    pick_changes as pick_changes,
+)
+from .runs.recorded_episodes import (
+    Comparison as Comparison,
+    FieldGrid as FieldGrid,
+    Reaches as Reaches,
+    RecordedEpisodes as RecordedEpisodes,
+    RecordedPolicy as RecordedPolicy,
+    ended as ended,
+    field_grid as field_grid,
+    reaches_of as reaches_of,
+)
+from .runs.run_folder import (
+    Run as Run,
+    load_part as load_part,
+    read_run as read_run,
+    recorded_run as recorded_run,
+    run_kind as run_kind,
+    save_part as save_part,
+)

@@ -21,7 +21,7 @@ from pickenv.experiments import CalibrationPlan, PolicySettings, Rows, calibrate
 from pickenv.experiments.policies import population_seed
 from pickenv.inspect.colours import policy_colours, policy_label
 from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb
-from pickenv.inspect.recordings.field_day import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK
+from pickenv.inspect.recordings.details import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK
 
 TRAINED_ON: dict[str, dict[str, Any]] = {
     "calibrated arms": {"compensate": "calibration.npz"},

@@ -14,7 +14,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from pickenv.agents import BASELINES, LearnedPolicy, RememberingPolicy, Training, train, tuned
-from pickenv.agents.evaluation.compared_policies import load_any
+from pickenv.agents.evaluation.contenders import load_any
 from pickenv.arm import load_plant
 from pickenv.base import write_text
 from pickenv.experiments import CalibrationPlan, PolicySettings, calibrate_arm, evaluation_rows, run_policies

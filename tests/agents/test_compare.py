@@ -20,12 +20,11 @@ from pickenv.agents.evaluation.compare import write_comparison
 from pickenv.arm import forward, load_plant, pose_error
 from pickenv.base import InputError, mean_interval, paired_share_interval, share_interval
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.inspect import Comparison, read_run
+from pickenv.inspect import Comparison, RecordedEpisodes, load_part, read_run
 from pickenv.inspect.colours import lane, policy_colours, policy_rank
-from pickenv.inspect.runs import episode_summary
+from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.matters import pick_share
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, missing_positions
-from pickenv.inspect.runs.run_folder import load_comparison, load_part
+from pickenv.inspect.runs.recorded_episodes import missing_positions
 from pickenv.inspect.runs.saved import nominal_points, true_points
 from pickenv.orchard import load_gripper
 
@@ -62,10 +61,10 @@ def test_policies_stand_in_order_and_reach_for_the_same_fruit(found: PolicyCompa
 def test_what_a_film_draws_is_what_the_arm_did(found: PolicyComparison, calibration: Calibration) -> None:
     """The believed arm ends at the believed tool, the true arm at the true one, which the plant puts there."""
     episodes, plant = found.episodes, load_plant("qiao2026")
-    assert episodes.nominal is not None and episodes.true_geometry is not None
+    assert isinstance(episodes, Comparison)
     for policy in episodes.policies:
         believed = nominal_points(episodes.nominal, policy.joint_target[:, -1])[:, -1]
-        true = true_points(episodes.true_geometry, policy.joint_command[:, -1], policy.tool_position[:, -1])[:, -1]
+        true = true_points(episodes.plant.geometry, policy.joint_command[:, -1], policy.tool_position[:, -1])[:, -1]
         np.testing.assert_allclose(true, policy.tool_position[:, -1], atol=1e-12)
         np.testing.assert_allclose(true, plant.tool_pose(policy.joint_command[:, -1]).position, atol=2e-5)
         np.testing.assert_allclose(believed, policy.fruit_position[:, -1], atol=1e-4)  # a scripted policy believes so
@@ -81,8 +80,8 @@ def test_what_a_film_draws_is_what_the_arm_did(found: PolicyComparison, calibrat
 
 def test_rows_and_differences_are_those_of_the_episodes(found: PolicyComparison) -> None:
     raw, ls = found.episodes.policies
-    rows = episode_summary.policy_rows(found.episodes)
-    (line,) = episode_summary.policy_differences(found.episodes)
+    rows = comparison_summary.policy_rows(found.episodes)
+    (line,) = comparison_summary.policy_differences(found.episodes)
     ends = {policy.key: policy.position_error_mm[:, -1] for policy in (raw, ls)}
     for row in rows:
         misses = ends[row["key"]]
@@ -100,9 +99,9 @@ def test_rows_and_differences_are_those_of_the_episodes(found: PolicyComparison)
 
 def test_a_policys_field_is_where_it_ends_when_sent_to_each_goal(found: PolicyComparison) -> None:
     comparison = found.comparison
-    assert comparison is not None and len(comparison.field_points) >= 4
+    assert comparison is not None and len(comparison.grid.points) >= 4
     plant = load_plant("qiao2026")
-    joints = comparison.field_joints
+    joints = comparison.grid.joints
     settled = pose_error(forward(plant.arm.nominal, joints), plant.tool_pose(joints))
     raw, ls = comparison.policies
     np.testing.assert_allclose(raw.field_errors, settled[:, :3], atol=5e-5)
@@ -128,8 +127,8 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
         for batch in [chunk.to_record_batch()]
     )
     content = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
-    cells = [cell for row in content["rows"] for cell in episode_summary.row_cells(row)]
-    cells += [cell for line in content["differences"] for cell in episode_summary.difference_cells(line)]
+    cells = [cell for row in content["rows"] for cell in comparison_summary.row_cells(row)]
+    cells += [cell for line in content["differences"] for cell in comparison_summary.difference_cells(line)]
     for cell in [*cells, content["headline"], content["explanation"]]:
         assert cell in terminal and cell in page and cell in words, cell
     between = content["matters"]
@@ -162,13 +161,13 @@ def test_a_run_folder_gives_back_every_episode_and_takes_part_in_another_compari
     found: PolicyComparison, folder: Path
 ) -> None:
     run = read_run(folder)
-    episodes, comparison = load_comparison(run)
+    episodes = load_part(run, RecordedEpisodes)
     for one, other in zip(episodes.policies, found.episodes.policies, strict=True):
         for name, values in vars(one).items():
             np.testing.assert_array_equal(values, getattr(other, name))
-    for name in ("env_id", "plant", "gripper", "tolerance_mm", "seed", "seeds", "period"):
+    for name in ("env_id", "plant_name", "gripper", "tolerance_mm", "seed", "seeds", "period"):
         assert getattr(episodes, name) == getattr(found.episodes, name)
-    assert comparison is not None and len(load_part(run, Comparison).policies) == 2
+    assert isinstance(episodes, Comparison)
     again = pickenv.compare([folder, "random"], episodes=EPISODES, grid_step=0.4, seed=5)
     assert [policy.label for policy in again.episodes.policies] == ["raw", "LS", "random"]
     np.testing.assert_array_equal(again.episodes.policies[1].tool_position, episodes.policies[1].tool_position)
@@ -225,7 +224,7 @@ def test_a_foreign_environment_and_a_strangers_file_are_compared_drawn_and_repor
     straight: Path, tmp_path: Path
 ) -> None:
     found = pickenv.compare(["random", straight], "tests/Pointing-v0", episodes=EPISODES)
-    rows = {row["policy"]: row for row in episode_summary.policy_rows(found.episodes)}
+    rows = {row["policy"]: row for row in comparison_summary.policy_rows(found.episodes)}
     assert found.comparison is None and found.episodes.nominal is None
     assert rows["straight"]["picked"] == EPISODES and rows["straight"]["mean_mm"] < 1e-3
     assert rows["random"]["picked"] == 0 and rows["random"]["attitude_deg"] is None

@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pickenv.agents import PolicyComparison
 from pickenv.agents.evaluation.compare import _capture, _joined, _lengthened, _recorded_policy
 from pickenv.agents.evaluation.reaches import Moment
 from pickenv.arm import Pose, load_plant
 from pickenv.base import InputError
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
+from pickenv.inspect import RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import capture_probability, load_gripper
 
 CUP, HAND = load_gripper("li_cup"), load_gripper("compliant_hand")
 FRUIT = np.array([0.3, -0.2, 0.5])
 
 
-def told(moments: Sequence[dict[str, Any]]) -> list[tuple[Moment, None]]:
+def told(moments: Sequence[dict[str, Any]]) -> list[Moment]:
     """An episode; the reward of each step is its number."""
     usual = {"fruit_position": FRUIT}
-    return [(Moment(float(t), usual | info), None) for t, info in enumerate(moments)]
+    return [Moment(float(t), usual | info) for t, info in enumerate(moments)]
 
 
 def away(millimetres: float) -> dict[str, Any]:
@@ -76,7 +74,7 @@ def test_a_reach_of_an_arm_is_judged_by_the_gripper_and_a_drawn_number(millimetr
         "is_success": not taken,
         "attitude_error_deg": 3.0,
     }
-    ways = [[(Moment(0.0, info), joints + 0.1), (Moment(-1.0, info), None)]]
+    ways = [[Moment(0.0, info, joints + 0.1), Moment(-1.0, info)]]
     found = _recorded_policy("raw", ways, plant, CUP, np.array([chance]))
     np.testing.assert_array_equal(found.picked, [[0, taken]])
     np.testing.assert_allclose(found.tool_rotation, np.broadcast_to(pose.rotation, (1, 2, 3, 3)))
@@ -106,12 +104,9 @@ def recorded(label: str, moments: int) -> RecordedPolicy:
     return _recorded_policy(label, ways, None, CUP, np.zeros(1))
 
 
-def run_of(*policies: RecordedPolicy, **changed: Any) -> PolicyComparison:
-    whole = RecordedEpisodes(
-        env_id="x/Reach", plant="", gripper="li_cup", tolerance_mm=5.0, seed=0, seeds=(0,), period=0.1, nominal=None,
-        true_geometry=None, policies=policies,
-    )  # fmt: skip
-    return PolicyComparison(replace(whole, **changed), None, "")
+def run_of(*policies: RecordedPolicy, **changed: Any) -> RecordedEpisodes:
+    facts = {"env_id": "x/Reach", "plant": None, "gripper": "li_cup", "seed": 0, "seeds": (0,)} | changed
+    return RecordedEpisodes(policies=policies, tolerance_mm=5.0, period=0.1, **facts)
 
 
 def test_shorter_episodes_stay_at_their_last_moment_and_earn_and_miss_nothing_more():
@@ -127,12 +122,17 @@ def test_shorter_episodes_stay_at_their_last_moment_and_earn_and_miss_nothing_mo
 
 
 def test_runs_for_the_same_fruit_are_put_together_in_the_order_of_their_labels():
-    whole = _joined([run_of(recorded("LS", 3)), run_of(recorded("raw", 5))], "pickenv compare a b")
-    assert [policy.label for policy in whole.episodes.policies] == ["raw", "LS"] and whole.comparison is None
-    assert {policy.position_error_mm.shape for policy in whole.episodes.policies} == {(1, 5)}
-    assert whole.command == "pickenv compare a b"
-    for name, other in {"env_id": "y", "plant": "field", "gripper": "compliant_hand", "seed": 1, "seeds": (1,)}.items():
+    whole = _joined([run_of(recorded("LS", 3)), run_of(recorded("raw", 5))])
+    assert [policy.label for policy in whole.policies] == ["raw", "LS"]
+    assert {policy.position_error_mm.shape for policy in whole.policies} == {(1, 5)}
+    for name, other in {
+        "env_id": "y",
+        "plant": load_plant("field"),
+        "gripper": "compliant_hand",
+        "seed": 1,
+        "seeds": (1,),
+    }.items():
         with pytest.raises(InputError, match=f"the runs differ in {name}: "):
-            _joined([run_of(recorded("LS", 3)), run_of(recorded("raw", 5), **{name: other})], "")
+            _joined([run_of(recorded("LS", 3)), run_of(recorded("raw", 5), **{name: other})])
     with pytest.raises(InputError, match="LS"):
-        _joined([run_of(recorded("LS", 3)), run_of(recorded("LS", 3))], "")
+        _joined([run_of(recorded("LS", 3)), run_of(recorded("LS", 3))])

@@ -11,7 +11,7 @@ import pytest
 
 import pickenv  # noqa: F401
 from pickenv.agents import BASELINES, load_policy, shipped_baselines
-from pickenv.agents.evaluation.compared_policies import load_any
+from pickenv.agents.evaluation.contenders import load_any
 from pickenv.agents.policies.learned import FORMAT
 from pickenv.arm import load_arm
 from pickenv.base import InputError, read_container, write_container

@@ -24,7 +24,7 @@ from pickenv.arm import InverseSolution, forward, inverse, joint_jacobian, load_
 from pickenv.base import InputError
 from pickenv.calibration import link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
-from pickenv.inspect.runs.episode_summary import Reaches
+from pickenv.inspect import Reaches
 from pickenv.orchard import load_gripper
 from pickenv.wrappers import Scaling, joined_observation
 

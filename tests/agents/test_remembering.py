@@ -17,7 +17,7 @@ from pickenv.agents import (
     make_model,
     train,
 )
-from pickenv.agents.evaluation.compared_policies import kind_of, maker_of
+from pickenv.agents.evaluation.contenders import kind_of, maker_of
 from pickenv.agents.policies.remembering import remembers
 from pickenv.agents.training.checkpoints import read_checkpoint
 from pickenv.arm import load_arm

@@ -62,7 +62,7 @@ def arrows(run_folder: Path) -> dict[str, Any]:
     raw = comparison.policies[0]
     return {
         "path": f"world/field/{raw.key}/vectors",
-        "origin": comparison.field_points,
+        "origin": comparison.grid.points,
         "vector": GAIN * raw.field_errors,
         "error_mm": 1e3 * raw.field_errors,
     }

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from pickenv.inspect.colours import policy_colours
-from pickenv.inspect.runs import episode_summary
+from pickenv.inspect.runs import comparison_summary
 from tests.browser.chromium import SIZE
 from tests.browser.pictures import crop, save
 from tests.browser.web_viewer import PATIENCE_MS, WebViewer, serve
@@ -64,7 +64,7 @@ def test_the_first_screen_says_who_is_better_in_the_tables_names_and_numbers(
     picture = viewer.settle()
     said = {widget.text for widget in viewer.widgets()}
     for row in content["rows"]:
-        assert set(episode_summary.row_cells(row)) <= said
+        assert set(comparison_summary.row_cells(row)) <= said
     names = sorted((w.box[1], w.text) for w in viewer.widgets() if w.role == "label" and w.text in LABELS)
     assert [text for _, text in names][:2] == list(LABELS)
     beginner, trained = content["rows"]
@@ -96,7 +96,7 @@ def test_the_page_holds_the_same_numbers(theme: str, browser: Any, compared: Pat
     page.goto((compared / "report.html").resolve().as_uri())
     text = page.inner_text("body")
     for row in content["rows"]:
-        assert all(cell in text for cell in episode_summary.row_cells(row))
+        assert all(cell in text for cell in comparison_summary.row_cells(row))
     assert content["headline"] in text and content["explanation"] in text
     assert said == []
     page.context.close()

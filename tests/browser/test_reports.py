@@ -127,8 +127,8 @@ def test_hovering_reads_an_arrows_millimetres(browser: Any, reports: dict[str, P
     for label, norm, *rest in said:
         (policy,) = (p for p in comparison.policies if p.label == label)
         xyz, point = np.array(rest[:3], dtype=float), np.array(rest[3:], dtype=float)
-        nearest = int(np.argmin(np.linalg.norm(comparison.field_points - point, axis=1)))
-        np.testing.assert_allclose(comparison.field_points[nearest], point, atol=6e-4)
+        nearest = int(np.argmin(np.linalg.norm(comparison.grid.points - point, axis=1)))
+        np.testing.assert_allclose(comparison.grid.points[nearest], point, atol=6e-4)
         np.testing.assert_allclose(1e3 * policy.field_errors[nearest], xyz, atol=6e-4)
         assert float(norm) == pytest.approx(1e3 * np.linalg.norm(policy.field_errors[nearest]), abs=6e-4)
 

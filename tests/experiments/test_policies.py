@@ -15,7 +15,7 @@ from typer import Typer
 from typer.testing import CliRunner
 
 from pickenv.agents import Rollout, load_policy
-from pickenv.agents.evaluation.compared_policies import kind_of
+from pickenv.agents.evaluation.contenders import kind_of
 from pickenv.arm import load_plant
 from pickenv.base import Estimate, InputError, clustered_share_interval, mean_interval
 from pickenv.base.intervals import crossed_interval, quantile_interval

@@ -282,7 +282,7 @@ def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):
     assert comparison.policies[0].position_error_mm.mean() > comparison.policies[2].position_error_mm.mean()
     wanted = forward(protocol.nominal, protocol.circumstances(arm).fruit).position
     np.testing.assert_allclose(comparison.fruit, wanted)
-    assert len(comparison.field_points) == len(comparison.policies[0].field_errors) > 100
+    assert len(comparison.grid.points) == len(comparison.policies[0].field_errors) > 100
 
 
 def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path):

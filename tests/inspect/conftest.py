@@ -13,9 +13,18 @@ import pytest
 
 from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse, load_plant, parameter_jacobian, pose_error
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.inspect import Comparison, PolicyErrors, Run, record_comparison
-from pickenv.inspect.runs.calibration_trace import trace_of
-from pickenv.inspect.runs.run_folder import recorded_run, save_part
+from pickenv.inspect import (
+    Comparison,
+    FieldGrid,
+    Reaches,
+    RecordedPolicy,
+    Run,
+    ended,
+    record_comparison,
+    recorded_run,
+    save_part,
+    trace_of,
+)
 
 STEP = 0.055
 
@@ -71,36 +80,31 @@ def synthetic_comparison(
         ("ls_bpnn", "LS + BPNN", ls_joints, bpnn),
     ):
         errors = pose.position - everything
-        final_mm = np.linalg.norm(errors[len(points) :][picks], axis=-1) * 1e3
+        final = np.zeros((int(picks.sum()), 6))
+        final[:, :3] = errors[len(points) :][picks]
+        final_mm = np.linalg.norm(final, axis=-1) * 1e3
+        final[:, 3] = np.radians(0.05 * final_mm)
+        position, success = pose.position[len(points) :][picks], final_mm <= tolerance_mm
+        ends = Reaches(tuple(range(len(final))), final, final, success, q[len(points) :][picks], position, fruit[picks])
+        field = errors[: len(points)][cells]
         policies.append(
-            PolicyErrors(
-                key=key,
-                label=label,
-                field_errors=errors[: len(points)][cells],
-                reach_joints=q[len(points) :][picks],
-                reach_positions=pose.position[len(points) :][picks],
-                position_error_mm=final_mm,
-                attitude_error_deg=0.05 * final_mm,
-                success=final_mm <= tolerance_mm,
-                field_attitude=0.4 * np.roll(errors[: len(points)][cells], 1, axis=-1),
-            )
+            ended(label, ends, key).with_field(np.concatenate([field, 0.4 * np.roll(field, 1, axis=-1)], axis=-1))
         )
+    shape = (cells_per_axis, cells_per_axis, cells_per_axis)
     return Comparison(
         plant=plant,
-        nominal=nominal,
-        identified=identified,
         seed=seed,
         tolerance_mm=tolerance_mm,
-        grid_shape=(cells_per_axis, cells_per_axis, cells_per_axis),
-        grid_origin=origin,
-        grid_step=STEP,
-        field_index=index[cells],
-        field_points=points[cells],
-        field_joints=joints[: len(points)][cells],
-        fruit=fruit[picks],
+        grid=FieldGrid(shape, origin, STEP, index[cells], points[cells], joints[: len(points)][cells]),
         policies=tuple(policies),
         field_uncertainty=1e-4 * (1.0 + rng.random(int(cells.sum()))),
     )
+
+
+def cut(policy: RecordedPolicy, number: int) -> RecordedPolicy:
+    """The first ``number`` episodes of a policy."""
+    arrays = {name: value for name, value in vars(policy).items() if isinstance(value, np.ndarray)}
+    return replace(policy, **{name: value[:number] for name, value in arrays.items() if not name.startswith("field")})
 
 
 @pytest.fixture(scope="session")
@@ -117,26 +121,17 @@ def make_comparison() -> Callable[..., Comparison]:
 @pytest.fixture(scope="session")
 def without_reaches(comparison: Comparison) -> Comparison:
     """The raw error field alone: one policy, no fruit, and a corner of the grid out of reach."""
-    inside = comparison.field_index.sum(axis=-1) > 6
-    raw = comparison.policies[0]
-    empty = {"reach_joints": np.empty((0, 6)), "reach_positions": np.empty((0, 3)), "position_error_mm": np.empty(0)}
-    policy = replace(
-        raw,
-        field_errors=raw.field_errors[inside],
-        field_attitude=None,
-        attitude_error_deg=np.empty(0),
-        success=np.empty(0, dtype=bool),
-        **empty,
-    )
-    return replace(
-        comparison,
-        field_index=comparison.field_index[inside],
-        field_points=comparison.field_points[inside],
-        field_joints=comparison.field_joints[inside],
-        field_uncertainty=None,
-        fruit=np.empty((0, 3)),
-        policies=(policy,),
-    )
+    grid, raw = comparison.grid, cut(comparison.policies[0], 0)
+    inside = grid.index.sum(axis=-1) > 6
+    grid = replace(grid, index=grid.index[inside], points=grid.points[inside], joints=grid.joints[inside])
+    policy = replace(raw, field_errors=raw.field_errors[inside], field_attitude=None)
+    return replace(comparison, grid=grid, field_uncertainty=None, policies=(policy,))
+
+
+@pytest.fixture(scope="session")
+def cut_short() -> Callable[[RecordedPolicy, int], RecordedPolicy]:
+    """`cut` itself."""
+    return cut
 
 
 @dataclass(frozen=True)

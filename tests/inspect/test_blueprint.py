@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pickenv.inspect import Comparison, record_comparison
-from pickenv.inspect.recordings import blueprint
+from pickenv.inspect.recordings import comparison_recording
 
 
 def rows(reading: Any, component: str) -> list[Any]:
@@ -30,12 +30,12 @@ def test_every_include_rule_matches_a_logged_entity(reading: Any) -> None:
 def test_a_misspelt_include_rule_is_noticed(
     comparison: Comparison, reader: Callable[[Path], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole = blueprint.space
+    whole = comparison_recording.space
 
     def misspell(comparison: Comparison, name: str, contents: list[str], **options: Any) -> Any:
         return whole(comparison, name, [rule.replace("/field/", "/fields/") for rule in contents], **options)
 
-    monkeypatch.setattr(blueprint, "space", misspell)
+    monkeypatch.setattr(comparison_recording, "space", misspell)
     broken = reader(record_comparison(comparison, tmp_path / "errors.rrd"))
     misspelt = [f"/world/fields/{p.key}/{kind}" for p in comparison.policies for kind in ("vectors", "voxels")]
     assert sorted(broken.unmatched_rules()) == sorted([*misspelt, "/world/fields/removed/vectors"])

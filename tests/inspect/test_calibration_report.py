@@ -14,9 +14,7 @@ from pickenv.calibration.assessment.screen import figure, unit_of
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.pipeline.fitting import GEOMETRIC
 from pickenv.calibration.residuals.gate import GateReport, GateVerdict
-from pickenv.inspect import write_calibration_report
-from pickenv.inspect.reports.calibration_report import calibration_page
-from pickenv.inspect.reports.report_page import Bar
+from pickenv.inspect import Bar, calibration_page, write_calibration_report
 from pickenv.inspect.reports.report_words import parameter_words
 
 VOID = {"meta"}

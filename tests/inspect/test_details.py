@@ -13,10 +13,18 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import forward, joint_jacobian, load_plant, noncompensable_error
 from pickenv.arm.plant.campaign import effect_shares
-from pickenv.inspect import Comparison, record_comparison
+from pickenv.inspect import Comparison, RecordedPolicy, record_comparison
 from pickenv.inspect.colours import GREY, STEEL, policy_colours, viridis
-from pickenv.inspect.recordings.details import FLOOR, attitude_fields, details_of, effect_fields
-from pickenv.inspect.recordings.field_day import CAMERA_STD, day_of, drifting_plant, joints_at
+from pickenv.inspect.recordings.details import (
+    CAMERA_STD,
+    FLOOR,
+    attitude_fields,
+    day_of,
+    details_of,
+    drifting_plant,
+    effect_fields,
+    joints_at,
+)
 from pickenv.inspect.runs.comparison_summary import cell_means
 from pickenv.inspect.runs.saved import cut_away
 
@@ -31,7 +39,7 @@ def orchard(comparison: Comparison) -> Comparison:
 def test_effects_agree_with_the_table_of_effects(comparison: Comparison) -> None:
     """`pickenv effects` moves the arm through time; where nothing has a memory both must give the same shares."""
     fields = effect_fields(comparison)
-    shares = effect_shares(comparison.plant, comparison.field_joints).alone
+    shares = effect_shares(comparison.plant, comparison.grid.joints).alone
     assert set(fields) == set(shares)
     for name, field in fields.items():
         assert 1e3 * np.linalg.norm(field, axis=-1).mean() == pytest.approx(shares[name].mean, rel=1e-6)
@@ -57,8 +65,8 @@ def test_the_floor_is_what_no_joint_motion_moves(comparison: Comparison) -> None
     assert list(fields) == ["raw", "ls_bpnn", FLOOR]
     last = comparison.policies[-1]
     error = np.concatenate([last.field_errors, last.field_attitude], axis=-1)
-    floor = noncompensable_error(comparison.plant.geometry, comparison.field_joints, error)
-    jacobian = joint_jacobian(comparison.plant.geometry, comparison.field_joints)
+    floor = noncompensable_error(comparison.plant.geometry, comparison.grid.joints, error)
+    jacobian = joint_jacobian(comparison.plant.geometry, comparison.grid.joints)
     strongest = np.linalg.norm(jacobian, axis=(-2, -1))
     moved = np.linalg.norm(np.einsum("fij,fi->fj", jacobian, floor), axis=-1)
     assert np.all(moved < 5e-3 * strongest * np.linalg.norm(floor, axis=-1) + 1e-15)
@@ -76,7 +84,7 @@ def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison) -> None
     still = firm(comparison).plant
     day = day_of(firm(comparison))
     for policy in comparison.policies:
-        expected = still.tool_pose(policy.reach_joints).position - comparison.fruit
+        expected = still.tool_pose(policy.ends.joint_command).position - comparison.fruit
         error = 1e3 * np.linalg.norm(expected, axis=-1)
         np.testing.assert_allclose(day.errors_mm[policy.key], np.broadcast_to(error, day.errors_mm[policy.key].shape))
 
@@ -85,7 +93,7 @@ def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(comparison: Compari
     plant = load_plant("orchard").without(("settling", "stick_band", "backlash", "servo"))
     day = day_of(replace(comparison, plant=plant), hours=2000.0)
     raw = comparison.policies[0]
-    settled = 1e3 * np.linalg.norm(plant.tool_pose(raw.reach_joints).position - comparison.fruit, axis=-1)
+    settled = 1e3 * np.linalg.norm(plant.tool_pose(raw.ends.joint_command).position - comparison.fruit, axis=-1)
     assert day.hours[-1] == 2000.0
     np.testing.assert_allclose(day.errors_mm["raw"][-1], settled, rtol=1e-6)
     assert day.errors_mm["raw"][0].mean() < day.errors_mm["raw"][-1].mean()
@@ -93,9 +101,9 @@ def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(comparison: Compari
 
 def test_joints_at_points_are_near_and_leave_nanometres(comparison: Comparison) -> None:
     for policy in comparison.policies:
-        joints = joints_at(comparison.nominal, policy.reach_joints, comparison.fruit)
+        joints = joints_at(comparison.nominal, policy.ends.joint_command, comparison.fruit)
         np.testing.assert_allclose(forward(comparison.nominal, joints).position, comparison.fruit, atol=1e-8)
-        assert np.abs(joints - policy.reach_joints).max() < 0.05
+        assert np.abs(joints - policy.ends.joint_command).max() < 0.05
 
 
 def firm(comparison: Comparison) -> Comparison:
@@ -119,9 +127,9 @@ def test_where_nothing_drifts_a_filter_costs_less_than_its_cameras_noise(compari
     assert last.mean() < day.adapted_mm.mean() < last.mean() + 0.5 * 1e3 * CAMERA_STD
 
 
-def test_too_few_reaches_have_no_filter(comparison: Comparison) -> None:
-    few = [replace(each, reach_joints=each.reach_joints[:9]) for each in comparison.policies]
-    assert day_of(replace(comparison, fruit=comparison.fruit[:9], policies=tuple(few))).adapted_mm is None
+def test_too_few_reaches_have_no_filter(cut_short: Callable[..., RecordedPolicy], comparison: Comparison) -> None:
+    few = tuple(cut_short(policy, 9) for policy in comparison.policies)
+    assert day_of(replace(comparison, policies=few)).adapted_mm is None
 
 
 def test_the_days_words_hold_its_means(comparison: Comparison) -> None:
@@ -181,7 +189,7 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
         length = 1e3 * np.linalg.norm(field, axis=1)
         orchard_reading.holds(
             f"/world/{name}",
-            origins=comparison.field_points,
+            origins=comparison.grid.points,
             vectors=10.0 * field,
             xyz_mm=1e3 * field,
             norm_mm=length,
@@ -195,7 +203,7 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
         degrees = np.degrees(field)
         orchard_reading.holds(
             f"/world/attitude/{key}",
-            origins=comparison.field_points,
+            origins=comparison.grid.points,
             vectors=drawn * degrees,
             xyz_deg=degrees,
             norm_deg=np.linalg.norm(degrees, axis=1),
@@ -203,12 +211,12 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
             radii=[-1.6],
         )
     predicted = 1e3 * comparison.field_uncertainty
-    kept, low = ~cut_away(comparison), comparison.grid_origin - 0.5 * comparison.grid_step
+    kept, low = ~cut_away(comparison), comparison.grid.origin - 0.5 * comparison.grid.step
     for name, values in (("predicted", predicted), ("actual", last)):
         orchard_reading.holds(
             f"/world/uncertainty/{name}",
             values=values[kept],
-            voxel_indices=comparison.field_index[kept],
+            voxel_indices=comparison.grid.index[kept],
             voxel_size=[0.055] * 3,
             translation=low,
             value_range=[0.0, np.percentile(np.concatenate([predicted, last]), 99)],
@@ -244,7 +252,7 @@ def test_two_policies_have_a_difference_and_unknown_attitudes_no_field(without_d
 
 def test_the_exported_arms_stand_where_the_reach_puts_them(reading: Any, comparison: Comparison) -> None:
     """The chain of transforms that the viewer walks, from the root to the tool, at each reach."""
-    commands = comparison.policies[0].reach_joints
+    commands = comparison.policies[0].ends.joint_command
     for name, geometry in (("urdf_nominal", comparison.nominal), ("urdf_true", comparison.plant.geometry)):
         rotation, position = np.broadcast_to(np.eye(3), (len(commands), 3, 3)), np.zeros((len(commands), 3))
         for i in range(geometry.joints):

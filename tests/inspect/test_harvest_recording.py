@@ -28,10 +28,9 @@ from pickenv.harvester.arm_paths import slave_joints_at
 from pickenv.harvester.harvest_run import Round
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import profile, travel_time
-from pickenv.inspect import inspect_harvest
+from pickenv.inspect import inspect_harvest, picked_tree
 from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL
 from pickenv.inspect.recordings.harvest_recording import FATES
-from pickenv.inspect.runs.harvest_trace import picked_tree
 
 COLOURS = ((0, 114, 178), (230, 159, 0), (0, 158, 115))
 """Of the arms."""

@@ -27,8 +27,7 @@ from pickenv.calibration import (
     random_joints,
     simulated_tracker,
 )
-from pickenv.inspect import inspect_calibration, inspect_evaluation
-from pickenv.inspect.colours import lane
+from pickenv.inspect import colours, inspect_calibration, inspect_evaluation
 from pickenv.wrappers import CompensationWrapper
 
 RERUN = Path(sys.executable).with_name("rerun")
@@ -146,13 +145,13 @@ def test_an_evaluation_shows_how_its_episodes_ended(
     reading = reader(inspect_evaluation(runs, plant, tmp_path / "evaluation.rrd", seed=3))
     assert reading.unmatched_rules() == []
     for key, ends in (("raw", runs["raw"]), ("ls", runs["LS"])):
-        errors = reading.values(f"/metrics/error_mm/{lane(key)}", "Scalars:scalars")
+        errors = reading.values(f"/metrics/error_mm/{colours.lane(key)}", "Scalars:scalars")
         np.testing.assert_allclose(errors, ends.position_error_mm, rtol=6e-4)
-        degrees = reading.values(f"/metrics/attitude_deg/{lane(key)}", "Scalars:scalars")
+        degrees = reading.values(f"/metrics/attitude_deg/{colours.lane(key)}", "Scalars:scalars")
         np.testing.assert_allclose(degrees, ends.attitude_error_deg, rtol=6e-4)
         miss = 1e3 * (ends.tool_position - ends.fruit_position)
         np.testing.assert_allclose(reading.values(f"/world/miss/{key}", "PickError:xyz_mm"), miss, rtol=1e-5, atol=1e-6)
-        states = reading.values(f"/outcome/{lane(key)}", "StateChange:state")
+        states = reading.values(f"/outcome/{colours.lane(key)}", "StateChange:state")
         np.testing.assert_array_equal(states == "pick", ends.success)
 
 

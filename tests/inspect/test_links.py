@@ -32,8 +32,8 @@ def test_any_arm_is_drawn_from_its_base_to_its_tool(name: str) -> None:
 def test_capsules_lie_along_the_links_in_every_direction() -> None:
     ends = np.array([[0, 0, 2], [0, 0, -2], [1, 0, 0], [0, -3, 0], [1, 2, 3], [0, 0, 0]], dtype=float)
     points = np.stack([np.zeros_like(ends), ends], axis=1)
-    rods = capsules(points, [0])
-    x, y, z, w = rods.quaternion[:, 0].T
+    start, length, quaternion = capsules(points, [0])
+    x, y, z, w = quaternion[:, 0].T
     direction = np.stack([2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)], axis=-1)
-    np.testing.assert_allclose(np.linalg.norm(rods.quaternion, axis=-1), 1.0)
-    np.testing.assert_allclose(rods.start[:, 0] + rods.length * direction, ends, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(quaternion, axis=-1), 1.0)
+    np.testing.assert_allclose(start[:, 0] + length * direction, ends, atol=1e-12)

@@ -23,11 +23,10 @@ from pickenv.base import InputError
 from pickenv.commands.inspection import inspect, recordings_of
 from pickenv.experiments import PolicySettings, run_policies
 from pickenv.experiments.policy_tables import write_evaluation
-from pickenv.inspect import Comparison, record_comparison
+from pickenv.inspect import Comparison, record_comparison, recorded_run, save_part
 from pickenv.inspect.recordings import live
 from pickenv.inspect.recordings.live import Live, open_live
 from pickenv.inspect.recordings.open_recording import check_recording
-from pickenv.inspect.runs.run_folder import recorded_run, save_part
 
 RERUN = Path(sys.executable).with_name("rerun")
 ROOT = Path(__file__).parents[2]

@@ -24,9 +24,9 @@ WIRE, SOLID = 1, 3
 
 
 def test_the_scene_is_the_grid_and_the_fruit(reading: Any, comparison: Comparison) -> None:
-    low = comparison.grid_origin - 0.5 * comparison.grid_step
-    size = 10 * np.full(3, comparison.grid_step)
-    assert np.all(comparison.field_points > low) and np.all(comparison.field_points < low + size)
+    low = comparison.grid.origin - 0.5 * comparison.grid.step
+    size = 10 * np.full(3, comparison.grid.step)
+    assert np.all(comparison.grid.points > low) and np.all(comparison.grid.points < low + size)
     reading.holds(
         "/world/axes",
         origins=[low, low, low],
@@ -37,8 +37,8 @@ def test_the_scene_is_the_grid_and_the_fruit(reading: Any, comparison: Compariso
     )
     reading.holds(
         "/world/workspace",
-        centers=comparison.grid_origin + 4.5 * comparison.grid_step,
-        half_sizes=5 * np.full(3, comparison.grid_step),
+        centers=comparison.grid.origin + 4.5 * comparison.grid.step,
+        half_sizes=5 * np.full(3, comparison.grid.step),
         colors=[(*GREY, 110)],
         radii=[-0.7],
         fill_mode=[WIRE],
@@ -48,10 +48,12 @@ def test_the_scene_is_the_grid_and_the_fruit(reading: Any, comparison: Compariso
 
 def test_three_arms_are_drawn_under_the_first_command(reading: Any, comparison: Comparison) -> None:
     first = comparison.policies[0]
-    believed = nominal_points(comparison.nominal, first.reach_joints)
-    true = true_points(comparison.plant.geometry, first.reach_joints, first.reach_positions)
+    believed = nominal_points(comparison.nominal, first.ends.joint_command)
+    true = true_points(comparison.plant.geometry, first.ends.joint_command, first.ends.tool_position)
     parts = drawn_parts(believed)
-    np.testing.assert_allclose(believed[:, -1], forward(comparison.nominal, first.reach_joints).position, atol=1e-12)
+    np.testing.assert_allclose(
+        believed[:, -1], forward(comparison.nominal, first.ends.joint_command).position, atol=1e-12
+    )
     radii, count = np.linspace(0.03, 0.012, len(parts)), len(parts)
     for name, points, colour, mode, thick in (
         ("nominal", believed, GREY, WIRE, 1.0),
@@ -80,7 +82,7 @@ def test_three_arms_are_drawn_under_the_first_command(reading: Any, comparison: 
 def test_a_reach_is_an_arrow_a_shot_a_number_and_an_outcome(reading: Any, comparison: Comparison) -> None:
     count, tolerance = len(comparison.fruit), comparison.tolerance_mm
     for policy in comparison.policies:
-        colour, miss = COLOURS[policy.key], policy.reach_positions - comparison.fruit
+        colour, miss = COLOURS[policy.key], policy.ends.tool_position - comparison.fruit
         clicked = {"norm_mm": 1e3 * np.sqrt((miss**2).sum(axis=1)), "xyz_mm": 1e3 * miss}
         reading.holds(
             f"/world/miss/{policy.key}",
@@ -91,7 +93,10 @@ def test_a_reach_is_an_arrow_a_shot_a_number_and_an_outcome(reading: Any, compar
             **clicked,
         )
         reading.holds(f"/target/{policy.key}", positions=1e3 * miss, colors=[colour], radii=[-3.0], **clicked)
-        for name, values in (("error_mm", policy.position_error_mm), ("attitude_deg", policy.attitude_error_deg)):
+        for name, values in (
+            ("error_mm", policy.ends.position_error_mm),
+            ("attitude_deg", policy.ends.attitude_error_deg),
+        ):
             reading.holds(
                 f"/metrics/{name}/{lane(policy.key)}",
                 scalars=[float(f"{value:.4g}") for value in values],
@@ -101,7 +106,7 @@ def test_a_reach_is_an_arrow_a_shot_a_number_and_an_outcome(reading: Any, compar
             )
         reading.holds(
             f"/outcome/{lane(policy.key)}",
-            state=np.where(policy.success, "pick", "miss").astype(object),
+            state=np.where(policy.ends.success, "pick", "miss").astype(object),
             values=["pick", "miss"],
             labels=["pick", "miss"],
             colors=[colour, RED],
@@ -132,7 +137,7 @@ def test_a_reach_is_an_arrow_a_shot_a_number_and_an_outcome(reading: Any, compar
 
 
 def test_bars_of_all_policies_stand_side_by_side_in_their_bin(reading: Any, comparison: Comparison) -> None:
-    largest = max(policy.position_error_mm.max() for policy in comparison.policies)
+    largest = max(policy.ends.position_error_mm.max() for policy in comparison.policies)
     found = []
     for policy in comparison.policies:
         entity = f"/hist/{lane(policy.key)}"
@@ -146,7 +151,7 @@ def test_bars_of_all_policies_stand_side_by_side_in_their_bin(reading: Any, comp
         edges = step * np.arange(len(bars) + 1)
         assert edges[-2] <= largest < edges[-1]
         inside = [
-            ((policy.position_error_mm >= a) & (policy.position_error_mm < b)).sum()
+            ((policy.ends.position_error_mm >= a) & (policy.ends.position_error_mm < b)).sum()
             for a, b in zip(edges[:-1] - 1e-9, edges[1:] - 1e-9, strict=True)
         ]
         assert bars.tolist() == inside
@@ -188,9 +193,9 @@ def test_a_field_alone_draws_a_grid_of_three_lengths_with_holes(
     without_reaches: Comparison, reader: Callable[[Path], Any], tmp_path: Path
 ) -> None:
     """Cells without a point are no number; and what is drawn is twenty times as long as it is, if not told else."""
-    wider = replace(without_reaches, grid_shape=(10, 11, 12))
+    wider = replace(without_reaches, grid=replace(without_reaches.grid, shape=(10, 11, 12)))
     reading = reader(record_comparison(wider, tmp_path / "errors.rrd"))
-    values, (x, y, z) = dense(reading, "raw"), wider.field_index.T
+    values, (x, y, z) = dense(reading, "raw"), wider.grid.index.T
     assert values.shape == (12, 11, 10)
     magnitude = 1e3 * np.linalg.norm(wider.policies[0].field_errors, axis=1)
     np.testing.assert_allclose(values[z, y, x], magnitude, rtol=1e-6)

@@ -17,7 +17,7 @@ from pickenv.base import InputError
 from pickenv.inspect import Comparison, record_comparison
 from pickenv.inspect.colours import lane, viridis
 from pickenv.inspect.recordings import comparison_recording as recording
-from pickenv.inspect.recordings.scribe import Scribe, f32, recording_bytes, send_arrows
+from pickenv.inspect.recordings.scribe import Scribe, f32, recording_bytes
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm
 from pickenv.inspect.runs.saved import cut_away
 
@@ -63,7 +63,7 @@ def test_arrows_are_the_errors_times_the_gain(reading: Any, comparison: Comparis
         entity = f"/world/field/{policy.key}/vectors"
         vectors = reading.values(entity, "Arrows3D:vectors")
         np.testing.assert_allclose(vectors, 25.0 * policy.field_errors, rtol=1e-6, atol=1e-9)
-        np.testing.assert_allclose(reading.values(entity, "Arrows3D:origins"), comparison.field_points, rtol=1e-6)
+        np.testing.assert_allclose(reading.values(entity, "Arrows3D:origins"), comparison.grid.points, rtol=1e-6)
 
 
 def test_a_click_on_an_arrow_reads_out_the_error(reading: Any, comparison: Comparison) -> None:
@@ -73,7 +73,7 @@ def test_a_click_on_an_arrow_reads_out_the_error(reading: Any, comparison: Compa
         np.testing.assert_allclose(xyz, 1e3 * policy.field_errors, rtol=1e-6, atol=1e-7)
         np.testing.assert_allclose(norm, np.linalg.norm(1e3 * policy.field_errors, axis=-1), rtol=1e-6)
         norm = reading.values(f"/world/miss/{policy.key}", "PickError:norm_mm")
-        np.testing.assert_allclose(norm, policy.position_error_mm, rtol=1e-5)
+        np.testing.assert_allclose(norm, policy.ends.position_error_mm, rtol=1e-5)
 
 
 def test_all_fields_share_one_colour_scale(reading: Any, comparison: Comparison) -> None:
@@ -100,27 +100,30 @@ def test_voxels_and_slices_are_the_error_magnitude(reading: Any, comparison: Com
         np.testing.assert_allclose(reading.values(entity, "VoxelGridMap:values"), magnitude[kept], rtol=1e-6)
         corner = reading.values(entity, "VoxelGridMap:translation")[0]
         index = reading.values(entity, "VoxelGridMap:voxel_indices")
-        centres = corner + (index + 0.5) * comparison.grid_step
-        np.testing.assert_allclose(centres, comparison.field_points[kept], atol=1e-6)
+        centres = corner + (index + 0.5) * comparison.grid.step
+        np.testing.assert_allclose(centres, comparison.grid.points[kept], atol=1e-6)
         (tensor,) = reading.component(f"/field/{policy.key}/magnitude_mm", "Tensor:data").flatten().to_pylist()
         values = np.asarray(tensor["buffer"]).reshape(tensor["shape"])
         for place, said, axis in zip("zyx", tensor["names"], (2, 1, 0), strict=True):
             start, step = map(float, re.fullmatch(rf"{place} = (\S+) m \+ (\S+) m ×", said).groups())  # type: ignore[union-attr]
-            metres = start + step * comparison.field_index[:, axis]
-            np.testing.assert_allclose(metres, comparison.field_points[:, axis], atol=6e-4)
-        x, y, z = comparison.field_index.T
+            metres = start + step * comparison.grid.index[:, axis]
+            np.testing.assert_allclose(metres, comparison.grid.points[:, axis], atol=6e-4)
+        x, y, z = comparison.grid.index.T
         np.testing.assert_allclose(values[z, y, x], magnitude, rtol=1e-6)
 
 
 def test_each_reach_has_its_errors_and_its_outcome(reading: Any, comparison: Comparison) -> None:
     assert {column.name for column in reading.store.schema().index_columns()} == {"reach", "hours"}
     for policy in comparison.policies:
-        for name, values in (("error_mm", policy.position_error_mm), ("attitude_deg", policy.attitude_error_deg)):
+        for name, values in (
+            ("error_mm", policy.ends.position_error_mm),
+            ("attitude_deg", policy.ends.attitude_error_deg),
+        ):
             shown = reading.values(f"/metrics/{name}/{lane(policy.key)}", "Scalars:scalars")
             np.testing.assert_allclose(shown, values, rtol=5.0001e-4)
             assert all(len(repr(float(value)).replace(".", "").strip("0")) <= 4 for value in shown)
         states = reading.values(f"/outcome/{lane(policy.key)}", "StateChange:state")
-        np.testing.assert_array_equal(states == "pick", policy.success)
+        np.testing.assert_array_equal(states == "pick", policy.ends.success)
         counts = reading.component(f"/hist/{lane(policy.key)}", "BarChart:values").flatten().to_pylist()[0]["buffer"]
         assert sum(counts) == len(comparison.fruit)
     assert set(reading.values("/metrics/tolerance_mm", "Scalars:scalars")) == {comparison.tolerance_mm}
@@ -139,7 +142,7 @@ def last_rod_ends(reading: Any, entity: str, reaches: int) -> np.ndarray:
 
 def test_the_arms_end_where_the_tool_is(reading: Any, comparison: Comparison) -> None:
     first, reaches = comparison.policies[0], len(comparison.fruit)
-    believed, true = forward(comparison.nominal, first.reach_joints).position, first.reach_positions
+    believed, true = forward(comparison.nominal, first.ends.joint_command).position, first.ends.tool_position
     drawn = believed + 25.0 * (true - believed)
     for name, position in (("nominal", believed), ("true", true), ("exaggerated", drawn)):
         ends = last_rod_ends(reading, f"/world/arm/{name}", reaches)
@@ -174,7 +177,7 @@ def test_equal_seeds_give_equal_files_and_other_seeds_others(
 
 
 def test_a_thousand_cells_and_a_hundred_reaches_stay_small(comparison: Comparison, tmp_path: Path) -> None:
-    assert len(comparison.field_points) == 1000
+    assert len(comparison.grid.points) == 1000
     assert len(comparison.fruit) == 100
     path = record_comparison(comparison, tmp_path / "errors.rrd")
     assert path.stat().st_size < 2e6
@@ -192,7 +195,7 @@ def test_a_hundred_thousand_arrows(read_out: bool, most: float, benchmark: Any) 
 
     def send(stream: Any) -> None:
         if read_out:
-            send_arrows(Scribe(stream), "field", points, 20.0 * errors, 1e3 * errors, 3.0)
+            Scribe(stream).arrows("field", points, 20.0 * errors, 1e3 * errors, 3.0)
         else:
             colours = viridis(np.linalg.norm(1e3 * errors, axis=-1) / 3.0)
             arrows = rr.Arrows3D(origins=f32(points), vectors=f32(20.0 * errors), colors=colours)
@@ -259,7 +262,7 @@ def test_a_folder_that_cannot_be_written_is_named(comparison: Comparison, tmp_pa
 def test_a_full_disk_is_one_sentence_and_leaves_nothing(room: int, tmp_path: Path) -> None:
     script = f"""
 import resource, runpy, sys
-from pickenv.base.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect import record_comparison
 comparison = runpy.run_path(sys.argv[1])["synthetic_comparison"](reaches=5, cells_per_axis=3)
 resource.setrlimit(resource.RLIMIT_FSIZE, ({room}, {room}))
@@ -279,7 +282,7 @@ except InputError as error:
 def test_a_recording_that_rerun_did_not_write_is_not_passed_off_as_one(tmp_path: Path) -> None:
     script = """
 import runpy, sys
-from pickenv.base.errors import InputError
+from pickenv.base import InputError
 from pickenv.inspect import record_comparison
 try:
     record_comparison(runpy.run_path(sys.argv[1])["synthetic_comparison"](reaches=5, cells_per_axis=3), sys.argv[2])
@@ -318,7 +321,7 @@ def test_importing_the_room_loads_neither_rerun_nor_matplotlib() -> None:
     script = """
 import sys
 import pickenv.inspect
-from pickenv.inspect import Comparison, PolicyErrors, read_run
+from pickenv.inspect import Comparison, RecordedPolicy, read_run
 sys.exit(bool({"rerun", "matplotlib"} & set(sys.modules)))
 """
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}

@@ -14,24 +14,26 @@ import pytest
 
 from pickenv.base import share_interval
 from pickenv.calibration import error_statistics
-from pickenv.inspect import Comparison, Run, trace_drawings
-from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
-from pickenv.inspect.figures.style import new_figure
-from pickenv.inspect.reports.demo_report import demo_verdict, page as demo_report
-from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
-from pickenv.inspect.reports.report_page import (
+from pickenv.inspect import (
+    CalibrationTrace,
+    Comparison,
+    Drawing,
     Interactive,
-    Page as ReportPage,
+    NotDrawn,
     PageTable,
     PageVerdict,
     Pair,
-    Part,
     Picture,
+    Run,
     Section,
     html_of,
+    load_part,
+    trace_drawings,
 )
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.run_folder import load_part
+from pickenv.inspect.figures.style import new_figure
+from pickenv.inspect.reports.demo_report import demo_verdict, page as demo_report
+from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
+from pickenv.inspect.reports.report_page import Page as ReportPage, Part
 
 VOID = {"meta", "link", "img", "br"}
 
@@ -125,7 +127,7 @@ def test_every_picture_has_words_and_every_table_has_heads(page: Page) -> None:
 
 
 def test_the_verdict_comes_first_and_its_numbers_are_the_datas(page: Page, comparison: Comparison) -> None:
-    raw, last = (policy.position_error_mm for policy in (comparison.policies[0], comparison.policies[-1]))
+    raw, last = (policy.ends.position_error_mm for policy in (comparison.policies[0], comparison.policies[-1]))
     words = page.text
     assert words.index("tolerance of 1 mm") < words.index("Reaches, by policy")
     assert f"removes {(raw - last).mean():.2f} mm" in words
@@ -139,11 +141,11 @@ def test_the_verdict_comes_first_and_its_numbers_are_the_datas(page: Page, compa
 def test_the_tables_are_the_datas(page: Page, comparison: Comparison, demo_run: Run) -> None:
     rows = {row[0]: row[1:] for row in page.rows}
     for policy in comparison.policies:
-        mm, cells = policy.position_error_mm, rows[policy.label]
+        mm, cells = policy.ends.position_error_mm, rows[policy.label]
         assert cells[0].startswith(f"{100 * np.mean(mm <= comparison.tolerance_mm):.0f} (")
         assert cells[3].startswith(f"{mm.mean():.3f} (")
         assert cells[4:7] == [f"{v:.3f}" for v in (np.sqrt(np.mean(mm**2)), np.percentile(mm, 95), mm.max())]
-        assert cells[7].startswith(f"{policy.attitude_error_deg.mean():.3f} (")
+        assert cells[7].startswith(f"{policy.ends.attitude_error_deg.mean():.3f} (")
     errors = load_part(demo_run, CalibrationTrace).errors
     for i, axis in enumerate(("x (mm)", "y (mm)", "z (mm)", "rx (deg)", "ry (deg)", "rz (deg)")):
         columns = [error[:, i] * (1e3 if i < 3 else 180.0 / np.pi) for error in errors.values()]
@@ -167,7 +169,7 @@ def other(
 
 
 def test_other_data_give_other_numbers(comparison: Comparison, page: Page, other: Page) -> None:
-    raw = comparison.policies[0].position_error_mm
+    raw = comparison.policies[0].ends.position_error_mm
     for found, scale in ((page, 1.0), (other, 1.37)):
         assert f"error of {scale * raw.mean():.2f} mm" in found.text
         assert f"{scale * raw.max():.3f}" in found.text
@@ -183,9 +185,9 @@ def test_the_verdict_follows_the_share_and_its_interval(
     comparison: Comparison, successes: int, tone: str, words: str
 ) -> None:
     last = comparison.policies[-1]
-    missed = np.where(np.arange(len(last.success)) < round(successes / 100 * len(last.success)), 0.3, 1.1)
+    missed = np.where(np.arange(len(last.moments)) < round(successes / 100 * len(last.moments)), 0.3, 1.1)
     found = demo_verdict(
-        replace(comparison, policies=(comparison.policies[0], replace(last, position_error_mm=missed)))
+        replace(comparison, policies=(comparison.policies[0], replace(last, position_error_mm=missed[:, None])))
     )
     assert found.tone == tone
     assert words in found.headline
@@ -211,7 +213,7 @@ def test_arrows_and_their_hover_texts_are_the_errors(comparison: Comparison) -> 
         told = np.array(ends["customdata"])
         np.testing.assert_allclose(told[:, 0], 1e3 * np.linalg.norm(policy.field_errors, axis=1), atol=1e-4)
         np.testing.assert_allclose(told[:, 1:4], 1e3 * policy.field_errors, atol=1e-4)
-        np.testing.assert_allclose(told[:, 4:], comparison.field_points, atol=1e-4)
+        np.testing.assert_allclose(told[:, 4:], comparison.grid.points, atol=1e-4)
         assert shafts["x"][2::3] == [None] * len(told)
         assert ends["x"] == shafts["x"][0::3]  # the dots are where the tool should be
         drawn = np.array(shafts["x"][1::3], dtype=float) - np.array(shafts["x"][0::3], dtype=float)

@@ -18,13 +18,29 @@ from pickenv.calibration import Choices, Result, assess, calibrate, fit, random_
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
-from pickenv.inspect import Comparison, Run
+from pickenv.inspect import (
+    Bar,
+    CalibrationTrace,
+    Comparison,
+    Folded,
+    Interactive,
+    Page,
+    Pair,
+    PickChange,
+    Picture,
+    RecordedPolicy,
+    Run,
+    between,
+    estimated,
+    gripped,
+    load_part,
+    matters,
+    percent,
+    pick_changes,
+)
 from pickenv.inspect.reports import calibration_report, demo_report, report_page
-from pickenv.inspect.reports.report_page import Bar, Folded, Interactive, Page, Pair, Picture
-from pickenv.inspect.reports.report_words import between, estimated, parameter_words, percent
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
-from pickenv.inspect.runs.run_folder import MATTERS_FILE, load_part
+from pickenv.inspect.reports.report_words import parameter_words
+from pickenv.inspect.runs.run_folder import MATTERS_FILE
 
 
 def built(make: Callable[[], object]) -> Page:
@@ -59,23 +75,17 @@ CHANGES = [PickChange("li_cup", 0.0, 0.512, 0.987), PickChange("compliant_hand",
 
 @pytest.mark.parametrize("few", [False, True])
 def test_a_demonstrations_page_cell_by_cell(
-    few: bool, comparison: Comparison, write_demo_run: Callable[[Path, Comparison], Run], tmp_path: Path
+    few: bool,
+    comparison: Comparison,
+    cut_short: Callable[..., RecordedPolicy],
+    write_demo_run: Callable[[Path, Comparison], Run],
+    tmp_path: Path,
 ) -> None:
-    rows = slice(0, 19 if few else 20)
-    policies = [
-        replace(
-            p,
-            **{
-                name: getattr(p, name)[rows]
-                for name in ("reach_joints", "reach_positions", "position_error_mm", "attitude_error_deg", "success")
-            },
-        )
-        for p in comparison.policies
-    ]
+    policies = [cut_short(policy, 19 if few else 20) for policy in comparison.policies]
     exact = policies[1].position_error_mm.copy()
     exact[0] = 1.0  # on the tolerance itself, which is within it
     policies[1] = replace(policies[1], position_error_mm=exact)
-    shown = replace(comparison, fruit=comparison.fruit[rows], policies=tuple(policies))
+    shown = replace(comparison, policies=tuple(policies))
     run = write_demo_run(tmp_path / "run", shown)
     (run.folder / MATTERS_FILE).write_text(json.dumps({"orchard": [asdict(change) for change in CHANGES]}))
     if few:
@@ -87,7 +97,7 @@ def test_a_demonstrations_page_cell_by_cell(
     assert page.subtitle == (
         f"Simulated arm; the same scripted policy reaches for {count} fruit, raw and calibrated; seed 7{quick}"
     )
-    raw, last = (p.position_error_mm for p in (policies[0], policies[-1]))
+    raw, last = (p.ends.position_error_mm for p in (policies[0], policies[-1]))
     held = [1e3 * np.linalg.norm(errors[:, :3], axis=1) for errors in trace.errors.values()]
     assert page.tiles == {
         "mean position error of the reaches, raw → calibrated": f"{raw.mean():.2f} → {last.mean():.2f} mm",
@@ -104,13 +114,13 @@ def test_a_demonstrations_page_cell_by_cell(
     assert table.rows == [
         [
             p.label,
-            share(np.count_nonzero(p.position_error_mm <= 1.0), count),
+            share(np.count_nonzero(p.ends.position_error_mm <= 1.0), count),
             *(share(float(grips[p.label].success[name].sum()), count) for name in ("li_cup", "compliant_hand")),
-            whole(p.position_error_mm, 3),
+            whole(p.ends.position_error_mm, 3),
             f"{np.sqrt(np.mean(p.position_error_mm**2)):.3f}",
             f"{np.percentile(p.position_error_mm, 95):.3f}",
             f"{p.position_error_mm.max():.3f}",
-            whole(p.attitude_error_deg, 3),
+            whole(p.ends.attitude_error_deg, 3),
         ]
         for p in policies
     ]
@@ -168,7 +178,7 @@ def test_a_demonstrations_page_cell_by_cell(
     assert (
         matters("qiao2026", pick_changes(lateral[0], lateral[-1])) in own.text and own.headline == page.verdict.headline
     )
-    worse = replace(policies[-1], position_error_mm=raw + np.linspace(0.2, 0.4, count))
+    worse = replace(policies[-1], position_error_mm=(raw + np.linspace(0.2, 0.4, count))[:, None])
     lost = demo_report.demo_verdict(replace(shown, policies=(policies[0], worse))).text
     low, high = mean_interval(np.linspace(0.2, 0.4, count), 20) or (0.0, 0.0)
     said = nothing if few else f"95 % interval {low:+.2f} to {high:+.2f}"
@@ -178,7 +188,7 @@ def test_a_demonstrations_page_cell_by_cell(
 @pytest.mark.parametrize(("gain", "lowers"), [(0.0, False), (0.4, True), (-0.4, False)])
 def test_a_gain_alike_everywhere_has_no_interval(gain: float, lowers: bool, comparison: Comparison) -> None:
     raw, last = comparison.policies[0], comparison.policies[-1]
-    errors = np.full(len(raw.success), 2.0)
+    errors = np.full((len(raw.moments), 1), 2.0)
     policies = (replace(raw, position_error_mm=errors), replace(last, position_error_mm=errors - gain))
     text = demo_report.demo_verdict(replace(comparison, policies=policies)).text
     assert ("removes" in text.split(".")[0]) == lowers and "(no interval: fewer than 20 reaches, or all alike)" in text

@@ -16,15 +16,25 @@ import typer
 from typer.testing import CliRunner
 
 from pickenv.arm import load_plant
-from pickenv.base import InputError
-from pickenv.base.registry import names
+from pickenv.base import InputError, registry
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.cli import app
 from pickenv.harvester import Measure
-from pickenv.inspect import Comparison, Run, drawings_of, page_of, read_run
-from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
-from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
-from pickenv.inspect.runs.run_folder import ISO9283, recorded_run, run_kind, save_part
+from pickenv.inspect import (
+    Comparison,
+    Drawing,
+    HarvestTrace,
+    JointCurves,
+    NotDrawn,
+    PickedTree,
+    Run,
+    drawings_of,
+    page_of,
+    read_run,
+    recorded_run,
+    run_kind,
+    save_part,
+)
 
 LITERATURE = {
     "error_per_test_pose",
@@ -72,7 +82,9 @@ def iso(tmp_path: Path) -> Run:
     result = {"plant": "orchard", "standard": "ISO 9283:1998", "settings": settings}
     with recorded_run(tmp_path / "iso", "iso9283", "pickenv iso9283 --seed 3", 3) as run:
         run.folder.mkdir(parents=True, exist_ok=True)
-        (run.folder / ISO9283).write_text(json.dumps(result | {"raw": controller(1.0), "calibrated": controller(0.1)}))
+        (run.folder / "iso9283.json").write_text(
+            json.dumps(result | {"raw": controller(1.0), "calibrated": controller(0.1)})
+        )
     return run
 
 
@@ -108,7 +120,7 @@ def harvest(tmp_path: Path) -> Run:
     return run
 
 
-@pytest.mark.parametrize("kind", names("report"))
+@pytest.mark.parametrize("kind", registry.names("report"))
 def test_every_kind_of_run_has_a_module_with_its_figures_and_its_page(kind: str) -> None:
     module = import_module(run_kind(kind).pages)
     assert callable(module.drawings)
@@ -118,7 +130,7 @@ def test_every_kind_of_run_has_a_module_with_its_figures_and_its_page(kind: str)
 def test_a_report_enters_the_page_of_its_kind_and_no_other() -> None:
     code = "import sys, pickenv.inspect.reports.iso9283_report; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
-    pages = {run_kind(name).pages for name in names("report")}
+    pages = {run_kind(name).pages for name in registry.names("report")}
     assert set(loaded) & pages == {"pickenv.inspect.reports.iso9283_report"}
 
 
@@ -232,8 +244,8 @@ def test_bad_folders_are_refused_in_one_sentence_and_nothing_is_written(
     refused(lambda f: (f / "comparison.npz").unlink(), "comparison.npz does not exist", "pickenv demo --out")
     refused(lambda f: (f / "comparison.npz").write_bytes(b"PK"), "comparison.npz is not what the run wrote")
     refused(lambda f: (f / "calibration_trace.npz").unlink(), "calibration_trace.npz does not exist")
-    refused(lambda f: (f / ISO9283).write_text("{}"), "iso9283.json is not what the run wrote", run=iso)
-    refused(lambda f: (f / ISO9283).unlink(), "iso9283.json does not exist", "pickenv iso9283 --out", run=iso)
+    refused(lambda f: (f / "iso9283.json").write_text("{}"), "iso9283.json is not what the run wrote", run=iso)
+    refused(lambda f: (f / "iso9283.json").unlink(), "iso9283.json does not exist", "pickenv iso9283 --out", run=iso)
     with pytest.raises(InputError, match="nowhere is no folder"):
         call("figures", tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"'docx' is no picture format; give one of .*png"):

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_plant, shipped_plants
-from pickenv.base import InputError, read_container, write_container, write_text
-from pickenv.base.registry import names
+from pickenv.base import InputError, read_container, registry, write_container, write_text
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.inspect import Comparison, Run, read_run
-from pickenv.inspect.runs import saved
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.run_folder import (
-    added_to,
-    faults_of,
-    load_iso9283,
+from pickenv.inspect import (
+    CalibrationTrace,
+    Comparison,
+    Run,
     load_part,
+    read_run,
     recorded_run,
     run_kind,
     save_part,
+    trace_of,
 )
+from pickenv.inspect.runs import saved
+from pickenv.inspect.runs.run_folder import added_to, faults_of, load_iso9283
 
 
 def assert_same(one, other):
@@ -127,10 +127,10 @@ def test_a_study_is_known_by_its_configuration(tmp_path: Path) -> None:
         (lambda path: path.write_bytes(path.read_bytes()[:-400]), "is not a Comparison file or is damaged"),
         (lambda path: path.write_bytes(b""), "is not a Comparison file or is damaged"),
         (lambda path: path.write_text("no archive"), "is not a Comparison file or is damaged"),
-        (lambda path: rewritten(path, version=99), "has format 99, this program reads up to 3; update pickenv"),
+        (lambda path: rewritten(path, version=99), "has format 99, this program reads up to 4; update pickenv"),
         (
             lambda path: rewritten(path, version=1),
-            "has the earlier format 1, this program reads 3; `pickenv demo --out",
+            "has the earlier format 1, this program reads 4; `pickenv demo --out",
         ),
         (lambda path: rewritten(path, kind="CalibrationTrace"), "holds a CalibrationTrace, not a Comparison"),
         (
@@ -148,7 +148,9 @@ def test_a_file_that_is_not_whole_is_refused_by_name(folder: Path, change, words
     assert "\n" not in str(caught.value)
 
 
-def rewritten(path: Path, kind: str = "Comparison", version: int = saved.FORMAT, **header: object) -> None:
+def rewritten(
+    path: Path, kind: str = "Comparison", version: int = saved.FORMATS["Comparison"], **header: object
+) -> None:
     """The file under a seal that holds, with another kind, version or header."""
     found = read_container(path, None, remake="")
     write_container(path, kind, {**found.header, **header}, found.arrays, version=version)
@@ -180,7 +182,7 @@ def test_a_record_that_cannot_be_read_is_refused(folder: Path, text: str, words:
 def test_a_path_that_is_no_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nowhere is no folder; make a run folder with one of"):
         read_run(tmp_path / "nowhere")
-    assert all(run_kind(name).made_by.split()[-1] == "RUN" for name in names("report"))
+    assert all(run_kind(name).made_by.split()[-1] == "RUN" for name in registry.names("report"))
 
 
 def test_what_holds_code_cannot_be_saved(tmp_path: Path, comparison: Comparison) -> None:

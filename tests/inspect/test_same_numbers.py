@@ -17,7 +17,7 @@ from pickenv.calibration.assessment.screen import figure
 from pickenv.cli import _print_demo
 from pickenv.commands.showing import print_table
 from pickenv.demo import DemoSettings, run_demo, summarise, write_run
-from pickenv.inspect.reports.calibration_report import calibration_page
+from pickenv.inspect import calibration_page
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from pickenv.inspect.runs.saved import cut_away, eye_direction, shown_box
 
 @pytest.mark.parametrize("shape", [(10, 10, 10), (9, 5, 9), (4, 12, 6)])
 def test_the_eye_looks_from_outside_at_the_widest_face(shape: tuple[int, int, int], comparison: Comparison) -> None:
-    scene = replace(comparison, grid_shape=shape)
+    scene = replace(comparison, grid=replace(comparison.grid, shape=shape))
     eye, outward = eye_direction(scene), shown_box(scene)[0] - scene.nominal.base.position
     np.testing.assert_allclose(np.linalg.norm(eye), 1.0)
     assert eye[:2] @ outward[:2] > 0.0
@@ -22,7 +22,7 @@ def test_the_eye_looks_from_outside_at_the_widest_face(shape: tuple[int, int, in
 
 def test_what_is_cut_away_is_the_corner_nearest_to_the_eye(comparison: Comparison) -> None:
     away = cut_away(comparison)
-    depth = (comparison.field_points - shown_box(comparison)[0]) @ eye_direction(comparison)
+    depth = (comparison.grid.points - shown_box(comparison)[0]) @ eye_direction(comparison)
     assert away[np.argmax(depth)]
     assert not away[np.argmin(depth)]
     assert away.mean() == pytest.approx(1 / 8)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.inspect import read_run
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, last_of
+from pickenv.inspect import RecordedEpisodes, read_run
 from pickenv.inspect.runs.run_folder import load_part
 from tests.journeys.pages import walked
 
@@ -39,7 +38,7 @@ def test_the_page_told_from_an_empty_folder_ends_with_a_film_that_counts_what_th
     counted = re.search(r"120 frames.*raw picks (\d+) of (\d+), LS picks (\d+) of (\d+);", said[3])
     assert counted is not None, said[3]
     picked = [int(number) for number in counted.groups()]
-    first = [int(last_of(policy, policy.picked)[0]) for policy in (raw, calibrated)]
+    first = [int(policy.ends.picked[0]) for policy in (raw, calibrated)]
     assert [picked[0], picked[2]] == first
     assert picked[2] > picked[0]  # on this machine and cup calibration changes picks
     rows = json.loads((tmp_path / "runs/orchard/comparison.json").read_text(encoding="utf-8"))["rows"]

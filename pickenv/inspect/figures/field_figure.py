@@ -27,17 +27,17 @@ from pickenv.arm import Array
 from pickenv.base import InputError
 from pickenv.inspect.colours import viridis, viridis_map
 from pickenv.inspect.figures.style import INK, RULE, SOFT, WIDTH, change, new_figure
+from pickenv.inspect.runs.calibration_trace import ViewErrors
 from pickenv.inspect.runs.comparison_summary import (
     GAIN,
     SCALE_PERCENTILE,
-    Comparison,
     colour_scale_mm,
     error_spread,
     field_mm,
     ticks,
 )
+from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
-from pickenv.inspect.runs.view_errors import ViewErrors
 
 PANEL_WIDTH, BESIDE_PANELS = WIDTH / 3.0, 1.5
 """Inches; the latter is the height of the titles and the colour bar."""
@@ -68,13 +68,13 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         InputError: If there is no policy or no field point, or if the gain is not above zero.
     """
     policies = comparison.policies
-    if not policies or not len(comparison.field_points):
+    if not policies or not len(comparison.grid.points):
         raise InputError("there is no error field to draw; give at least one policy and one field point")
     if gain is not None and not gain > 0.0:
         raise InputError(f"the gain is {gain}; give a number above zero")
     rows, _ = thinned(comparison)
     top = colour_scale_mm(comparison)
-    gain = gain or field_gain(comparison.grid_step, top)
+    gain = gain or field_gain(comparison.grid.step, top)
     view = _View(comparison)
     width, height = view.high - view.low
     height = min(0.93 * PANEL_WIDTH * height / width, PANEL_WIDTH)
@@ -85,7 +85,7 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
         for axes, policy in zip(panels, policies, strict=True):
             _box(axes, view)
             _ghost_arm(axes, comparison, view)
-            _arrows(axes, view, comparison.field_points[rows], policy.field_errors[rows], gain, top)
+            _arrows(axes, view, comparison.grid.points[rows], policy.field_errors[rows], gain, top)
             axes.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), aspect="equal")
             axes.set_axis_off()
             axes.set_title(policy.label, fontsize=12, weight="bold", pad=15.0)
@@ -103,12 +103,12 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
 def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np.intp], float]:
     """The numbers of field points to draw, about ``most`` of them, and how far apart they are, m."""
     for stride in itertools.count(1):
-        rows = np.flatnonzero(np.all(comparison.field_index % stride == (stride - 1) // 2, axis=-1))
+        rows = np.flatnonzero(np.all(comparison.grid.index % stride == (stride - 1) // 2, axis=-1))
         if 0 < len(rows) <= most:
-            return rows, stride * comparison.grid_step
+            return rows, stride * comparison.grid.step
         if not len(rows):
             break
-    return np.arange(len(comparison.field_points)), comparison.grid_step
+    return np.arange(len(comparison.grid.points)), comparison.grid.step
 
 
 def field_gain(step: float, top_mm: float) -> float:
@@ -144,8 +144,8 @@ class _View:
         right = np.cross([0.0, 0.0, 1.0], self.eye)
         right /= np.linalg.norm(right)
         self.plane = np.stack([right, np.cross(self.eye, right)], axis=-1)
-        low = comparison.grid_origin - comparison.grid_step / 2.0
-        high = low + np.asarray(comparison.grid_shape) * comparison.grid_step
+        low = comparison.grid.corner
+        high = low + comparison.grid.size
         self.corners = np.where(np.array(list(itertools.product((False, True), repeat=3))), high, low)
         flat, margin = self.flat(self.corners), 0.15 * self.radius
         self.low, self.high = flat.min(axis=0) - margin, flat.max(axis=0) + margin * np.array([1.0, 0.2])
@@ -226,7 +226,7 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
     if not len(comparison.fruit):
         return
     nearest = int(np.argmin(np.linalg.norm(comparison.fruit - view.centre, axis=-1)))
-    points = nominal_points(comparison.nominal, comparison.policies[0].reach_joints[nearest])
+    points = nominal_points(comparison.nominal, comparison.policies[0].ends.joint_command[nearest])
     flat = view.flat(points)
     for i, (a, b) in enumerate(itertools.pairwise(flat)):
         thickness = 6.0 - 3.5 * i / (len(flat) - 1)

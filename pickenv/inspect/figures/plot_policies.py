@@ -19,9 +19,14 @@ from pickenv.arm import Array
 from pickenv.base import InputError
 from pickenv.inspect.colours import GREY, RED, policy_colours
 from pickenv.inspect.figures import style
-from pickenv.inspect.runs.comparison_summary import SCALE_PERCENTILE, Comparison, cell_means, field_mm
-from pickenv.inspect.runs.episode_summary import episode_misses, outcome_sentence
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
+from pickenv.inspect.runs.comparison_summary import (
+    SCALE_PERCENTILE,
+    cell_means,
+    episode_misses,
+    field_mm,
+    outcome_sentence,
+)
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 
 SMALLEST = 1e-3
 """Errors below a micrometre are drawn there, mm."""
@@ -75,19 +80,19 @@ def misses_by_fruit(episodes: RecordedEpisodes) -> Figure:
 def difference_map(comparison: Comparison) -> Figure:
     """Map of the places where the last policy misses less than the first: layers of the workspace seen from above."""
     first, last = comparison.policies[0], comparison.policies[-1]
-    change, points = field_mm(last) - field_mm(first), comparison.field_points
+    change, points = field_mm(last) - field_mm(first), comparison.grid.points
     top = float(np.percentile(np.abs(change), SCALE_PERCENTILE)) or 1.0
     worse, better = style.rgb(policy_colours([first.key, last.key]))
     colours = LinearSegmentedColormap.from_list("nearer", [better, (0.82, 0.82, 0.84), worse])
-    layers = np.array_split(np.unique(comparison.field_index[:, 2]), HEIGHTS)
-    rows = [np.isin(comparison.field_index[:, 2], layer) for layer in layers if len(layer)]
-    corner, step = comparison.grid_origin - comparison.grid_step / 2.0, comparison.grid_step
-    width, depth = comparison.grid_shape[:2]
+    layers = np.array_split(np.unique(comparison.grid.index[:, 2]), HEIGHTS)
+    rows = [np.isin(comparison.grid.index[:, 2], layer) for layer in layers if len(layer)]
+    corner, step = comparison.grid.corner, comparison.grid.step
+    width, depth = comparison.grid.shape[:2]
     edges = corner[0] + step * np.arange(width + 1), corner[1] + step * np.arange(depth + 1)
     with style.new_figure(style.WIDTH, 2.4) as figure:
         panels: Any = figure.subplots(1, len(rows), squeeze=False, sharex=True, sharey=True)[0]
         for axes, layer in zip(panels, rows, strict=True):
-            cells, mean = cell_means(comparison.field_index[layer] * np.array([1, 1, 0]), change[layer])
+            cells, mean = cell_means(comparison.grid.index[layer] * np.array([1, 1, 0]), change[layer])
             grid = np.full((width, depth), np.nan)
             grid[cells[:, 0], cells[:, 1]] = mean
             marks = axes.pcolormesh(*edges, grid.T, cmap=colours, norm=TwoSlopeNorm(0.0, -top, top))

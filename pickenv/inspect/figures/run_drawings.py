@@ -16,10 +16,9 @@ from pickenv.base import clustered_share_interval
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
 from pickenv.inspect.figures import field_figure, plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.style import check_format, save_figure
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace, ViewErrors
 from pickenv.inspect.runs.matters import gripped, gripper_curves
-from pickenv.inspect.runs.view_errors import ViewErrors
+from pickenv.inspect.runs.recorded_episodes import Comparison
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
 CAPTIONS = {
@@ -118,15 +117,15 @@ def captioned(name: str, draw: Callable[..., Figure], /, *data: Any, **options: 
 def comparison_drawings(comparison: Comparison) -> Drawings:
     """Figures of policies on one arm: error fields, slices, boxes of the reaches."""
     fields = {policy.label: policy.field_errors for policy in comparison.policies}
-    mm = {policy.label: policy.position_error_mm for policy in comparison.policies}
-    degrees = {policy.label: policy.attitude_error_deg for policy in comparison.policies}
+    mm = {policy.label: policy.ends.position_error_mm for policy in comparison.policies}
+    degrees = {policy.label: policy.ends.attitude_error_deg for policy in comparison.policies}
     reaches: dict[str, Any] = {"counted": "reaches"}
     attitude = {"quantity": "attitude error", "unit": "deg", **reaches}
     drawings: list[Drawing | NotDrawn] = [
         captioned("error_fields", field_figure.error_fields, comparison),
-        captioned("error_slices", plot_errors.error_slices, comparison.field_points, fields, step=comparison.grid_step),
+        captioned("error_slices", plot_errors.error_slices, comparison.grid.points, fields, step=comparison.grid.step),
     ]
-    if not len(comparison.field_points):
+    if not len(comparison.grid.points):
         drawings = [NotDrawn("error_fields", "the comparison has no field points; take a finer grid")]
     if not len(comparison.fruit):
         return [*drawings, NotDrawn("reach_errors", "the comparison has no reaches; run some")]

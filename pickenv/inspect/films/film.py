@@ -486,7 +486,7 @@ def film_pictures(
     """The frames of a film, ``(height, width, 3)``."""
     film_set = FilmSet(episodes, plan, HALF, dark)
     width = len(plan.policies) * (HALF[0] + GAP) - GAP
-    plant = f", plant {episodes.plant}" if episodes.plant else ""
+    plant = f", plant {episodes.plant_name}" if episodes.plant_name else ""
     below = strip(
         f"{episodes.env_id}{plant}, gripper {episodes.gripper}: the same fruit, {plan.speed:.1f} × as fast as the arm",
         (width, STRIP),

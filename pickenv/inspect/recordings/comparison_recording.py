@@ -10,27 +10,30 @@ from typing import Any
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.components import ComponentColumnSelector
+from rerun.components import Colormap
+from rerun.encodings import TensorDimensionIndexSelection
 
-from pickenv.base import InputError, versions
+from pickenv.arm import Array
+from pickenv.base import InputError
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, lane, policy_colours, policy_key
-from pickenv.inspect.recordings.blueprint import comparison_blueprint
-from pickenv.inspect.recordings.details import Details, details_of, send_details
+from pickenv.inspect.recordings.details import DAY_WORDS, FLOOR, Day, Details, attitude_length, details_of, send_details
 from pickenv.inspect.recordings.scribe import (
     Scribe,
     f32,
     four_digits,
+    layout,
     reading,
     reading_columns,
-    send_arm,
-    send_arrows,
-    send_capture,
-    send_colour_bar,
-    send_voxels,
+    seen_from,
+    view_of,
+    with_colour_bar,
     write_recording,
 )
-from pickenv.inspect.runs import comparison_summary
-from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
-from pickenv.inspect.runs.saved import cut_away, drawn_parts, nominal_points, true_points
+from pickenv.inspect.runs import comparison_summary as summary
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
+from pickenv.inspect.runs.saved import cut_away, drawn_parts, eye_direction, nominal_points, shown_box, true_points
 
 TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008
@@ -57,15 +60,10 @@ def record_comparison(comparison: Comparison, path: str | Path, *, gain: float =
     times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
     return write_recording(
         path,
-        recording_id(comparison),
+        f"{comparison.plant.name}:seed{comparison.seed}",
         comparison_blueprint(comparison, details, gain),
         lambda stream: _send(Scribe(stream, times), comparison, details, gain),
     )
-
-
-def recording_id(comparison: Comparison) -> str:
-    """Identity of a recording: recordings of one scene and seed are shown as one."""
-    return f"{comparison.plant.name}:seed{comparison.seed}"
 
 
 def _check(comparison: Comparison, gain: float) -> None:
@@ -84,14 +82,25 @@ def _check(comparison: Comparison, gain: float) -> None:
 
 
 def _send(scribe: Scribe, comparison: Comparison, details: Details, gain: float) -> None:
-    _send_properties(scribe, comparison, gain)
+    plant, top = comparison.plant, summary.colour_scale_mm(comparison)
+    scribe.properties(
+        plant=plant.name,
+        arm=plant.arm.name,
+        arm_fingerprint=plant.arm.fingerprint(),
+        seed=comparison.seed,
+        policies=[policy.key for policy in comparison.policies],
+        gain=gain,
+        tolerance_mm=comparison.tolerance_mm,
+        colour_scale_mm=top,
+    )
     _send_scene(scribe, comparison, gain)
     for policy in comparison.policies:
         _send_field(scribe, comparison, policy, gain)
         _send_reaches(scribe, comparison, policy, gain)
     _send_tolerance(scribe, comparison, gain)
     _send_histograms(scribe, comparison)
-    _send_legend(scribe, comparison, gain)
+    scribe.colour_bar("legend/position", top, "mm")
+    scribe.document("summary", summary.summary_markdown(comparison, gain))
     send_details(scribe, comparison, details, gain)
 
 
@@ -99,28 +108,9 @@ def _colours(comparison: Comparison) -> list[Rgb]:
     return policy_colours([policy.key for policy in comparison.policies])
 
 
-def _send_properties(scribe: Scribe, comparison: Comparison, gain: float) -> None:
-    made_with: Any = {f"{name}_version": version for name, version in {**versions(), "rerun": rr.__version__}.items()}
-    scribe.stream.send_property(
-        "pickenv",
-        rr.AnyValues(
-            plant=comparison.plant.name,
-            arm=comparison.plant.arm.name,
-            arm_fingerprint=comparison.plant.arm.fingerprint(),
-            seed=comparison.seed,
-            policies=[policy.key for policy in comparison.policies],
-            gain=gain,
-            tolerance_mm=comparison.tolerance_mm,
-            colour_scale_mm=comparison_summary.colour_scale_mm(comparison),
-            **made_with,
-        ),
-    )
-
-
 def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
-    size = np.asarray(comparison.grid_shape) * comparison.grid_step
-    corner = comparison.grid_origin - comparison.grid_step / 2.0
+    size, corner = comparison.grid.size, comparison.grid.corner
     scribe.still(
         "world/axes",
         rr.Arrows3D(
@@ -144,32 +134,30 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     if not scribe.times:
         return
     scribe.still("world/fruit", rr.Points3D(comparison.fruit, colors=[FRUIT], radii=FRUIT_RADIUS))
-    first = comparison.policies[0]
-    believed = nominal_points(comparison.nominal, first.reach_joints)
-    true = true_points(comparison.plant.geometry, first.reach_joints, first.reach_positions)
-    parts = drawn_parts(believed)
-    drawn = believed + gain * (true - believed)
-    send_arm(scribe, "world/arm/nominal", believed, parts, GREY, "majorwireframe")
-    send_arm(scribe, "world/arm/true", true, parts, STEEL, "solid")
-    send_arm(scribe, "world/arm/exaggerated", drawn, parts, _colours(comparison)[0], "solid", 0.5)
+    first = comparison.policies[0].ends
+    nominal = nominal_points(comparison.nominal, first.joint_command)
+    true = true_points(comparison.plant.geometry, first.joint_command, first.tool_position)
+    parts = drawn_parts(nominal)
+    exaggerated = nominal + gain * (true - nominal)
+    scribe.arm("world/arm/nominal", nominal, parts, GREY, "majorwireframe")
+    scribe.arm("world/arm/true", true, parts, STEEL, "solid")
+    scribe.arm("world/arm/exaggerated", exaggerated, parts, _colours(comparison)[0], "solid", 0.5)
 
 
-def _send_field(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
+def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, gain: float) -> None:
     """One policy's error field three times: arrows, voxels, and a tensor for slices."""
     entity, top, magnitude = (
         f"world/field/{policy.key}",
-        comparison_summary.colour_scale_mm(comparison),
-        comparison_summary.field_mm(policy),
+        summary.colour_scale_mm(comparison),
+        summary.field_mm(policy),
     )
-    errors, step = policy.field_errors, comparison.grid_step
-    send_arrows(scribe, f"{entity}/vectors", comparison.field_points, gain * errors, 1e3 * errors, top)
-    kept, index = ~cut_away(comparison), comparison.field_index
-    corner = comparison.grid_origin - step / 2.0
-    send_voxels(
-        scribe, f"{entity}/voxels", *comparison_summary.cell_means(index[kept], magnitude[kept]), top, step, corner
-    )
-    index, mean = comparison_summary.cell_means(index, magnitude)
-    grid = np.full(comparison.grid_shape, np.nan, dtype=np.float32)
+    errors, step = policy.field_errors, comparison.grid.step
+    scribe.arrows(f"{entity}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
+    visible, index = ~cut_away(comparison), comparison.grid.index
+    corner = comparison.grid.origin - step / 2.0
+    scribe.voxels(f"{entity}/voxels", *summary.cell_means(index[visible], magnitude[visible]), top, step, corner)
+    index, mean = summary.cell_means(index, magnitude)
+    grid = np.full(comparison.grid.shape, np.nan, dtype=np.float32)
     grid[tuple(index.T)] = mean
     scribe.still(
         f"field/{policy.key}/magnitude_mm",
@@ -177,50 +165,45 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, ga
             np.ascontiguousarray(grid.transpose(2, 1, 0)),
             dim_names=[
                 f"{axis} = {start:.3f} m + {step:g} m ×"  # the viewer says a cell's number after it
-                for axis, start in zip("zyx", comparison.grid_origin[::-1], strict=True)
+                for axis, start in zip("zyx", comparison.grid.origin[::-1], strict=True)
             ],
             value_range=[0.0, top],
         ),
     )
 
 
-def _send_reaches(scribe: Scribe, comparison: Comparison, policy: PolicyErrors, gain: float) -> None:
+def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, gain: float) -> None:
     """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
     if not scribe.times:
         return
     colour = dict(zip((p.key for p in comparison.policies), _colours(comparison), strict=True))[policy.key]
-    miss = policy.reach_positions - comparison.fruit
+    ends = policy.ends
+    miss = ends.tool_position - comparison.fruit
     entity = f"world/miss/{policy.key}"
     scribe.still(entity, rr.Arrows3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(2.5)))
     arrows = rr.Arrows3D.columns(origins=f32(comparison.fruit), vectors=f32(gain * miss))
     scribe.along(entity, arrows, reading_columns(1e3 * miss))
     shots = rr.Points3D(f32(miss * 1e3), colors=[colour], radii=rr.Radius.ui_points(3.0))
     scribe.still(f"target/{policy.key}", shots, reading(1e3 * miss))
-    for name, values in (("error_mm", policy.position_error_mm), ("attitude_deg", policy.attitude_error_deg)):
+    for name, values in (("error_mm", ends.position_error_mm), ("attitude_deg", ends.attitude_error_deg)):
         entity = f"metrics/{name}/{lane(policy.key)}"
-        scribe.still(entity, rr.SeriesLines(names=[policy.label], colors=[colour], widths=[1.8]))
-        scribe.along(entity, rr.Scalars.columns(scalars=four_digits(values)))
-    entity = f"outcome/{lane(policy.key)}"
-    configuration = rr.StateConfiguration(
-        values=["pick", "miss"], labels=["pick", "miss"], colors=[(*colour, 255), (*RED, 255)]
-    )
-    scribe.still(entity, configuration)
-    scribe.along(entity, rr.StateChange.columns(state=["pick" if ok else "miss" for ok in policy.success]))
+        scribe.curve(entity, policy.label, colour, four_digits(values), 1.8)
+    states = ["pick" if success else "miss" for success in ends.success]
+    scribe.lane(f"outcome/{lane(policy.key)}", {"pick": ("pick", colour), "miss": ("miss", RED)}, states)
 
 
 def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The gripper's capture region: a line on the error plot and, enlarged like the errors, a ball around the fruit."""
     if not scribe.times:
         return
-    line = rr.SeriesLines(names=[f"tolerance {comparison.tolerance_mm:g} mm"], colors=[RED], widths=[1.5])
-    scribe.still("metrics/tolerance_mm", line)
-    scribe.along("metrics/tolerance_mm", rr.Scalars.columns(scalars=[comparison.tolerance_mm] * len(comparison.fruit)))
+    level = [comparison.tolerance_mm] * len(comparison.fruit)
+    scribe.curve("metrics/tolerance_mm", f"tolerance {comparison.tolerance_mm:g} mm", RED, level, 1.5)
     radius = gain * comparison.tolerance_mm * 1e-3
     ball = rr.Ellipsoids3D.from_fields(
         half_sizes=[[radius] * 3], colors=[(*RED, 160)], line_radii=rr.Radius.ui_points(0.6), fill_mode="majorwireframe"
     )
     scribe.still("world/capture", ball)
-    send_capture(scribe, comparison.tolerance_mm)
+    scribe.capture(comparison.tolerance_mm)
     axes = rr.Arrows3D(
         origins=np.zeros((3, 3)),
         vectors=comparison.tolerance_mm * np.eye(3),
@@ -234,10 +217,10 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None
 
 def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     """Reach errors in bins that all policies share; within a bin the policies' bars stand side by side."""
-    edges, count = comparison_summary.histogram_edges_mm(comparison), len(comparison.policies)
+    edges, count = summary.histogram_edges_mm(comparison), len(comparison.policies)
     width = float(edges[1] - edges[0]) * 0.9 / count
     for i, (policy, colour) in enumerate(zip(comparison.policies, _colours(comparison), strict=True)):
-        numbers, _ = np.histogram(policy.position_error_mm, edges)
+        numbers, _ = np.histogram(policy.ends.position_error_mm, edges)
         middle = (edges[:-1] + edges[1:]) / 2.0 + (i - (count - 1) / 2.0) * width
         chart = rr.BarChart(
             numbers, abscissa=f32(middle), widths=f32(np.full(len(numbers), width)), color=(*colour, 255)
@@ -245,9 +228,230 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
         scribe.still(f"hist/{lane(policy.key)}", chart)
 
 
-def _send_legend(scribe: Scribe, comparison: Comparison, gain: float) -> None:
-    """The colour bar with its unit, and the summary."""
-    send_colour_bar(scribe, "legend/position", comparison_summary.colour_scale_mm(comparison), "mm")
-    scribe.still(
-        "summary", rr.TextDocument(comparison_summary.summary_markdown(comparison, gain), media_type="text/markdown")
+# The default layout: fields side by side on top, reaches and numbers below. All 3D views start with the same eye, and
+# all fields share one colour scale and one gain, which their titles state.
+
+
+EYE_DISTANCE = 2.2
+"""In units of the shown box's radius."""
+
+
+def space(comparison: Comparison, name: str, contents: list[str], origin: str = "/world", **more: Any) -> Any:
+    """The workspace in 3D, always seen by the same eye at first; each view can be orbited on its own."""
+    centre, radius = shown_box(comparison)
+    eye = centre + EYE_DISTANCE * radius * eye_direction(comparison)
+    return seen_from(eye, centre, origin, [*contents, "+ /world/workspace", "+ /world/axes"], name, **more)
+
+
+def ghost(comparison: Comparison) -> list[str]:
+    """The nominal arm as contents of a view, where there are reaches that it makes."""
+    return ["+ /world/arm/nominal"] if len(comparison.fruit) else []
+
+
+REACHES_PER_SECOND = 2.0
+
+
+def comparison_blueprint(comparison: Comparison, details: Details, gain: float) -> rrb.Blueprint:
+    """The layout for ``comparison``, whose errors are drawn ``gain`` times too long.
+
+    Args:
+        comparison: At least one policy.
+        details: From `details_of`.
+        gain: As given to `record_comparison`.
+    """
+    policies = comparison.policies
+    top = summary.colour_scale_mm(comparison)
+    has_reaches = len(comparison.fruit) > 0
+    arm = ghost(comparison)
+    fields = [
+        space(comparison, _field_title(policy, gain), [f"+ /world/field/{policy.key}/vectors", *arm])
+        for policy in policies
+    ]
+    title = "{} | error magnitude, mm, corner cut away"
+    voxels = [space(comparison, title.format(p.label), [f"+ /world/field/{p.key}/voxels"]) for p in policies]
+    slices = [_slice(comparison, policy) for policy in policies]
+    if details.removed is not None:
+        fields.append(_removed(comparison, details.removed, gain))
+    meaning = f"Colour: position error, 0 to {top:.2f} mm"
+    tabs: list[Any] = [
+        with_colour_bar(fields, "position", meaning, f"Error fields, arrows ×{gain:g}"),
+        with_colour_bar(voxels, "position", meaning, "Voxels"),
+        with_colour_bar(slices, "position", meaning, "Slices"),
+    ]
+    below = [rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary")]
+    tabs += detail_tabs(comparison, details, gain)
+    if has_reaches:
+        tabs.insert(1, _picking(comparison, gain))
+        tabs.append(_table(policies))
+        below = [_reaches(comparison), view_of(rrb.BarChartView, "hist", "Reaches by final position error, mm"), *below]
+    content = rrb.Vertical(
+        rrb.Tabs(*tabs, active_tab=0),
+        rrb.Horizontal(*below, column_shares=[3.0, 2.0, 3.0][-len(below) :]),
+        row_shares=[5.6, 4.4],
     )
+    return layout(content, "reach" if has_reaches else None, fps=REACHES_PER_SECOND)
+
+
+def _removed(comparison: Comparison, removed: Array, gain: float) -> Any:
+    """View of the error that the last policy takes away from that of the one before; beside the fields themselves."""
+    before, last = comparison.policies[-2:]
+    mean = summary.error_spread(np.linalg.norm(1e3 * removed, axis=-1)).mean
+    title = f"{before.label} minus {last.label} | mean {mean:.2f} mm | ×{gain:g}"
+    return space(comparison, title, ["+ /world/field/removed/vectors", *ghost(comparison)])
+
+
+def _field_title(policy: RecordedPolicy, gain: float) -> str:
+    return f"{policy.label} | mean {summary.error_spread(summary.field_mm(policy)).mean:.2f} mm | arrows ×{gain:g}"
+
+
+def _picking(comparison: Comparison, gain: float) -> Any:
+    arms = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/arm/true"]
+    scene = space(
+        comparison,
+        f"Believed arm (wire), {comparison.policies[0].label} arm and misses ×{gain:g}, capture region (red)",
+        [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],
+        overrides={"/world/arm/true": rrb.EntityBehavior(visible=False)},
+    )
+    largest = max(float(policy.ends.position_error_mm.max()) for policy in comparison.policies)
+    distance = 1.7 * max(largest, comparison.tolerance_mm)
+    aim = 500.0 * (comparison.policies[0].ends.tool_position - comparison.fruit).mean(axis=0)
+    shots = seen_from(
+        aim + distance * eye_direction(comparison),
+        aim,
+        "/target",
+        ["+ /target/**"],
+        f"All misses seen from the fruit, true size; capture region, {comparison.tolerance_mm:g} mm (red)",
+        ground=False,
+    )
+    return rrb.Horizontal(scene, shots, column_shares=[3.0, 2.0], name="Picking")
+
+
+def _slice(comparison: Comparison, policy: RecordedPolicy) -> Any:
+    middle = comparison.grid.shape[2] // 2
+    entity = f"/field/{policy.key}/magnitude_mm"
+    return rrb.TensorView(
+        origin=entity,
+        contents=[f"+ {entity}"],
+        name=f"{policy.label} | error magnitude, mm, at height z (slider)",
+        view_fit="FillKeepAspectRatio",
+        slice_selection=rrb.TensorSliceSelection(
+            width=2, height=1, indices=[TensorDimensionIndexSelection(dimension=0, index=middle)], slider=[0]
+        ),
+        scalar_mapping=rrb.TensorScalarMapping(colormap=Colormap.Viridis),
+    )
+
+
+def _reaches(comparison: Comparison) -> Any:
+    largest = max(float(policy.ends.position_error_mm.max()) for policy in comparison.policies)
+    errors = rrb.TimeSeriesView(
+        origin="/metrics",
+        contents=["+ /metrics/error_mm/**", "+ /metrics/tolerance_mm"],
+        name="Final position error of each reach, mm",
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.4 * max(largest, comparison.tolerance_mm)), zoom_lock=True),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
+    )
+    outcome = view_of(rrb.StateTimelineView, "outcome", "Picked or missed (red)")
+    return rrb.Vertical(errors, outcome, row_shares=[1.0, 1.0])
+
+
+def _table(policies: tuple[RecordedPolicy, ...]) -> Any:
+    sources = (
+        ("metrics/error_mm", "Scalars:scalars"),
+        ("metrics/attitude_deg", "Scalars:scalars"),
+        ("outcome", "StateChange:state"),
+    )
+    entities = [(f"/{folder}/{lane(policy.key)}", component) for folder, component in sources for policy in policies]
+    columns = [ComponentColumnSelector(entity_path=entity, component=component) for entity, component in entities]
+    return rrb.DataframeView(
+        origin="/metrics",
+        contents=[f"+ {entity}" for entity, _ in entities],
+        name="Reaches as a table",
+        query=rrb.archetypes.DataframeQuery(
+            timeline="reach",
+            apply_latest_at=True,
+            select=["reach", *columns],
+            entity_order=[entity for entity, _ in entities],
+        ),
+    )
+
+
+# Tabs for the reasons behind the errors: arms, effects, attitude, uncertainty, a day in the field.
+
+
+def detail_tabs(comparison: Comparison, details: Details, gain: float) -> list[Any]:
+    """One tab for each part of ``details`` that there is."""
+    tabs = [_effects(comparison, details, gain)]
+    if details.attitude:
+        tabs.append(_attitude(comparison, details))
+    if comparison.field_uncertainty is not None:
+        tabs.append(_uncertainty(comparison))
+    if details.day is not None:
+        tabs.append(_day(details.day))
+    if len(comparison.fruit):
+        tabs.insert(0, _arms(comparison, gain))
+    return tabs
+
+
+def _arms(comparison: Comparison, gain: float) -> Any:
+    first = comparison.policies[0].label
+    exaggerated = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/fruit", "+ /world/miss/**"]
+    urdf = ["+ /urdf_nominal/**", "+ /urdf_true/**"]
+    return rrb.Horizontal(
+        space(comparison, f"Nominal arm (wire) and true arm under the {first} command, ×{gain:g}", exaggerated),
+        space(comparison, "Nominal and true arm as exported (URDF), true size", urdf, origin="/"),
+        name=f"True arm ×{gain:g}",
+    )
+
+
+def _effects(comparison: Comparison, details: Details, gain: float) -> Any:
+    views = []
+    for name, field in details.effects.items():
+        mean = summary.error_spread(1e3 * np.linalg.norm(field, axis=-1)).mean
+        title = f"{name.replace('_', ' ')} | mean {mean:.2f} mm | ×{gain:g}"
+        views.append(space(comparison, title, [f"+ /world/effect/{name}", *ghost(comparison)]))
+    meaning = f"Colour: position error, 0 to {summary.colour_scale_mm(comparison):.2f} mm"
+    return with_colour_bar(views, "position", meaning, "Effects, each alone")
+
+
+def _attitude(comparison: Comparison, details: Details) -> Any:
+    labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
+    labels[FLOOR] = "No joint motion removes"
+    top, length = summary.attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
+    views = []
+    for key, field in details.attitude.items():
+        mean = summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
+        title = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree"
+        views.append(space(comparison, title, [f"+ /world/attitude/{key}", *ghost(comparison)]))
+    meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
+    return with_colour_bar(views, "attitude", meaning, "Attitude")
+
+
+def _uncertainty(comparison: Comparison) -> Any:
+    assert comparison.field_uncertainty is not None
+    last, predicted = comparison.policies[-1], 1e3 * comparison.field_uncertainty
+    actual, inside = (
+        summary.field_mm(last),
+        100.0 * float(np.mean(summary.field_mm(last) < 2.0 * predicted)),
+    )
+    least, most = float(predicted.min()), float(predicted.max())
+    titles = {
+        "predicted": f"Predicted standard uncertainty u | mean {predicted.mean():.2f} mm, {least:.2f} to {most:.2f} mm",
+        "actual": f"Actual error, {last.label} | mean {actual.mean():.2f} mm | below 2u at {inside:.0f} %",
+    }
+    views = [space(comparison, title, [f"+ /world/uncertainty/{key}"]) for key, title in titles.items()]
+    meaning = f"Colour: uncertainty and error, 0 to {summary.uncertainty_scale_mm(comparison):.2f} mm"
+    return with_colour_bar(views, "uncertainty", meaning, "Predicted uncertainty")
+
+
+def _day(day: Day) -> Any:
+    largest = max(float(np.percentile(errors, 95, axis=1).max()) for errors in day.errors_mm.values())
+    plot = view_of(
+        rrb.TimeSeriesView,
+        "day",
+        f"Position error over {day.hours[-1]:g} h of warming up, tilting and sinking as in '{day.plant}', mm | "
+        f"commands as on firm ground | across: reaches, {60.0 * day.hours[0]:.0f} min apart; or choose 'hours'",
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),
+    )
+    words = rrb.TextDocumentView(origin=f"/{DAY_WORDS}", contents=[f"+ /{DAY_WORDS}"], name="Why")
+    return rrb.Horizontal(plot, words, column_shares=[3, 1], name="A day in the field")

@@ -8,21 +8,25 @@ from __future__ import annotations
 import tempfile
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
-from pickenv.arm import Array, Geometry, forward, noncompensable_error
+from pickenv.arm import Array, Geometry, Plant, forward, joint_jacobian, load_plant, noncompensable_error
+from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.files.urdf import write_urdf
+from pickenv.arm.kinematics.forward import split_joints
 from pickenv.arm.plant.campaign import alone, causes_of
+from pickenv.base import stream
+from pickenv.calibration import complete_model, start_filter
+from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
-from pickenv.inspect.recordings.field_day import Day, day_of
-from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, send_voxels
-from pickenv.inspect.runs import comparison_summary
-from pickenv.inspect.runs.comparison_summary import Comparison, attitude_scale_deg, round_step
+from pickenv.inspect.recordings.scribe import Scribe
+from pickenv.inspect.runs import comparison_summary as summary
+from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import cut_away
 
 # What a recording holds besides fields and reaches: effects, attitude, uncertainty, a day, the arms as URDF.
@@ -36,58 +40,56 @@ WORLD = "tf#/"
 
 def send_details(scribe: Scribe, comparison: Comparison, details: Details, gain: float) -> None:
     """Send ``details`` of ``comparison``, whose errors are drawn ``gain`` times too long."""
-    points, top = comparison.field_points, comparison_summary.colour_scale_mm(comparison)
+    points, top = comparison.grid.points, summary.colour_scale_mm(comparison)
     if details.removed is not None:
-        send_arrows(scribe, "world/field/removed/vectors", points, gain * details.removed, 1e3 * details.removed, top)
+        scribe.arrows("world/field/removed/vectors", points, gain * details.removed, 1e3 * details.removed, top)
     for name, field in details.effects.items():
-        send_arrows(scribe, f"world/effect/{name}", points, gain * field, 1e3 * field, top)
+        scribe.arrows(f"world/effect/{name}", points, gain * field, 1e3 * field, top)
     if details.attitude:
         top, length = (
-            comparison_summary.attitude_scale_deg(details.attitude),
+            summary.attitude_scale_deg(details.attitude),
             attitude_length(comparison, details.attitude),
         )
         for key, field in details.attitude.items():
             degrees = np.degrees(field)
-            send_arrows(scribe, f"world/attitude/{key}", points, length * degrees, degrees, top, "deg")
-        send_colour_bar(scribe, "legend/attitude", top, "deg")
+            scribe.arrows(f"world/attitude/{key}", points, length * degrees, degrees, top, "deg")
+        scribe.colour_bar("legend/attitude", top, "deg")
     if comparison.field_uncertainty is not None:
         _send_uncertainty(scribe, comparison, comparison.field_uncertainty)
     if details.day is not None:
         _send_day(scribe, comparison, details.day)
     if scribe.times:
-        commands = comparison.policies[0].reach_joints
+        commands = comparison.policies[0].ends.joint_command
         _send_urdf(scribe, "urdf_nominal", comparison.nominal, commands, GREY, "majorwireframe")
         _send_urdf(scribe, "urdf_true", comparison.plant.geometry, commands, STEEL, "solid")
 
 
 def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array) -> None:
     """Predicted uncertainty and what the last policy really misses by, on one scale."""
-    top, kept = comparison_summary.uncertainty_scale_mm(comparison), ~cut_away(comparison)
-    corner = comparison.grid_origin - comparison.grid_step / 2.0
+    top, visible = summary.uncertainty_scale_mm(comparison), ~cut_away(comparison)
+    corner = comparison.grid.corner
     for name, values in (
         ("predicted", 1e3 * uncertainty),
-        ("actual", comparison_summary.field_mm(comparison.policies[-1])),
+        ("actual", summary.field_mm(comparison.policies[-1])),
     ):
-        cells = comparison_summary.cell_means(comparison.field_index[kept], values[kept])
-        send_voxels(scribe, f"world/uncertainty/{name}", *cells, top, comparison.grid_step, corner)
-    send_colour_bar(scribe, "legend/uncertainty", top, "mm")
+        cells = summary.cell_means(comparison.grid.index[visible], values[visible])
+        scribe.voxels(f"world/uncertainty/{name}", *cells, top, comparison.grid.step, corner)
+    scribe.colour_bar("legend/uncertainty", top, "mm")
 
 
 def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
     """Mean and 95th percentile over all fruit at every time of the day, and why they are so."""
     times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day.hours)]
     hours = Scribe(scribe.stream, times)
-    lines = day.lines({policy.key: policy.label for policy in comparison.policies})
+    labels = {policy.key: policy.label for policy in comparison.policies}
+    lines = day.lines(labels)
     for (key, (label, errors)), colour in zip(lines.items(), policy_colours(list(lines)), strict=True):
         for name, values, width in (
             ("mean", errors.mean(axis=1), 2.2),
             ("p95", np.percentile(errors, 95, axis=1), 1.0),
         ):
-            entity = f"day/{name}_mm/{key}"
-            scribe.still(entity, rr.SeriesLines(names=[f"{label}, {name}"], colors=[colour], widths=[width]))
-            hours.along(entity, rr.Scalars.columns(scalars=values))
-    words = day.explanation({policy.key: policy.label for policy in comparison.policies})
-    scribe.still(DAY_WORDS, rr.TextDocument(words, media_type="text/markdown"))
+            hours.curve(f"day/{name}_mm/{key}", f"{label}, {name}", colour, values, width)
+    scribe.document(DAY_WORDS, day.explanation(labels))
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
@@ -120,7 +122,7 @@ FLOOR = "floor"
 
 @dataclass(frozen=True, eq=False)
 class Details:
-    """What a comparison's further views show.
+    """Fields and curves of a comparison's further views.
 
     Attributes:
         removed: What the last policy removes of the error that the one before it leaves ``(F, 3)``, m; None where there
@@ -150,11 +152,11 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 
     The tool is settled, the arm warm and the machine sunk. Effects that show only on the way there have no field.
     """
-    plant, joints = comparison.plant, comparison.field_joints
-    believed = forward(comparison.nominal, joints).position
+    plant, joints = comparison.plant, comparison.grid.joints
+    nominal = forward(comparison.nominal, joints).position
     fields = {}
     for name in causes_of(plant):
-        field = alone(plant, name).tool_pose(joints).position - believed
+        field = alone(plant, name).tool_pose(joints).position - nominal
         if np.abs(field).max(initial=0.0) > NO_FIELD:
             fields[name] = field
     return fields
@@ -166,10 +168,164 @@ def attitude_fields(comparison: Comparison) -> dict[str, Array]:
     if first.field_attitude is None or last.field_attitude is None:
         return {}
     error = np.concatenate([last.field_errors, last.field_attitude], axis=1)
-    floor = noncompensable_error(comparison.plant.geometry, comparison.field_joints, error)[..., 3:]
+    floor = noncompensable_error(comparison.plant.geometry, comparison.grid.joints, error)[..., 3:]
     return {first.key: first.field_attitude, last.key: last.field_attitude, FLOOR: floor}
 
 
 def attitude_length(comparison: Comparison, fields: Mapping[str, Array]) -> float:
-    """How long an attitude error of 1 deg is drawn, m: round, and such that neighbouring arrows rarely overlap."""
-    return round_step(comparison.grid_step / attitude_scale_deg(fields))
+    """Length of an attitude error of 1 deg as drawn, m: round, and such that neighbouring arrows rarely overlap."""
+    return summary.round_step(comparison.grid.step / summary.attitude_scale_deg(fields))
+
+
+# A day in the field: the arm warms up, the machine tilts and sinks, and the morning's calibration knows of neither.
+# Every policy gives the commands that it gave on firm ground. Beside the last one stands what a Kalman filter makes of
+# it that looks at the tool once per pick: what a machine has to do that wants to keep its accuracy.
+
+
+DRIFTS = ("thermal_growth", "base_tilt")
+DRIFTING_PLANT = "orchard"
+"""The preset that tells how an arm drifts, where the plant itself does not drift."""
+DAY_HOURS = 8.0
+CAMERA_STD = 1e-3
+"""Of one look at the tool, per axis, m."""
+LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
+"""Noise of a look as a filter assumes it: with half a millimetre that a geometry cannot explain."""
+PRIOR, WALK = 0.2, 0.3
+"""Of the filter: what a calibration leaves, in tolerances, and how far parameters wander per root hour."""
+FILTERED = 10
+"""Machines with a filter at most: it costs more than all the rest of a recording."""
+FEWEST_LOOKS = 10
+"""With fewer reaches a day is too short to learn from, and too few joints tell what a filter can know."""
+
+
+ADAPTED = "adapted"
+"""Key of the line with the filter."""
+
+
+@dataclass(frozen=True, eq=False)
+class Day:
+    """A day in the field: the same reaches while the arm warms up and the machine tilts and sinks.
+
+    Attributes:
+        plant: Name of the preset whose drift it is.
+        hours: Time of each reach since the machine was switched on ``(R,)``.
+        errors_mm: By policy, position error of every reach at every time ``(R times, R reaches)``.
+        adapted_mm: The same of the last policy's commands with a filter on top ``(R times, M machines)``, each of
+            which begins with another reach; None where the reaches are too few.
+    """
+
+    plant: str
+    hours: Array
+    errors_mm: Mapping[str, Array]
+    adapted_mm: Array | None = None
+
+    def lines(self, labels: Mapping[str, str]) -> dict[str, tuple[str, Array]]:
+        """Label and errors ``(R times, any)`` of each line that is drawn, by key, given the policies' labels."""
+        lines = {key: (labels[key], errors) for key, errors in self.errors_mm.items()}
+        if self.adapted_mm is not None:
+            lines[ADAPTED] = (f"{list(labels.values())[-1]}, adapted", self.adapted_mm)
+        return lines
+
+    def explanation(self, labels: Mapping[str, str]) -> str:
+        """Explanation of what happens here, in Markdown, with the mean errors of the day."""
+        lines = self.lines(labels)
+        rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in lines.values()]
+        first, last = (list(self.errors_mm)[i] for i in (0, -1))
+        before, after = (float(lines[key][1].mean()) for key in (first, last))
+        parts = [
+            f"# {self.hours[-1]:g} hours without a new calibration",
+            "The arm was calibrated cold and on firm ground. Then it warms up, and the machine tilts and sinks as in "
+            f"`{self.plant}`. Each policy repeats the commands that it gave in the morning, without looking.",
+            "\n".join(["| policy | mean of the day (mm) |", "|---|---|", *rows]),
+        ]
+        if first != last:
+            worth = "no better than" if after >= before else f"{before - after:.2f} mm better than"
+            parts.append(
+                f"{labels[last]} ends {worth} {labels[first]}: the drift was in nobody's data, and it is larger than "
+                "the errors that a calibration takes away."
+            )
+        if self.adapted_mm is not None:
+            parts.append(
+                f"**{lines[ADAPTED][0]}**: the same commands on {self.adapted_mm.shape[1]} machines with a Kalman "
+                f"filter. It looks at the tool once per pick ({1e3 * CAMERA_STD:g} mm per axis) and corrects the next "
+                "pick: in the field a calibration has to go on."
+            )
+        return "\n\n".join(parts)
+
+
+def drifting_plant(plant: Plant) -> Plant | None:
+    """The plant with its own drift or, where it has none, with that of the preset `orchard` if it is the same arm."""
+    if any(plant.effect(name) is not None for name in DRIFTS):
+        return plant
+    preset = load_plant(DRIFTING_PLANT)
+    if plant.arm.fingerprint() != preset.arm.fingerprint():
+        return None
+    drifting = plant.with_effect(*(preset.effect(name) for name in DRIFTS))
+    return replace(drifting, name=preset.name, load=plant.load or preset.load)
+
+
+def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:
+    """Let the drifting plant make the comparison's reaches all day, with the commands that the policies gave.
+
+    R machines start together, each with another fruit, and go through all fruit in the same order: so every fruit is
+    reached at every time, by a machine that has been as busy as the others.
+    """
+    plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
+    if plant is None or not count:
+        return None
+    dt = 3600.0 * hours / count
+    errors, machines = {}, np.arange(count)
+    for policy in comparison.policies:
+        rows, commands = np.empty((count, count)), policy.ends.joint_command
+        state = plant.initial_state(np, split_joints(plant.geometry.joints, commands))
+        for k in range(count):
+            turn = (machines + k) % count
+            state, tool = _driven(plant, state, commands[turn], dt)
+            rows[k, turn] = 1e3 * np.linalg.norm(tool - comparison.fruit[turn], axis=-1)
+        errors[policy.key] = rows
+    adapted = _adapted(comparison, plant, dt) if count >= FEWEST_LOOKS else None
+    return Day(plant.name, (machines + 1.0) * hours / count, errors, adapted)
+
+
+def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:
+    """States of machines after a pick, and where their tools stand ``(M, 3)``."""
+    state, frame = plant.advance(np, state, split_joints(plant.geometry.joints, joints), dt)
+    return state, np.stack(np.broadcast_arrays(*frame[9:12]), axis=-1)
+
+
+def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
+    """Position errors, mm, ``(R, M)`` of machines whose filters correct the last policy's commands.
+
+    A filter takes the arm behind these commands for the nominal one (as `AdaptiveReach` does behind a compensator):
+    its joints are those at which the nominal tool is at the fruit, and its correction is added to the command.
+    """
+    nominal, count = comparison.nominal, len(comparison.fruit)
+    commands = comparison.policies[-1].ends.joint_command
+    intended = joints_at(nominal, commands, comparison.fruit)
+    starts = np.unique(np.linspace(0, count, FILTERED, endpoint=False).astype(np.int64))
+    first = start_filter(complete_model(nominal), nominal, intended, full_pose=False, prior=PRIOR)
+    filters = [first] * len(starts)
+    rng = np.random.default_rng(stream(comparison.seed, "day"))
+    state = plant.initial_state(np, split_joints(nominal.joints, commands[starts]))
+    errors = np.empty((count, len(starts)))
+    for k in range(count):
+        turn = (starts + k) % count
+        joints = aimed(nominal, filters, intended[turn])
+        command = np.clip(commands[turn] + joints - intended[turn], nominal.lower, nominal.upper)
+        state, tool = _driven(plant, state, command, dt)
+        errors[k] = 1e3 * np.linalg.norm(tool - comparison.fruit[turn], axis=-1)
+        looks = tool + CAMERA_STD * rng.standard_normal(tool.shape)
+        filters = taught(filters, joints, looks, LOOK, WALK, dt)
+    return errors
+
+
+def joints_at(geometry: Geometry, joints: Array, points: Array) -> Array:
+    """Joints ``(N, n)`` close to given ones at which the tool is at given points ``(N, 3)``, m: two Newton steps.
+
+    From joints that err by millimetres these leave nanometres.
+    """
+    for _ in range(2):
+        gap = points - forward(geometry, joints).position
+        inverse = np.linalg.pinv(joint_jacobian(geometry, joints)[:, :3])
+        joints = joints + np.einsum("nij,nj->ni", inverse, gap)
+    return joints

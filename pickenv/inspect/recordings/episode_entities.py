@@ -1,37 +1,196 @@
-"""Recorded steps as entities: arms, fruit, misses, distances and numbers, in the policy's colour and by its name.
+"""Logged episodes: which steps are recorded, the entities that they become, and the layout that shows them.
 
-Time lines: `episode_time` begins anew with every episode: curves lie over one another, and the arms show the last one.
-`sim_time` strings all episodes, with a gap before each; `step` counts. On `episode` one sees how each ended.
+Everything comes from `info`; what it does not hold is left out. Arms, fruit, misses, distances and numbers stand in the
+policy's colour and by its name. Time lines: `episode_time` begins anew with every episode: curves lie over one another,
+and the arms show the last one. `sim_time` strings all episodes, with a gap before each; `step` counts. On `episode` one
+sees how each ended.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Array
+from pickenv.arm import Array, Geometry, forward
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
-from pickenv.inspect.recordings.episodes import (
-    Row,
-    Scene,
-    column,
-    distances_mm,
-    has_arm,
-    has_fruit,
-    last_rows,
-    number_groups,
-)
-from pickenv.inspect.recordings.scribe import Scribe, f32, move_arm, reading_columns, send_arm, send_capture
-from pickenv.inspect.runs.saved import nominal_points, true_points
+from pickenv.inspect.recordings.scribe import Scribe, f32, layout, reading_columns, seen_from, view_of
+from pickenv.inspect.runs.recorded_episodes import POSITIONS
+from pickenv.inspect.runs.saved import drawn_parts, nominal_points, true_points
+
+Trigger = Callable[[int], bool]
+
+UNITS = {"mm": "mm", "deg": "°"}
+"""Ends of the names of numbers, and their units; numbers with another end are counts, or have the unit 1."""
+OTHERS, REST = "other", "Reward and counts"
+
+
+def capped_cubic(episode: int) -> bool:
+    """Whether RecordVideo's schedule takes this episode: 0, 1, 8, 27 … and, from 1000 on, every thousandth."""
+    return round(episode ** (1.0 / 3.0)) ** 3 == episode if episode < 1000 else episode % 1000 == 0
+
+
+class Row(NamedTuple):
+    """One recorded step.
+
+    Attributes:
+        moment: Number of steps of this environment that were recorded before it.
+        episode: Number of the episode.
+        within: Steps since the episode's reset.
+        order: Number of episodes of which steps were recorded before this one.
+        reward: Its reward; 0 after a reset.
+        info: Its info.
+        target: Joints at which the controller believes the arm to be; None where the environment does not tell.
+    """
+
+    moment: int
+    episode: int
+    within: int
+    order: int
+    reward: float
+    info: Mapping[str, Any]
+    target: Array | None = None
+
+
+@dataclass
+class EpisodeLog:
+    """The recorded steps of one environment, and the choice which steps those are.
+
+    Attributes:
+        key: Name in entity paths: the policy, and the environment's number where there are several.
+        episode_trigger: Whether to record from the start of an episode, given its number.
+        step_trigger: Whether to record from a step, given its number.
+        length: Steps of one recording; infinite for whole episodes.
+        rows: What was recorded.
+        episode: Number of the present episode.
+    """
+
+    key: str
+    episode_trigger: Trigger | None
+    step_trigger: Trigger | None
+    length: float
+    rows: list[Row] = field(default_factory=list)
+    episode: int = -1
+    _step: int = -1
+    _within: int = 0
+    _left: float = 0.0
+
+    def begins(self) -> bool:
+        """Count an episode; whether its first info is to be noted."""
+        self.episode += 1
+        self._within = 0
+        if self.length == np.inf:
+            self._left = 0.0
+        if self.episode_trigger is not None and self.episode_trigger(self.episode):
+            self._left = self.length
+        return self._wanted()
+
+    def steps(self) -> bool:
+        """Count a step; whether its info is to be noted."""
+        self._step += 1
+        self._within += 1
+        if self.step_trigger is not None and self.step_trigger(self._step):
+            self._left = self.length
+        return self._wanted()
+
+    def _wanted(self) -> bool:
+        if self._left > 0.0:
+            self._left -= 1.0
+            return True
+        return False
+
+    def note(self, info: Mapping[str, Any], reward: float, target: Array | None = None) -> None:
+        """Keep the present step."""
+        last = self.rows[-1] if self.rows else None
+        order = 0 if last is None else last.order + (last.episode != self.episode)
+        self.rows.append(Row(len(self.rows), self.episode, self._within, order, reward, info, target))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The scene that all environments of a recording share.
+
+    Attributes:
+        nominal: The nominal arm, or None for environments without one.
+        period: Time between steps, s.
+        tolerance_mm: Radius of the capture region, or None.
+        policy: Key of the policy, which gives the colour.
+        label: Its name for people.
+    """
+
+    nominal: Geometry | None
+    period: float
+    tolerance_mm: float | None
+    policy: str
+    label: str
+
+    @cached_property
+    def parts(self) -> list[int]:
+        """Link parts that are drawn."""
+        assert self.nominal is not None
+        lower, upper = self.nominal.lower, self.nominal.upper
+        return drawn_parts(nominal_points(self.nominal, np.stack([lower, (lower + upper) / 2.0, upper])))
+
+
+def info_of(infos: Mapping[str, Any], index: int) -> dict[str, Any]:
+    """One environment's info, copied out of a vector environment's infos, in which it may be overwritten."""
+    info = {}
+    for name, values in infos.items():
+        if not name.startswith(("_", "final_")) and not isinstance(values, Mapping):
+            value = values[index]
+            value = np.array(value.cpu() if hasattr(value, "cpu") else value)
+            info[name] = value if value.ndim else value.item()
+    return info
+
+
+def has_arm(scene: Scene, info: Mapping[str, Any]) -> bool:
+    """Whether the arms can be drawn."""
+    return scene.nominal is not None and {"joint_command", "tool_position"} <= set(info)
+
+
+def has_fruit(info: Mapping[str, Any]) -> bool:
+    """Whether misses can be drawn."""
+    return set(POSITIONS) <= set(info)
+
+
+def distances_mm(rows: Sequence[Row]) -> Array | None:
+    """Distance between tool and fruit ``(T,)``; None where `info` tells neither positions nor the distance."""
+    if has_fruit(rows[0].info):
+        return np.asarray(1e3 * np.linalg.norm(column(rows, "tool_position") - column(rows, "fruit_position"), axis=1))
+    return column(rows, "position_error_mm") if "position_error_mm" in rows[0].info else None
+
+
+def last_rows(rows: Sequence[Row]) -> list[Row]:
+    """The last recorded row of each episode."""
+    return list({row.order: row for row in rows}.values())
+
+
+def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Names of the numbers in ``info`` by unit, the reward among them; truth values and arrays are no numbers."""
+    groups: dict[str, list[str]] = {}
+    for name, value in info.items():
+        if np.ndim(value) == 0 and isinstance(value, int | float | np.number) and not isinstance(value, bool):
+            end = name.rpartition("_")[2]
+            groups.setdefault(end if end in UNITS else OTHERS, []).append(name)
+    groups.setdefault(OTHERS, []).append("reward")
+    return groups
+
+
+def column(rows: Sequence[Row], name: str) -> Array:
+    """One entry of `info` along the rows ``(T, ...)``."""
+    return np.array([row.info[name] for row in rows], dtype=float)
+
 
 FRUIT_RADIUS, TOOL_RADIUS = 0.02, 0.012
 """m."""
 GAIN = 20.0
-"""How much larger than true the true arm's deviation from the believed one is drawn."""
+"""Factor by which the true arm's deviation from the believed one is drawn larger than true."""
 GAP = 1.0
 """s; between two episodes on `sim_time`."""
 NEAREST_MM = 1e-4
@@ -43,7 +202,7 @@ WIDTHS = (1.8, 1.2, 0.8, 0.5)
 
 
 def curve_name(scene: Scene, rows: Sequence[Row]) -> str:
-    """What a policy's curves are called: its name, and how far from the fruit its episodes end in the mean."""
+    """Name of a policy's curves: its own, and the mean distance from the fruit at the ends of its episodes."""
     ends = distances_mm(last_rows(rows))
     return scene.label if ends is None else f"{scene.label}: {ends.mean():.3f} mm"
 
@@ -64,8 +223,8 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
             name = f"gripper's tolerance, {scene.tolerance_mm:g} mm"
             scribe.still("distance/tolerance", rr.SeriesLines(names=[name], colors=[RED], widths=[WIDTHS[0]]))
     for unit, names in number_groups(info).items():
-        said = [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
-        _name_curves(scribe, f"metrics/{unit}/{lane(key)}", rows, said, colour)
+        labels = [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
+        _name_curves(scribe, f"metrics/{unit}/{lane(key)}", rows, labels, colour)
     if "is_success" in info:
         states = rr.StateConfiguration(
             values=["yes", "no"],
@@ -87,9 +246,9 @@ def _send_bodies_looks(scribe: Scribe, scene: Scene, key: str, rows: Sequence[Ro
     info = rows[0].info
     if has_arm(scene, info):
         points = _arms(scene, rows[:1])[0]
-        send_arm(scribe, f"{root}/arm/nominal/{key}", points, scene.parts, GREY, "majorwireframe")
-        send_arm(scribe, f"{root}/arm/true/{key}", points, scene.parts, colour, "solid", 0.5)
-        send_arm(scribe, f"{root}/arm/exaggerated/{key}", points, scene.parts, colour, "solid", 0.5)
+        scribe.arm(f"{root}/arm/nominal/{key}", points, scene.parts, GREY, "majorwireframe")
+        scribe.arm(f"{root}/arm/true/{key}", points, scene.parts, colour, "solid", 0.5)
+        scribe.arm(f"{root}/arm/exaggerated/{key}", points, scene.parts, colour, "solid", 0.5)
     if has_fruit(info):
         scribe.still(f"{root}/fruit/{key}", rr.Points3D.from_fields(colors=[FRUIT], radii=[FRUIT_RADIUS]))
         scribe.still(f"{root}/tool/{key}", rr.Points3D.from_fields(colors=[colour], radii=[TOOL_RADIUS]))
@@ -97,7 +256,7 @@ def _send_bodies_looks(scribe: Scribe, scene: Scene, key: str, rows: Sequence[Ro
         scribe.still(f"{root}/miss/{key}", arrow)
         scribe.still(f"target/{key}", rr.Points3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(4.0)))
         if scene.tolerance_mm is not None:
-            send_capture(scribe, scene.tolerance_mm)
+            scribe.capture(scene.tolerance_mm)
 
 
 def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], root: str = "world") -> None:
@@ -113,9 +272,9 @@ def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence
     scribe, info = Scribe(stream, every), rows[0].info
     if has_arm(scene, info):
         nominal, true = _arms(scene, rows)
-        move_arm(scribe, f"{root}/arm/nominal/{key}", nominal, scene.parts)
-        move_arm(scribe, f"{root}/arm/true/{key}", true, scene.parts)
-        move_arm(scribe, f"{root}/arm/exaggerated/{key}", nominal + GAIN * (true - nominal), scene.parts)
+        scribe.move_arm(f"{root}/arm/nominal/{key}", nominal, scene.parts)
+        scribe.move_arm(f"{root}/arm/true/{key}", true, scene.parts)
+        scribe.move_arm(f"{root}/arm/exaggerated/{key}", nominal + GAIN * (true - nominal), scene.parts)
     if has_fruit(info):
         fruit, tool = column(rows, "fruit_position"), column(rows, "tool_position")
         miss = tool - fruit
@@ -185,5 +344,88 @@ def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
     """
     assert scene.nominal is not None
     command = column(rows, "joint_command")
-    believed = command if rows[0].target is None else np.array([row.target for row in rows], dtype=float)
-    return nominal_points(scene.nominal, believed), true_points(scene.nominal, command, column(rows, "tool_position"))
+    target = command if rows[0].target is None else np.array([row.target for row in rows], dtype=float)
+    return nominal_points(scene.nominal, target), true_points(scene.nominal, command, column(rows, "tool_position"))
+
+
+# The default layout: the arms beside how far the tool is from the fruit, and what `info` says.
+
+
+EYE = np.array([0.75, -1.0, 0.55])
+"""From the middle of the scene to the eye, in units of the arm's reach at mid-range."""
+SHOWN_TOLERANCES = 5.0
+"""The view from the fruit shows errors up to this many tolerances, or those at the ends of episodes if larger."""
+DECADES = "log10 of mm (-1: 0.1 mm, 0: 1 mm, 1: 10 mm)"
+"""Words on the axis of distances; the viewer has no logarithmic axes of its own."""
+
+
+def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
+    """The layout for environments whose infos are like those of ``rows``."""
+    info = rows[0].info
+    plots: list[Any] = [distance_plot("Distance to the fruit")] if distances_mm(rows[:1]) is not None else []
+    numbers = number_plots(info)
+    plots.append(rrb.Tabs(*numbers, active_tab=len(numbers) - 1) if plots else rrb.Vertical(*numbers))
+    if "is_success" in info:
+        plots.append(view_of(rrb.StateTimelineView, "outcome", "Success"))
+    views = _space_views(scene, rows)
+    columns = [rrb.Vertical(*views)] if views else []
+    return at_the_end(rrb.Horizontal(*columns, rrb.Vertical(*plots)))
+
+
+def at_the_end(content: Any) -> rrb.Blueprint:
+    """A layout on `episode_time`, whose cursor stands at the end of the episodes."""
+    return layout(content, "episode_time", play_state="following", loop_mode="off")
+
+
+def number_plots(info: Mapping[str, Any]) -> list[Any]:
+    """One plot for each unit of the numbers in `info`, and one for reward and counts."""
+    return [
+        view_of(rrb.TimeSeriesView, f"metrics/{unit}", f"Numbers in {UNITS[unit]}" if unit in UNITS else REST)
+        for unit in number_groups(info)
+    ]
+
+
+def distance_plot(name: str) -> Any:
+    """Plot of the distance from tool to fruit, on a logarithmic axis that leaves nothing out."""
+    title = f"{name}, {DECADES}; legend: mean at the end"
+    legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True)
+    return view_of(rrb.TimeSeriesView, "distance", title, plot_legend=legend)
+
+
+def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:
+    views: list[Any] = []
+    info = rows[0].info
+    if has_arm(scene, info):
+        assert scene.nominal is not None
+        base = scene.nominal.base.position
+        tool = forward(scene.nominal, (scene.nominal.lower + scene.nominal.upper) / 2.0).position
+        middle = (base + tool) / 2.0
+        eye = middle + 1.3 * float(np.linalg.norm(tool - base)) * EYE
+        arms = ["+ /world/arm/nominal/**", "+ /world/arm/exaggerated/**"]
+        fruit = ["+ /world/fruit/**", "+ /world/miss/**"] if has_fruit(info) else []
+        name = f"Believed arm (wire), true arm with its deviation ×{GAIN:g}; miss (red)"
+        views.append(seen_from(eye, middle, "/world", [*arms, *fruit], name))
+    elif has_fruit(info):
+        middle, radius = _ball_around(rows)
+        name = "Tool, fruit, and between them the miss (red)"
+        views.append(seen_from(middle + 2.0 * radius * EYE, middle, "/world", ["+ /world/**"], name))
+    if has_fruit(info):
+        ends = distances_mm(last_rows(rows))
+        assert ends is not None
+        views.append(target_view(float(ends.max()), scene.tolerance_mm))
+    return views
+
+
+def target_view(largest_mm: float, tolerance_mm: float | None) -> Any:
+    """The true tool seen from the fruit, mm, wide enough for the ``largest_mm`` distance at the end of an episode."""
+    span = max(SHOWN_TOLERANCES * (tolerance_mm or 0.0), 1.2 * largest_mm)
+    region = "" if tolerance_mm is None else f"; capture region, {tolerance_mm:g} mm (red)"
+    name = f"True tool seen from the fruit, mm{region}"
+    return seen_from(span * EYE, np.zeros(3), "/target", ["+ /target/**"], name, ground=False)
+
+
+def _ball_around(rows: Sequence[Row]) -> tuple[Array, float]:
+    """Centre ``(3,)`` and radius, m, of a ball that holds all tools and fruit."""
+    points = np.concatenate([column(rows, "tool_position"), column(rows, "fruit_position")])
+    low, high = points.min(axis=0), points.max(axis=0)
+    return (low + high) / 2.0, max(float(np.linalg.norm(high - low)) / 2.0, 1e-3)

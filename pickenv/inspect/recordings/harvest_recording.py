@@ -21,8 +21,7 @@ from pickenv.harvester.harvest_run import Round
 from pickenv.harvester.interference import arm_distances
 from pickenv.harvester.machine import master_time, profile
 from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL, Rgb, arm_colour
-from pickenv.inspect.recordings.blueprint import layout, seen_from
-from pickenv.inspect.recordings.scribe import Scribe, f32, write_recording
+from pickenv.inspect.recordings.scribe import Scribe, f32, layout, seen_from, view_of, write_recording
 
 STEP = 0.05
 """s, between two pictures."""
@@ -44,16 +43,16 @@ def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Pat
     """
     if not harvest.rounds:
         raise InputError("the harvest has no round, so there is no zone to show; harvest a tree with fruit in reach")
-    shown = max(harvest.rounds, key=lambda item: len(item.fruit))
-    zone = shown.zone.name.replace(",", "").replace(" ", "_")
-    fruit = harvest.tree.fruit[shown.zone.holds(harvest.tree.fruit)]
-    masters = np.stack([machine.master_start, shown.master])
+    busiest = max(harvest.rounds, key=lambda item: len(item.fruit))
+    zone = busiest.zone.name.replace(",", "").replace(" ", "_")
+    fruit = harvest.tree.fruit[busiest.zone.holds(harvest.tree.fruit)]
+    masters = np.stack([machine.master_start, busiest.master])
     resting = machine.tips(masters, np.broadcast_to(machine.slave_home, (2, machine.arms, 3))).reshape(-1, 3)
     return write_recording(
         path,
         f"harvest-{zone}",
-        _blueprint(np.concatenate([fruit, resting]), machine.frame3(shown.master), machine.arms),
-        lambda stream: _send(stream, machine, harvest, shown),
+        _blueprint(np.concatenate([fruit, resting]), machine.frame3(busiest.master), machine.arms),
+        lambda stream: _send(stream, machine, harvest, busiest),
     )
 
 
@@ -102,13 +101,9 @@ def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: floa
         moments += [arrival + float(shown.times.start[pick]), arrival + float(shown.times.end[pick])]
         states += ["collected" if shown.outcome.collected[pick] else "missed", "travel"]
     scribe = Scribe(stream, [rr.TimeColumn("sim_time", duration=np.array(moments))])
-    lane = rr.StateConfiguration(
-        values=["carried", "travel", "collected", "missed"],
-        labels=["carried", "travel", "out, collected", "out, missed"],
-        colors=[(*colour, 255) for colour in (GREY, STEEL, FATES["collected"], FATES["missed"])],
-    )
-    scribe.still(f"arms/slave_{arm + 1}", lane)
-    scribe.along(f"arms/slave_{arm + 1}", rr.StateChange.columns(state=states))
+    looks = {"carried": ("carried", GREY), "travel": ("travel", STEEL)}
+    looks |= {fate: (f"out, {fate}", FATES[fate]) for fate in ("collected", "missed")}
+    scribe.lane(f"arms/slave_{arm + 1}", looks, states)
 
 
 def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arrival: float) -> None:
@@ -140,12 +135,8 @@ def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
         return
     near = 1e3 * arm_distances(machine, slaves)
     for pair, (a, b) in enumerate(combinations(range(1, machine.arms + 1), 2)):
-        entity = f"distance/{a}_{b}"
-        scribe.still(entity, rr.SeriesLines(names=[f"slaves {a} and {b}"], colors=[arm_colour(pair)]))
-        scribe.along(entity, rr.Scalars.columns(scalars=near[:, pair]))
-    scribe.still("distance/limit", rr.SeriesLines(names=["least allowed"], colors=[RED]))
-    limit = np.full(len(slaves), 1e3 * machine.body.clearance)
-    scribe.along("distance/limit", rr.Scalars.columns(scalars=limit))
+        scribe.curve(f"distance/{a}_{b}", f"slaves {a} and {b}", arm_colour(pair), near[:, pair])
+    scribe.curve("distance/limit", "least allowed", RED, np.full(len(slaves), 1e3 * machine.body.clearance))
 
 
 def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:
@@ -162,11 +153,8 @@ def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:
     eye = look + 1.8 * radius * (0.8 * np.array([ahead[1], -ahead[0], 0.0]) - 0.6 * ahead + (0.0, 0.0, 0.5))
     views = [
         seen_from(eye, look, "/world", ["+ /world/**"], "Master, slaves and fruit, m", ground=False),
-        rrb.StateTimelineView(
-            origin="/arms", contents=["+ /arms/**"], name="Slaves: travel, out and collected, out and missed (red)"
-        ),
+        view_of(rrb.StateTimelineView, "arms", "Slaves: travel, out and collected, out and missed (red)"),
     ]
     if arms > 1:
-        name = "Distance between slaves, mm"
-        views.append(rrb.TimeSeriesView(origin="/distance", contents=["+ /distance/**"], name=name))
+        views.append(view_of(rrb.TimeSeriesView, "distance", "Distance between slaves, mm"))
     return layout(rrb.Vertical(*views, row_shares=[4.0, 1.4, 2.0][: len(views)]), "sim_time")

@@ -12,9 +12,8 @@ from pickenv.base import InputError
 from pickenv.calibration import Calibration, Compensator, Measurements
 from pickenv.calibration.pipeline.calibration import uncertainty_from
 from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.runs.comparison_summary import GAIN, Comparison, compared, policy_errors, round_step, stage_label
-from pickenv.inspect.runs.episode_summary import Reaches
-from pickenv.inspect.runs.field_grid import FieldGrid, field_grid
+from pickenv.inspect.runs.comparison_summary import GAIN, round_step, stage_label
+from pickenv.inspect.runs.recorded_episodes import Comparison, FieldGrid, Reaches, ended, field_grid
 
 CELLS = 10
 """Cells along the longest side of a field whose points lie on no grid."""
@@ -44,10 +43,10 @@ def inspect_calibration(
         InputError: If the calibration is another arm's, there are too few poses, or the file cannot be written.
     """
     if isinstance(evidence, Plant):
-        shown = _simulated(calibration, evidence, grid_step, seed)
+        comparison = _simulated(calibration, evidence, grid_step, seed)
     else:
-        shown = _measured(calibration, evidence, seed)
-    return record_comparison(shown, path, gain=gain)
+        comparison = _measured(calibration, evidence, seed)
+    return record_comparison(comparison, path, gain=gain)
 
 
 def inspect_evaluation(
@@ -80,19 +79,22 @@ def evaluation_compared(runs: Mapping[str, Reaches], plant: Plant, tolerance_mm:
     if not runs:
         raise InputError("there are no episodes to show; give the ends of at least one policy's episodes")
     label, first = next(iter(runs.items()))
-    for other, ends in runs.items():
+    for name, ends in runs.items():
         if not np.array_equal(ends.fruit_position, first.fruit_position):
-            raise InputError(f"'{other}' did not reach for the same fruit as '{label}'; evaluate both with equal seeds")
-    policies = [
-        policy_errors(
-            name,
-            np.concatenate([ends.tool_position - ends.fruit_position, ends.pose_error[:, 3:]], axis=1),
-            *(ends.joint_command, ends.tool_position, ends.pose_error, ends.success),
-        )
-        for name, ends in runs.items()
-    ]
-    grid = _grid_around(first.fruit_position, first.joint_command)
-    return compared(plant, grid, policies, seed=seed, fruit=first.fruit_position, tolerance_mm=tolerance_mm)
+            raise InputError(f"'{name}' did not reach for the same fruit as '{label}'; evaluate both with equal seeds")
+    return Comparison(
+        policies=tuple(
+            ended(name, ends).with_field(
+                np.concatenate([ends.tool_position - ends.fruit_position, ends.pose_error[:, 3:]], axis=1)
+            )
+            for name, ends in runs.items()
+        ),
+        plant=plant,
+        tolerance_mm=tolerance_mm,
+        seed=seed,
+        seeds=first.seeds,
+        grid=_grid_around(first.fruit_position, first.joint_command),
+    )
 
 
 def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: int) -> Comparison:
@@ -103,12 +105,12 @@ def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: i
             "fit one for this arm"
         )
     grid = field_grid(calibration.nominal, grid_step, seed)
-    wanted = forward(calibration.nominal, grid.joints)
+    target = forward(calibration.nominal, grid.joints)
     stages: dict[str, Compensator | None] = {"raw": None, "LS": calibration.compensator(with_residual=False)}
     if calibration.learnt is not None:
         stages[stage_label(calibration)] = calibration.compensator()
     errors = {
-        label: pose_error(wanted, plant.tool_pose(grid.joints if send is None else send(grid.joints)))
+        label: pose_error(target, plant.tool_pose(grid.joints if send is None else send(grid.joints)))
         for label, send in stages.items()
     }
     return _without_reaches(calibration, plant, errors, grid, seed)
@@ -134,15 +136,15 @@ def _measured(calibration: Calibration, data: Measurements, seed: int) -> Compar
 def _without_reaches(
     calibration: Calibration, plant: Plant, errors: Mapping[str, Array], grid: FieldGrid, seed: int
 ) -> Comparison:
-    known, joints = uncertainty_from(calibration.record), grid.joints
-    none = (joints[:0], np.empty((0, 3)), np.empty((0, 6)), np.empty(0, dtype=np.bool_))
-    return compared(
-        plant,
-        grid,
-        (policy_errors(label, error, *none) for label, error in errors.items()),
+    uncertainty, points, poses = uncertainty_from(calibration.record), np.empty((0, 3)), np.empty((0, 6))
+    none = Reaches((), poses, poses, np.empty(0, dtype=np.bool_), grid.joints[:0], points, points)
+    return Comparison(
+        policies=tuple(ended(label, none).with_field(error) for label, error in errors.items()),
+        plant=plant,
+        tolerance_mm=0.0,
         seed=seed,
-        identified=calibration.identified,
-        uncertainty=None if known is None else known.standard(calibration.model, joints)[0],
+        grid=grid,
+        field_uncertainty=None if uncertainty is None else uncertainty.standard(calibration.model, grid.joints)[0],
     )
 
 

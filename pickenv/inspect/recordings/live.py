@@ -13,22 +13,22 @@ from urllib.parse import urlsplit
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pickenv.base import InputError
+from pickenv.base import InputError, command_line
 
 VIEWER_PORT = 9876
-"""Where rerun's viewer listens unless told otherwise."""
+"""Port at which rerun's viewer listens unless told otherwise."""
 VIEWER_MEMORY = "2GiB"
 """A viewer that is left open all day forgets the oldest steps beyond this."""
 PATIENCE = 5.0
-"""How long to wait for a viewer that runs, s."""
+"""Time to wait for a viewer that runs, s."""
 START_PATIENCE = 30.0
-"""How long to wait for one that is being started, s."""
+"""Time to wait for one that is being started, s."""
 LOCAL = "127.0.0.1"
 
 
 @dataclass(frozen=True)
 class Live:
-    """Where a recording is shown while it grows; all three at once are possible.
+    """Places where a recording is shown while it grows; all three at once are possible.
 
     Attributes:
         spawn: Start a viewer on this machine, or use the one that runs.
@@ -127,7 +127,7 @@ def check_screen() -> None:
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError(
             "there is no screen to open a viewer on (DISPLAY and WAYLAND_DISPLAY are not set); show it in a browser "
-            "with `pickenv inspect RUN --web`"
+            f"with `{command_line('pickenv', 'inspect', 'RUN', web=True)}`"
         )
 
 

@@ -15,8 +15,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 import pickenv
 from pickenv.base import InputError
 from pickenv.inspect.colours import policy_key, policy_label
-from pickenv.inspect.recordings import episode_entities, episodes
-from pickenv.inspect.recordings.episode_blueprint import episode_blueprint
+from pickenv.inspect.recordings.episode_entities import (
+    EpisodeLog,
+    Row,
+    Scene,
+    Trigger,
+    capped_cubic,
+    episode_blueprint,
+    info_of,
+    send_looks,
+    send_rows,
+)
 from pickenv.inspect.recordings.live import PATIENCE, Live, open_live
 from pickenv.inspect.recordings.scribe import write_recording
 from pickenv.inspect.runs.recorded_episodes import believed_joints, missing_positions
@@ -28,15 +37,15 @@ GROWTH = 2.0
 
 
 class _Recorder:
-    """What both wrappers share: which environments are logged, the file, and the live viewers."""
+    """The part that both wrappers share: logs of environments, the file, and the live viewers."""
 
     def __init__(
         self,
         env: Any,
         keys: Sequence[str],
         save_path: str | Path | None,
-        episode_trigger: episodes.Trigger | None,
-        step_trigger: episodes.Trigger | None,
+        episode_trigger: Trigger | None,
+        step_trigger: Trigger | None,
         recording_length: int,
         name_prefix: str,
         policy: str,
@@ -52,12 +61,12 @@ class _Recorder:
         if save_path is None and not self._live:
             raise InputError("nothing would be logged; give save_path, spawn, connect or serve")
         if episode_trigger is None and step_trigger is None:
-            episode_trigger = episodes.capped_cubic
+            episode_trigger = capped_cubic
         self.path = None if save_path is None else Path(save_path) / f"{name_prefix}-{policy}.rrd"
         length = float(recording_length) or np.inf
-        self.logs = [episodes.EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
+        self.logs = [EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
         self._env, self._policy = env, policy
-        self._scene: episodes.Scene | None = None
+        self._scene: Scene | None = None
         self._identity = ""
         self._in_file = 0
         self._shown = [0] * len(self.logs)
@@ -71,13 +80,13 @@ class _Recorder:
         if self._scene is not None:
             return
         outer = self._env.unwrapped
-        missing = missing_positions(episodes.info_of(info, 0) if hasattr(outer, "num_envs") else info)
+        missing = missing_positions(info_of(info, 0) if hasattr(outer, "num_envs") else info)
         if missing:
             gym.logger.warn(f"the recording of {type(outer).__name__} has no view in 3D: {missing}")
         inner = outer.envs[0].unwrapped if hasattr(outer, "envs") else outer
         task = getattr(inner, "task", None)
         plant = getattr(task, "plant", None)
-        self._scene = episodes.Scene(
+        self._scene = Scene(
             nominal=None if plant is None else plant.arm.nominal,
             period=1.0 / inner.metadata.get("render_fps", 10),
             # Only where the fruit is a pose to be reached is this radius what counts.
@@ -114,7 +123,7 @@ class _Recorder:
     def _recorded(self) -> int:
         return sum(len(log.rows) for log in self.logs)
 
-    def _rows(self) -> list[episodes.Row]:
+    def _rows(self) -> list[Row]:
         return next(log.rows for log in self.logs if log.rows)
 
     def _write(self, path: Path) -> None:
@@ -143,8 +152,8 @@ class _Recorder:
             stream.send_property("pickenv", rr.AnyValues(**facts))
         for log, begin in zip(self.logs, start, strict=True):
             if len(log.rows) > begin:
-                episode_entities.send_looks(stream, self._scene, log.key, log.rows)
-                episode_entities.send_rows(stream, self._scene, log.key, log.rows[begin:])
+                send_looks(stream, self._scene, log.key, log.rows)
+                send_rows(stream, self._scene, log.key, log.rows[begin:])
 
 
 NOT_OF_THE_RECORDER = ("self", "env", "indices")
@@ -177,8 +186,8 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         self,
         env: gym.Env[Observation, Action],
         save_path: str | Path | None = None,
-        episode_trigger: episodes.Trigger | None = None,
-        step_trigger: episodes.Trigger | None = None,
+        episode_trigger: Trigger | None = None,
+        step_trigger: Trigger | None = None,
         recording_length: int = 0,
         name_prefix: str = "episodes",
         *,
@@ -246,8 +255,8 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         self,
         env: VectorEnv[Any, Any, Any],
         save_path: str | Path | None = None,
-        episode_trigger: episodes.Trigger | None = None,
-        step_trigger: episodes.Trigger | None = None,
+        episode_trigger: Trigger | None = None,
+        step_trigger: Trigger | None = None,
         recording_length: int = 0,
         name_prefix: str = "episodes",
         *,
@@ -285,7 +294,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
             if mask is None or mask[i]:
                 self._over[i] = False
                 if log.begins():
-                    log.note(episodes.info_of(infos, i), 0.0)
+                    log.note(info_of(infos, i), 0.0)
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -297,13 +306,13 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
             if self._over[i]:  # this step began the next episode; its action was ignored
                 self._over[i] = False
                 if log.begins():
-                    log.note(episodes.info_of(infos, i), 0.0)
+                    log.note(info_of(infos, i), 0.0)
                 continue
             over = bool(terminations[i] or truncations[i])
             if log.steps():
-                log.note(episodes.info_of(infos["final_info"] if over and same_step else infos, i), float(rewards[i]))
+                log.note(info_of(infos["final_info"] if over and same_step else infos, i), float(rewards[i]))
             if over and same_step and log.begins():
-                log.note(episodes.info_of(infos, i), 0.0)
+                log.note(info_of(infos, i), 0.0)
             self._over[i] = over and not same_step
             ended = ended or over
         if ended:

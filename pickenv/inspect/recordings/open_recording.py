@@ -36,7 +36,7 @@ from pickenv.inspect.recordings.live import viewer_environment
 
 HANDED_ON = ("content-type", "content-encoding", "cache-control")
 PATIENCE = 30.0
-"""How long to wait for the viewer's own server, s."""
+"""Time to wait for the viewer's own server, s."""
 
 
 @contextmanager
@@ -60,19 +60,19 @@ def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
             if self.headers.get("Host") not in (f"{host}:{port}", f"localhost:{port}"):
                 self.send_error(403)
                 return
-            asked = {name: self.headers[name] for name in ("Accept", "Accept-Encoding") if name in self.headers}
+            headers = {name: self.headers[name] for name in ("Accept", "Accept-Encoding") if name in self.headers}
             connection = HTTPConnection(host, viewer, timeout=PATIENCE)
             try:
-                connection.request("GET", self.path, headers=asked)
-                found = connection.getresponse()
-                content = found.read()
+                connection.request("GET", self.path, headers=headers)
+                response = connection.getresponse()
+                content = response.read()
             except OSError:
                 self.send_error(502)
                 return
             finally:
                 connection.close()
-            self.send_response(found.status)
-            for name, value in found.getheaders():
+            self.send_response(response.status)
+            for name, value in response.getheaders():
                 if name.lower() in HANDED_ON:
                     self.send_header(name, value)
             self.send_header("Content-Length", str(len(content)))
@@ -200,10 +200,10 @@ def check_recording(path: str | Path) -> None:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="RRD file has no footer")  # a killed writer's rows can be read
-            found = RrdReader(path).recordings()
+            recordings = RrdReader(path).recordings()
     except RuntimeError as error:
         raise InputError(f"{path} is damaged ({error}); make the recording again") from error
-    if not found:
+    if not recordings:
         raise InputError(f"{path} holds no recording; make it again")
 
 

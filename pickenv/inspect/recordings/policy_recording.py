@@ -14,57 +14,60 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from pickenv.arm import Array
-from pickenv.base import versions
 from pickenv.inspect.colours import WHITE, lane, policy_colours
 from pickenv.inspect.figures.field_figure import field_gain
-from pickenv.inspect.recordings.blueprint import seen_from, with_colour_bar
-from pickenv.inspect.recordings.episode_blueprint import EYE, at_the_end, distance_plot, number_plots, target_view
-from pickenv.inspect.recordings.episode_entities import GAIN, send_looks, send_rows
-from pickenv.inspect.recordings.episodes import Row, Scene
-from pickenv.inspect.recordings.scribe import Scribe, send_arrows, send_colour_bar, write_recording
-from pickenv.inspect.runs.comparison_summary import Comparison, error_spread, field_mm, scale_end
-from pickenv.inspect.runs.episode_summary import comparison_markdown
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy, last_of
+from pickenv.inspect.recordings.episode_entities import (
+    EYE,
+    GAIN,
+    Row,
+    Scene,
+    at_the_end,
+    distance_plot,
+    number_plots,
+    send_looks,
+    send_rows,
+    target_view,
+)
+from pickenv.inspect.recordings.scribe import Scribe, seen_from, view_of, with_colour_bar, write_recording
+from pickenv.inspect.runs.comparison_summary import comparison_markdown, error_spread, field_mm, scale_end
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.saved import shown_box
 
 SIDEWAYS = np.array([0.8, 0.6, 0.0])
-"""Where the next policy stands: to the right as the eye sees it."""
+"""Direction to the next policy: to the right as the eye sees it."""
 APART = 1.25
 """Distance between policies, in widths of what is shown of one."""
 NAME_SIZE = rr.Radius.ui_points(6.0)
 
 
-def record_policies(episodes: RecordedEpisodes, comparison: Comparison | None, path: str | Path) -> Path:
+def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
     """Write a comparison of policies as a recording (.rrd) with its blueprint inside, whole or not at all.
 
     Args:
-        episodes: Of every policy.
-        comparison: Their errors over the workspace; None where there are none.
+        episodes: Of every policy, and a `Comparison`'s errors over the workspace.
         path: The file to write.
 
     Raises:
         InputError: If the file cannot be written.
     """
     env = episodes.env_id.rpartition("/")[2]
-    identity = ":".join([env, *([episodes.plant] if episodes.plant else []), f"seed{episodes.seed}", "compared"])
+    plant = [episodes.plant_name] if episodes.plant else []
+    identity = ":".join([env, *plant, f"seed{episodes.seed}", "compared"])
 
     def send(stream: rr.RecordingStream) -> None:
-        made_with: Any = {
-            f"{name}_version": version for name, version in {**versions(), "rerun": rr.__version__}.items()
-        }
-        facts = {"policies": [policy.label for policy in episodes.policies], "gripper": episodes.gripper, **made_with}
-        stream.send_property("pickenv", rr.AnyValues(seed=episodes.seed, **facts))
+        labels = [policy.label for policy in episodes.policies]
+        Scribe(stream).properties(seed=episodes.seed, policies=labels, gripper=episodes.gripper)
         _send_episodes(stream, episodes)
-        if comparison is not None:
-            _send_fields(stream, comparison)
+        if isinstance(episodes, Comparison):
+            _send_fields(stream, episodes)
 
-    return write_recording(path, identity, _blueprint(episodes, comparison), send)
+    return write_recording(path, identity, _blueprint(episodes), send)
 
 
 def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
     """A policy's episodes as recorded steps, with what `info` said of them."""
     rows: list[Row] = []
-    known = not np.isnan(policy.attitude_error_deg).all()
+    has_attitude = not np.isnan(policy.attitude_error_deg).all()
     for e, moments in enumerate(policy.moments):
         for t in range(int(moments)):
             info = {
@@ -74,14 +77,10 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
                 "tool_position": policy.tool_position[e, t],
                 "fruit_position": policy.fruit_position[e, t],
             }
-            info |= {"attitude_error_deg": float(policy.attitude_error_deg[e, t])} if known else {}
+            info |= {"attitude_error_deg": float(policy.attitude_error_deg[e, t])} if has_attitude else {}
             info |= {"joint_command": policy.joint_command[e, t]} if arm else {}
             rows.append(Row(len(rows), e, t, e, float(policy.reward[e, t]), info, policy.joint_target[e, t]))
     return rows
-
-
-def _scene(episodes: RecordedEpisodes, policy: RecordedPolicy) -> Scene:
-    return Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
 
 
 def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> None:
@@ -89,7 +88,8 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
     low, high = _box(episodes)
     colours = policy_colours([policy.key for policy in episodes.policies])
     for number, (policy, colour) in enumerate(zip(episodes.policies, colours, strict=True)):
-        rows, scene = rows_of(policy, arm=episodes.nominal is not None), _scene(episodes, policy)
+        rows = rows_of(policy, arm=episodes.nominal is not None)
+        scene = Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
         root = f"side/{lane(policy.key)}"
         scribe.still(root, rr.Transform3D(translation=number * _step(low, high)))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
@@ -98,10 +98,9 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
         scribe.still(f"{root}/name", name)
         send_looks(stream, scene, policy.key, rows, root)
         send_rows(stream, scene, policy.key, rows, root)
-        misses = 1e3 * (last_of(policy, policy.tool_position) - last_of(policy, policy.fruit_position))
+        misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)
         scribe.still(f"ends/{policy.key}", rr.Points3D(misses, colors=[colour], radii=rr.Radius.ui_points(3.0)))
-    words = comparison_markdown(episodes)
-    scribe.still("verdict", rr.TextDocument(words, media_type="text/markdown"))
+    scribe.document("verdict", comparison_markdown(episodes))
 
 
 def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
@@ -114,21 +113,21 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
         scribe.still(
             f"fields/{name}/name", rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
         )
-        send_arrows(scribe, f"fields/{name}/vectors", comparison.field_points, gain * errors, 1e3 * errors, top)
-    send_colour_bar(scribe, "legend/position", top, "mm")
+        scribe.arrows(f"fields/{name}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
+    scribe.colour_bar("legend/position", top, "mm")
 
 
 def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
     """Entity name, title and errors ``(F, 3)``, m, of every field."""
-    found = []
+    fields = []
     for policy in comparison.policies:
         title = f"{policy.label}: {error_spread(field_mm(policy)).mean:.3f} mm"
-        found.append((lane(policy.key), title, policy.field_errors))
+        fields.append((lane(policy.key), title, policy.field_errors))
     first, last = comparison.policies[0], comparison.policies[-1]
     if first is not last:
         removed = first.field_errors - last.field_errors
-        found.append(("9_difference", f"{first.label} minus {last.label}", removed))
-    return found
+        fields.append(("9_difference", f"{first.label} minus {last.label}", removed))
+    return fields
 
 
 def field_top_mm(comparison: Comparison) -> float:
@@ -137,18 +136,18 @@ def field_top_mm(comparison: Comparison) -> float:
 
 
 def _arrow_gain(comparison: Comparison) -> float:
-    """How much longer than true size the fields' arrows are drawn."""
-    return field_gain(comparison.grid_step, field_top_mm(comparison))
+    """Factor by which the fields' arrows are drawn longer than true size."""
+    return field_gain(comparison.grid.step, field_top_mm(comparison))
 
 
-def _blueprint(episodes: RecordedEpisodes, comparison: Comparison | None) -> rrb.Blueprint:
+def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     low, high = _box(episodes)
     step, count = _step(low, high), len(episodes.policies)
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
     eye = middle + (0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))) * EYE
-    what = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
-    side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{what}; last episode")
-    largest = max(float(last_of(policy, policy.position_error_mm).max()) for policy in episodes.policies)
+    subject = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
+    side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{subject}; last episode")
+    largest = max(float(policy.ends.position_error_mm.max()) for policy in episodes.policies)
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
     first = rrb.Horizontal(
         rrb.Vertical(side, verdict),
@@ -156,10 +155,10 @@ def _blueprint(episodes: RecordedEpisodes, comparison: Comparison | None) -> rrb
         name="Who is better",
     )
     tabs: list[Any] = [first]
-    if comparison is not None:
-        tabs.append(_field_tab(comparison))
+    if isinstance(episodes, Comparison):
+        tabs.append(_field_tab(episodes))
     info = rows_of(episodes.policies[0], arm=False)[0].info
-    lanes = rrb.StateTimelineView(origin="/outcome", contents=["+ /outcome/**"], name="Success, last episode")
+    lanes = view_of(rrb.StateTimelineView, "outcome", "Success, last episode")
     tabs.append(rrb.Vertical(rrb.Horizontal(*number_plots(info)), lanes, name="Numbers"))
     return at_the_end(rrb.Tabs(*tabs, active_tab=0))
 

@@ -1,11 +1,11 @@
-"""How anything becomes a Rerun recording: one stream, whole columns, no wall-clock times: equal data give equal files.
+"""Rerun recordings of anything: one stream, whole columns, no wall-clock times: equal data give equal files.
 
 Metres in space; millimetres and degrees on plots, as their titles say.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.base import InputError, write_whole
+from pickenv.base import InputError, versions, write_whole
 from pickenv.inspect.colours import RED, WHITE, Rgb, viridis
 from pickenv.inspect.runs.comparison_summary import ticks
 from pickenv.inspect.runs.saved import capsules
@@ -84,6 +84,106 @@ class Scribe:
         if self.times:
             self.stream.send_columns(entity, self.times, [c for several in columns for c in several], strict=True)
 
+    def properties(self, **facts: Any) -> None:
+        """Facts that a reader sees beside the recording, and the versions of what made it."""
+        made_with: Any = {f"{name}_version": made for name, made in {**versions(), "rerun": rr.__version__}.items()}
+        self.stream.send_property("pickenv", rr.AnyValues(**facts, **made_with))
+
+    def document(self, entity: str, markdown: str) -> None:
+        """A text for all time."""
+        self.still(entity, rr.TextDocument(markdown, media_type="text/markdown"))
+
+    def curve(self, entity: str, name: str, colour: Rgb, values: ArrayLike, width: float | None = None) -> None:
+        """Numbers along the time lines ``(T,)``, and how they are drawn; the width is in points."""
+        self.still(entity, rr.SeriesLines(names=[name], colors=[colour], widths=None if width is None else [width]))
+        self.along(entity, rr.Scalars.columns(scalars=values))
+
+    def lane(self, entity: str, looks: Mapping[str, tuple[str, Rgb]], states: Sequence[str]) -> None:
+        """States along the time lines ``(T,)``; each has a label and a colour in ``looks``."""
+        labels, colours = [label for label, _ in looks.values()], [(*colour, 255) for _, colour in looks.values()]
+        self.still(entity, rr.StateConfiguration(values=list(looks), labels=labels, colors=colours))
+        self.along(entity, rr.StateChange.columns(state=states))
+
+    def arrows(self, entity: str, origins: Array, arrows: Array, values: Array, top: float, unit: str = "mm") -> None:
+        """A field of arrows for all time, coloured by the length of what they stand for.
+
+        Args:
+            entity: Its name.
+            origins: Where the arrows stand ``(N, 3)``, m.
+            arrows: The arrows as drawn ``(N, 3)``, m.
+            values: The vectors that a click reads out ``(N, 3)``, in ``unit``.
+            top: Upper end of the colour scale, in ``unit``.
+            unit: Unit of ``values``.
+        """
+        colours = viridis(np.linalg.norm(values, axis=-1) / top)
+        archetype = rr.Arrows3D(
+            origins=f32(origins), vectors=f32(arrows), colors=colours, radii=rr.Radius.ui_points(1.6)
+        )
+        self.still(entity, archetype, reading(values, unit))
+
+    def arm(
+        self, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
+    ) -> None:
+        """An arm that stands elsewhere at every moment; ``points`` ``(T, K, 3)``, m, and ``parts`` as of `capsules`."""
+        count = len(parts)
+        self.still(
+            entity,
+            rr.Capsules3D.from_fields(
+                radii=f32(thickness * np.linspace(BASE_RADIUS, TOOL_RADIUS, count)),
+                colors=[colour] * count,
+                line_radii=rr.Radius.ui_points(0.6),
+                fill_mode=fill_mode,
+            ),
+        )
+        self.move_arm(entity, points, parts)
+
+    def move_arm(self, entity: str, points: Array, parts: list[int]) -> None:
+        """Places of an arm at every moment, for one whose looks were sent by `arm`."""
+        start, length, quaternion = capsules(points, parts)
+        moving = rr.Capsules3D.columns(
+            lengths=f32(length.ravel()),
+            translations=f32(start.reshape(-1, 3)),
+            quaternions=f32(quaternion.reshape(-1, 4)),
+        )
+        self.along(entity, moving.partition([len(parts)] * len(points)))
+
+    def capture(self, tolerance_mm: float) -> None:
+        """The gripper's capture region as seen from the fruit, a ball of that radius, mm."""
+        ball = rr.Ellipsoids3D(
+            half_sizes=[[tolerance_mm] * 3],
+            colors=[(*RED, 200)],
+            line_radii=rr.Radius.ui_points(0.8),
+            fill_mode="majorwireframe",
+        )
+        self.still("target/capture", ball)
+
+    def voxels(
+        self, entity: str, index: NDArray[np.int64], values: Array, top: float, step: float, corner: Array
+    ) -> None:
+        """Cells ``index`` ``(C, 3)`` of a grid of ``step`` m from ``corner`` on, coloured by ``values`` ``(C,)``."""
+        self.still(
+            entity,
+            rr.VoxelGridMap(
+                np.asarray(index, dtype=np.int32),
+                [step] * 3,
+                values=f32(values),
+                value_range=[0.0, top],
+                colormap="Viridis",
+                translation=corner,
+            ),
+        )
+
+    def colour_bar(self, entity: str, top: float, unit: str) -> None:
+        """A colour scale from 0 to ``top`` with its unit: an image and its ticks below ``entity``."""
+        width, height = COLOUR_BAR_PIXELS
+        bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
+        self.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
+        at = ticks(top)
+        positions = [(tick / top * width, height - 1.0) for tick in at]
+        labels = [f"{tick:g}" for tick in at[:-1]] + [f"{at[-1]:g} {unit}"]
+        words = rr.Points2D(positions, labels=labels, radii=0.0, colors=[WHITE], show_labels=True)
+        self.still(f"{entity}/ticks", words)
+
 
 def f32(values: ArrayLike) -> Any:
     """Values in the precision in which rerun keeps them."""
@@ -96,7 +196,7 @@ def four_digits(values: ArrayLike) -> Array:
 
 
 def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
-    """What a click on an arrow reads out: length and components of ``vectors`` ``(N, 3)``, in ``unit``."""
+    """Numbers that a click on an arrow reads out: length and components of ``vectors`` ``(N, 3)``, in ``unit``."""
     return rr.DynamicArchetype("PickError", components=_readings(vectors, unit))
 
 
@@ -110,88 +210,47 @@ def _readings(vectors: Array, unit: str) -> dict[str, Any]:
     return {f"norm_{unit}": lengths, f"xyz_{unit}": rr.components.Vector3DBatch(f32(vectors))}
 
 
-def send_arrows(
-    scribe: Scribe, entity: str, origins: Array, arrows: Array, values: Array, top: float, unit: str = "mm"
-) -> None:
-    """A field of arrows for all time, coloured by the length of what they stand for.
-
-    Args:
-        scribe: Where to.
-        entity: Its name.
-        origins: Where the arrows stand ``(N, 3)``, m.
-        arrows: The arrows as drawn ``(N, 3)``, m.
-        values: The vectors that a click reads out ``(N, 3)``, in ``unit``.
-        top: Upper end of the colour scale, in ``unit``.
-        unit: Unit of ``values``.
-    """
-    colours = viridis(np.linalg.norm(values, axis=-1) / top)
-    drawn = rr.Arrows3D(origins=f32(origins), vectors=f32(arrows), colors=colours, radii=rr.Radius.ui_points(1.6))
-    scribe.still(entity, drawn, reading(values, unit))
+BACKGROUND = (72, 72, 80)
+"""Explicit, so that 3D views look the same in either theme; a grey from which both ends of Viridis stand out."""
+MOST_ABREAST = 4
+"""Views side by side before there is another row of them."""
 
 
-def send_arm(
-    scribe: Scribe, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
-) -> None:
-    """An arm that stands at another pose at every moment; ``points`` ``(T, K, 3)`` and ``parts`` as in `links`, m."""
-    count = len(parts)
-    scribe.still(
-        entity,
-        rr.Capsules3D.from_fields(
-            radii=f32(thickness * np.linspace(BASE_RADIUS, TOOL_RADIUS, count)),
-            colors=[colour] * count,
-            line_radii=rr.Radius.ui_points(0.6),
-            fill_mode=fill_mode,
-        ),
-    )
-    move_arm(scribe, entity, points, parts)
-
-
-def move_arm(scribe: Scribe, entity: str, points: Array, parts: list[int]) -> None:
-    """Where an arm stands at every moment, for one whose looks were sent by `send_arm`."""
-    rods = capsules(points, parts)
-    moving = rr.Capsules3D.columns(
-        lengths=f32(rods.length.ravel()),
-        translations=f32(rods.start.reshape(-1, 3)),
-        quaternions=f32(rods.quaternion.reshape(-1, 4)),
-    )
-    scribe.along(entity, moving.partition([len(parts)] * len(points)))
-
-
-def send_capture(scribe: Scribe, tolerance_mm: float) -> None:
-    """The gripper's capture region as seen from the fruit, a ball of that radius, mm."""
-    ball = rr.Ellipsoids3D(
-        half_sizes=[[tolerance_mm] * 3],
-        colors=[(*RED, 200)],
-        line_radii=rr.Radius.ui_points(0.8),
-        fill_mode="majorwireframe",
-    )
-    scribe.still("target/capture", ball)
-
-
-def send_voxels(
-    scribe: Scribe, entity: str, index: NDArray[np.int64], values: Array, top: float, step: float, corner: Array
-) -> None:
-    """Cells ``index`` ``(C, 3)`` of a grid of ``step`` m that begins at ``corner``, coloured by ``values`` ``(C,)``."""
-    scribe.still(
-        entity,
-        rr.VoxelGridMap(
-            np.asarray(index, dtype=np.int32),
-            [step] * 3,
-            values=f32(values),
-            value_range=[0.0, top],
-            colormap="Viridis",
-            translation=corner,
-        ),
+def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
+    """A blueprint without panels but the time line, which stands still at first and then loops, if not told else."""
+    return rrb.Blueprint(
+        content,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=time_line, **{"loop_mode": "all", "play_state": "paused"} | time),
+        auto_views=False,
     )
 
 
-def send_colour_bar(scribe: Scribe, entity: str, top: float, unit: str) -> None:
-    """A colour scale from 0 to ``top`` with its unit: an image and its ticks below ``entity``."""
-    width, height = COLOUR_BAR_PIXELS
-    bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
-    scribe.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
-    at = ticks(top)
-    positions = [(tick / top * width, height - 1.0) for tick in at]
-    labels = [f"{tick:g}" for tick in at[:-1]] + [f"{at[-1]:g} {unit}"]
-    words = rr.Points2D(positions, labels=labels, radii=0.0, colors=[WHITE], show_labels=True)
-    scribe.still(f"{entity}/ticks", words)
+def seen_from(
+    eye: Array, look: Array, origin: str, contents: list[str], name: str, *, ground: bool = True, **more: Any
+) -> Any:
+    """A view in 3D from ``eye`` to ``look`` ``(3,)``, above a grid on the ground or not."""
+    grid = {"visible": True, "spacing": 0.5, "stroke_width": 0.5, "color": (255, 255, 255, 30)}
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=contents,
+        name=name,
+        background=BACKGROUND,
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=look, eye_up=[0.0, 0.0, 1.0]),
+        line_grid=rrb.LineGrid3D(**(grid if ground else {"visible": False})),
+        **more,
+    )
+
+
+def view_of(kind: Any, entity: str, name: str, **more: Any) -> Any:
+    """A view of that kind of all below an entity."""
+    return kind(origin=f"/{entity}", contents=[f"+ /{entity}/**"], name=name, **more)
+
+
+def with_colour_bar(views: list[Any], key: str, meaning: str, name: str) -> Any:
+    """A tab: ``views`` side by side, in rows where they are many, and below them the colour bar `/legend/key`."""
+    bounds = rrb.VisualBounds2D(x_range=[-14.0, 534.0], y_range=[-4.0, 20.0])
+    bar = view_of(rrb.Spatial2DView, f"legend/{key}", meaning, background=BACKGROUND, visual_bounds=bounds)
+    rows = rrb.Grid(*views, grid_columns=-(-len(views) // -(-len(views) // MOST_ABREAST)))
+    return rrb.Vertical(rows, bar, row_shares=[5.2, 1.0], name=name)

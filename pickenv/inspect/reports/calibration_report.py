@@ -20,12 +20,21 @@ from pickenv.calibration.pipeline.result import SIGMAS, has_moved
 from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
-from pickenv.inspect.reports.report_page import Bar, Folded, Page, PageTable, PageVerdict, Pair, Section, html_of
-from pickenv.inspect.reports.report_words import axis_table, named_values, parameter_words
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace
+from pickenv.inspect.reports.report_page import (
+    Bar,
+    Folded,
+    Page,
+    PageTable,
+    PageVerdict,
+    Pair,
+    Section,
+    axis_table,
+    html_of,
+)
+from pickenv.inspect.reports.report_words import named_values, parameter_words
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace, views_of
 from pickenv.inspect.runs.matters import matters, pick_changes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
-from pickenv.inspect.runs.view_errors import views_of
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
 VERDICTS = {
@@ -33,18 +42,8 @@ VERDICTS = {
     "with care": "With care",
     "do not use": "Do not use this calibration",
 }
-FURTHER = (
-    "Pictures",
-    "How far errors go",
-    "Rows left out",
-    "Rows far off, and kept",
-    "Views left out",
-    "Views far off, and kept",
-    "Further terms",
-    "Stiffnesses of the joints",
-    "Harmonics of the drives",
-    "Learnt residual models",
-)
+FURTHER = ("pictures", "uncertainty", "left_out", "terms", "stiffnesses", "harmonics", "residual_models")
+"""Keys of tables that have a section of their own, in order."""
 MAP_POSES = 6000
 """Poses drawn for the map of predicted uncertainty."""
 
@@ -72,15 +71,15 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
         seeds: Seeds and options that reproduce the calibration, by name.
     """
     train, test = result.train, result.test
-    blocks = {block.title: block for block in result.blocks()}
-    further = [Section(block.title, [_table(block)]) for title in FURTHER if (block := blocks.get(title))]
+    blocks = {block.key: block for block in result.blocks()}
+    further = [Section(blocks[key].title, [_table(blocks[key])]) for key in FURTHER if key in blocks]
     sections = (
         _errors(result, blocks),
         _reprojection(result),
         *further,
         _parameters(result),
         _poses(result, train),
-        Section("Evidence", [{row[0]: row[1] for row in blocks["Evidence"].rows}]),
+        Section("Evidence", [{row[0]: row[1] for row in blocks["evidence"].rows}]),
     )
     return html_of(
         Page(
@@ -100,7 +99,7 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
 
 
 def _measured(data: Observations) -> str:
-    """What the rows of a data set are."""
+    """Kind of the rows of a data set, in words."""
     return "views of a board" if data.kind == "pixels" else f"{data.kind} measurements"
 
 
@@ -110,13 +109,13 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
     if final.mean_ci95 is not None:
         between = "" if r.held_out.blocks is None else " between blocks"
         interval = f"95 % interval{between} {' to '.join(map(figure, final.mean_ci95))}"
-    seen = (
+    which = (
         "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the block that it is judged on"
     )
     tracked = test.poses is not None
     rows, stood = ("measured poses", "the tool stood") if tracked else (r.held_out.rows, "what was read lay")
     sentence = (
-        f"On {len(test.joints)} {rows} {seen}, {stood} {figure(final.mean)} {r.miss_unit} (mean; {interval}) from "
+        f"On {len(test.joints)} {rows} {which}, {stood} {figure(final.mean)} {r.miss_unit} (mean; {interval}) from "
         f"where the calibrated model says{' it stands' * tracked}."
     )
     if r.has_nominal:
@@ -140,16 +139,16 @@ def _worth(r: Result) -> str:
 
 def _tiles(r: Result) -> dict[str, str]:
     mean = f"{figure(r.best.mean)} {r.miss_unit}"
-    what = "position" if r.miss_unit == "mm" else "angular"
-    noise, found = r.quality.completeness, r.geometric.identification
+    kind = "position" if r.miss_unit == "mm" else "angular"
+    noise, identification = r.quality.completeness, r.geometric.identification
     return {
         **(
-            {f"mean {what} error, nominal → calibrated": f"{figure(r.position[NOMINAL].mean)} → {mean}"}
+            {f"mean {kind} error, nominal → calibrated": f"{figure(r.position[NOMINAL].mean)} → {mean}"}
             if r.has_nominal
-            else {f"mean {what} error": mean}
+            else {f"mean {kind} error": mean}
         ),
         "95 of 100 poses are better than this": f"{figure(r.best.p95)} {r.miss_unit}",
-        "parameters that the rows tell": f"{found.spent:.1f} of {len(found.identifiability.names)}",
+        "parameters that the rows tell": f"{identification.spent:.1f} of {len(identification.identifiability.names)}",
         f"what remains, in units of the {noise.noise} (1 is perfect)": f"{np.sqrt(noise.reduced):.2g} ×"
         if np.isfinite(noise.reduced)
         else "not known",
@@ -168,11 +167,11 @@ def _table(block: Block, look: str = "") -> PageTable:
 
 
 def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
-    block = blocks[f"Errors on held-out {r.held_out.rows}"]
+    block = blocks["errors"]
     last = list(r.errors)[-1]
-    shown = {"nominal": NOMINAL} if r.has_nominal else {}
-    shown |= {"calibrated geometry": GEOMETRIC} | ({"model used": last} if last != GEOMETRIC else {})
-    mm = norms_mm({label: r.errors[name] for label, name in shown.items()})
+    stages = {"nominal": NOMINAL} if r.has_nominal else {}
+    stages |= {"calibrated geometry": GEOMETRIC} | ({"model used": last} if last != GEOMETRIC else {})
+    mm = norms_mm({label: r.errors[name] for label, name in stages.items()})
     return Section(
         block.title,
         (
@@ -180,7 +179,7 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
             *([captioned("error_cumulative", lambda: error_cumulative(mm))] if r.miss_unit == "mm" else []),
             axis_table(
                 "Errors per degree of freedom: measured minus predicted, on poses that took no part in the fit.",
-                {label: axis_errors(r.errors[name], r.miss_unit) for label, name in shown.items()},
+                {label: axis_errors(r.errors[name], r.miss_unit) for label, name in stages.items()},
                 figure,
             ),
         ),
@@ -200,37 +199,37 @@ def _reprojection(r: Result) -> Section:
 def _parameters(r: Result) -> Section:
     joints, links = r.arm.nominal.joint_names, r.arm.nominal.link_names
     combinations = base_combinations(r.fit.identification.identifiability)
-    every, own = r.plain_parameters(), r.fit.identification.unknowns
+    every, unknowns = r.plain_parameters(), r.fit.identification.unknowns
     limits: dict[str, float] = {}
     for row in every:
-        if not row["name"].startswith("base_") and row["name"] not in own:
+        if not row["name"].startswith("base_") and row["name"] not in unknowns:
             size = abs(row["change"]) + 2 * np.nan_to_num(row["std"])
             limits[row["unit"]] = max(limits.get(row["unit"], 1e-12), size)
 
     def cells(row: Mapping[str, Any]) -> tuple[str | Bar, ...]:
         name, unit, change = row["name"], row["unit"], row["change"]
         limit = limits.get(unit, abs(change) or 1.0)
-        drawn = "" if name in own else Bar(change, float(np.nan_to_num(row["std"])), limit)
-        told = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
+        bar = "" if name in unknowns else Bar(change, float(np.nan_to_num(row["std"])), limit)
+        narrowed = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
         if combinations.get(name, name) != name:
-            told = combinations[name]
-        said = f"{figure(change)} ± {figure(row['std'])} {unit}"
-        return name, parameter_words(name, joints, links), said, drawn, told
+            narrowed = combinations[name]
+        words = f"{figure(change)} ± {figure(row['std'])} {unit}"
+        return name, parameter_words(name, joints, links), words, bar, narrowed
 
     def table(caption: str, rows: Sequence[Mapping[str, Any]]) -> PageTable:
         return PageTable(caption, heads, [cells(row) for row in rows], "wide code")
 
-    moved, stayed = ([row for row in every if has_moved(row) is yes] for yes in (True, False))
+    significant, others = ([row for row in every if has_moved(row) is yes] for yes in (True, False))
     heads = ("parameter", "meaning", "change ± uncertainty", "drawn", "told by the rows")
-    folded = f"{len(stayed)} within {SIGMAS:g} sigma of the nominal value"
+    folded = f"{len(others)} within {SIGMAS:g} sigma of the nominal value"
     return Section(
         "What moved",
         (
             _sentence(r.prior_text),
-            table(f"{len(moved)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma", moved)
-            if moved
+            table(f"{len(significant)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma", significant)
+            if significant
             else "",
-            *([Folded(folded, [table(folded, stayed)])] if stayed else []),
+            *([Folded(folded, [table(folded, others)])] if others else []),
         ),
         "Calibrated minus nominal, with one standard uncertainty (±); bars show the change and a whisker of two "
         "standard uncertainties. A change within its whisker is not significant. Told by the rows: how much narrower a "
@@ -240,16 +239,16 @@ def _parameters(r: Result) -> Section:
 
 
 def _poses(r: Result, train: Observations) -> Section:
-    geometry, seen, over = r.fit.identification.geometry, r.quality.observability, r.quality.workspace
+    geometry, observability, over = r.fit.identification.geometry, r.quality.observability, r.quality.workspace
     ranges: Pair | None = None
     caption = f"Where the {len(train.joints)} fitted poses lie within the joint limits."
     indices = (
-        ("condition number", figure(seen.condition), "how unevenly parameters are seen; near 1 is best"),
-        ("O1", figure(seen.o1), "mean sensitivity; D-optimal poses maximise it"),
-        ("O2", figure(seen.o2), "inverse condition number"),
-        ("O3", figure(seen.o3), "sensitivity to the worst-seen combination"),
-        ("O4", figure(seen.o4), "noise amplification"),
-        ("O5", figure(seen.o5), "mean parameter variance, inverse"),
+        ("condition number", figure(observability.condition), "how unevenly parameters are seen; near 1 is best"),
+        ("O1", figure(observability.o1), "mean sensitivity; D-optimal poses maximise it"),
+        ("O2", figure(observability.o2), "inverse condition number"),
+        ("O3", figure(observability.o3), "sensitivity to the worst-seen combination"),
+        ("O4", figure(observability.o4), "noise amplification"),
+        ("O5", figure(observability.o5), "mean parameter variance, inverse"),
     )
     pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
     hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")
@@ -266,12 +265,12 @@ def _poses(r: Result, train: Observations) -> Section:
 
 
 def _uncertainty(r: Result) -> Drawing | None:
-    """Where predicted positions are uncertain; None where that is unknown."""
-    model, known, geometry = r.fit.calibration.model, r.uncertainty, r.fit.identification.geometry
-    if not np.isfinite(known.covariance).all() or model.terms:
+    """Map of the uncertainty of predicted positions; None where that is unknown."""
+    model, uncertainty, geometry = r.fit.calibration.model, r.uncertainty, r.fit.identification.geometry
+    if not np.isfinite(uncertainty.covariance).all() or model.terms:
         return None
     joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
-    spread = known.from_parameters(model, joints)
+    spread = uncertainty.from_parameters(model, joints)
     x, y, height = ((model.pose(joints).position - geometry.base.position) * 1e3).T
     return Drawing(
         "uncertainty_map",
@@ -288,8 +287,8 @@ def _origin(r: Result, train: Observations, test: Observations, seeds: Mapping[s
     noise = {"Noise": "as the description states it, or its kind's default"}
     if isinstance(train, Measurements):
         angular = "" if train.rotation is None else f", {np.degrees(train.attitude_std):.4g} deg"
-        said = "Stated noise" if train.std_stated else "Noise assumed"
-        noise = {said: f"{train.position_std * 1e3:.4g} mm{angular} per coordinate"}
+        title = "Stated noise" if train.std_stated else "Noise assumed"
+        noise = {title: f"{train.position_std * 1e3:.4g} mm{angular} per coordinate"}
     return {
         "Data": f"{train.source}, fingerprint {record.get('data_fingerprint', 'unknown')}",
         "Held out": f"{how}; {test.source}, fingerprint {test.fingerprint()}",

@@ -7,8 +7,7 @@ from typing import Any
 
 from pickenv.inspect.figures import plot_estimates
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
-from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, PageVerdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.reports.report_words import estimated
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_conditions
 
@@ -45,7 +44,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
-    """What a reader should take away: a headline, and what it rests on."""
+    """The verdict for a reader: a headline, and what it rests on."""
     methods = result["sweeps"][HELD_OUT]["methods"]
     figures = {name: by_level[0] for name, by_level in methods.items()}
     usual = next(name for name in figures if name != "raw")
@@ -53,13 +52,13 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
     least = min(
         figure["mean_mm"] for sweep in result["sweeps"].values() for figure in sweep["methods"][usual]
     )  # what it leaves where it was made
-    said = "; ".join(f"{name} {_mean(figure)} mm" for name, figure in figures.items())
+    means = "; ".join(f"{name} {_mean(figure)} mm" for name, figure in figures.items())
     headline = (
         f"{usual.capitalize()}: {least:.2f} mm at its best, {figures[usual]['mean_mm']:.2f} mm over a working day"
     )
     if best not in ("raw", usual):
         headline += f"; {best}: {figures[best]['mean_mm']:.2f} mm"
-    return headline, f"In sessions that no fit has seen: {said}. Intervals are over {_over(result)}."
+    return headline, f"In sessions that no fit has seen: {means}. Intervals are over {_over(result)}."
 
 
 def condition_tables(result: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:

@@ -10,17 +10,16 @@ import numpy as np
 from pickenv.arm import Array, noncompensable_error
 from pickenv.base import InputError, mean_interval, share_interval
 from pickenv.calibration import Calibration
-from pickenv.calibration.assessment import metrics
-from pickenv.calibration.assessment.metrics import LEAST_ROWS
+from pickenv.calibration.assessment.metrics import LEAST_ROWS, ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.inspect.figures.plot_calibration import joint_ranges
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
 from pickenv.inspect.reports.report_interactive import field_spec, pose_spec
-from pickenv.inspect.reports.report_words import axis_table, between, estimated, named_values, percent
+from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison_summary import Comparison, PolicyErrors
 from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_cases, load_part
 
 RECORDING = "errors.rrd"
@@ -48,26 +47,26 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If a file of the run is missing or damaged.
     """
     comparison, trace = load_part(run, Comparison), load_part(run, CalibrationTrace)
-    cases = {name: [PickChange(**each) for each in case] for name, case in load_cases(run).items()}
+    cases = {name: [PickChange(**change) for change in case] for name, case in load_cases(run).items()}
     if not len(comparison.fruit):
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
     every = [*comparison_drawings(comparison), *trace_drawings(trace)]
-    drawn = {drawing.name: drawing for drawing in every if isinstance(drawing, Drawing)}
+    by_name = {drawing.name: drawing for drawing in every if isinstance(drawing, Drawing)}
     recording = run.folder / RECORDING
     sections = (
-        _reaches(comparison, drawn),
+        _reaches(comparison, by_name),
         _cases(cases),
-        _field(comparison, drawn),
-        _poses(comparison, trace, drawn),
-        _fit(trace, calibration, drawn),
+        _field(comparison, by_name),
+        _poses(comparison, trace, by_name),
+        _fit(trace, calibration, by_name),
         _recording(picture(recording) if picture and recording.is_file() else None),
     )
     return report_page.html_of(
         report_page.Page(
             f"Calibration and picking: {comparison.plant.name}",
             f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
-            f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("--quick" in run.command),
+            f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("quick" in run.command),
             demo_verdict(comparison, cases),
             sections,
             _origin(run, comparison, trace, calibration),
@@ -80,17 +79,17 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 def demo_verdict(
     comparison: Comparison, cases: Mapping[str, Sequence[PickChange]] | None = None
 ) -> report_page.PageVerdict:
-    """What the last policy's calibration is worth against the first, and whether that changes picks.
+    """The worth of the last policy's calibration against the first, and whether that changes picks.
 
     Args:
         comparison: The reaches.
         cases: What calibration does to picks on each plant; on the comparison's own where left out.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
-    before, after = metrics.error_statistics(first.position_error_mm), metrics.error_statistics(last.position_error_mm)
-    gain = first.position_error_mm - last.position_error_mm
+    first_mm, last_mm = first.ends.position_error_mm, last.ends.position_error_mm
+    before, after, gain = error_statistics(first_mm), error_statistics(last_mm), first_mm - last_mm
     ends = mean_interval(gain, LEAST_ROWS)
-    picked, total = within(comparison, last), len(last.success)
+    picked, total = within(comparison, last), len(last_mm)
     least, most = share_interval(picked, total)
     tolerance = f"a tolerance of {comparison.tolerance_mm:g} mm"
     if least >= REQUIRED_SHARE:
@@ -100,18 +99,18 @@ def demo_verdict(
     else:
         tone, headline = "bad", f"The calibrated arm does not suffice for {tolerance}"
     if (gain.mean() if ends is None else ends[0]) > 0.0:
-        said = NO_INTERVAL if ends is None else f"95 % interval {between(*ends, 2)}"
+        interval = NO_INTERVAL if ends is None else f"95 % interval {between(*ends, 2)}"
         removed = (
-            f"This one calibration removes {gain.mean():.2f} mm ({said}) of a mean position error of "
+            f"This one calibration removes {gain.mean():.2f} mm ({interval}) of a mean position error of "
             f"{before.mean:.2f} mm: {100 * gain.mean() / before.mean:.0f} %."
         )
     else:
-        said = NO_INTERVAL if ends is None else f"95 % interval {between(-ends[1], -ends[0], 2, '+')}"
+        interval = NO_INTERVAL if ends is None else f"95 % interval {between(-ends[1], -ends[0], 2, '+')}"
         removed = (
             f"This one calibration does not lower the mean position error of {before.mean:.2f} mm: it changes by "
-            f"{-gain.mean():+.2f} mm ({said})."
+            f"{-gain.mean():+.2f} mm ({interval})."
         )
-    lateral = [held.lateral_mm for held in gripped(comparison).values()]
+    lateral = [grip.lateral_mm for grip in gripped(comparison).values()]
     changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
     worth = " ".join(matters(name, changes) for name, changes in changed.items())
     return report_page.PageVerdict(
@@ -139,13 +138,13 @@ def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
     )
 
 
-def within(comparison: Comparison, policy: PolicyErrors) -> int:
+def within(comparison: Comparison, policy: RecordedPolicy) -> int:
     """Number of reaches that end within the tolerance of the fruit, whatever their attitude."""
-    return int((policy.position_error_mm <= comparison.tolerance_mm).sum())
+    return int((policy.ends.position_error_mm <= comparison.tolerance_mm).sum())
 
 
-def _share(comparison: Comparison, policy: PolicyErrors) -> str:
-    picked, total = within(comparison, policy), len(policy.success)
+def _share(comparison: Comparison, policy: RecordedPolicy) -> str:
+    picked, total = within(comparison, policy), len(policy.moments)
     return percent(picked / total, *share_interval(picked, total))
 
 
@@ -154,16 +153,16 @@ def _expected(chances: Array) -> str:
     return percent(float(chances.mean()), *share_interval(float(chances.sum()), len(chances)))
 
 
-def _mean(statistics: metrics.ErrorStatistics, digits: int = 2) -> str:
+def _mean(statistics: ErrorStatistics, digits: int = 2) -> str:
     low, high = statistics.mean_ci95 or (None, None)
     return estimated(statistics.mean, low, high, digits)
 
 
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
     first, last = (
-        metrics.error_statistics(p.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1])
+        error_statistics(p.ends.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1])
     )
-    held_out = [metrics.error_statistics(values) for values in norms_mm(trace.errors).values()]
+    held_out = [error_statistics(values) for values in norms_mm(trace.errors).values()]
     return {
         "mean position error of the reaches, raw → calibrated": f"{first.mean:.2f} → {last.mean:.2f} mm",
         "95 of 100 reaches are better than this": f"{last.p95:.2f} mm",
@@ -173,17 +172,17 @@ def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
 
 
 def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
-    held = gripped(comparison)
-    grippers = list(next(iter(held.values())).success)
+    grips = gripped(comparison)
+    grippers = list(next(iter(grips.values())).success)
     heads = ["policy", f"within {comparison.tolerance_mm:g} mm (%)", *(f"taken by {name} (%)" for name in grippers)]
     heads += ["position, mean (mm)", "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)"]
     rows = []
     for policy in comparison.policies:
         position, attitude = (
-            metrics.error_statistics(policy.position_error_mm),
-            metrics.error_statistics(policy.attitude_error_deg),
+            error_statistics(policy.ends.position_error_mm),
+            error_statistics(policy.ends.attitude_error_deg),
         )
-        shares = [_share(comparison, policy), *(_expected(held[policy.label].success[name]) for name in grippers)]
+        shares = [_share(comparison, policy), *(_expected(grips[policy.label].success[name]) for name in grippers)]
         cells = [share.replace(" %", "") for share in shares]
         cells += [_mean(position, 3), *(f"{value:.3f}" for value in (position.rms, position.p95, position.max))]
         cells += [_mean(attitude, 3)]
@@ -209,7 +208,7 @@ def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.
     return report_page.Section(
         "Where the tool misses",
         [report_page.Interactive(drawn["error_fields"], field_spec(comparison), hint)],
-        f"{len(comparison.field_points)} positions {comparison.grid_step * 1e3:g} mm apart, tool upright.",
+        f"{len(comparison.grid.points)} positions {comparison.grid.step * 1e3:g} mm apart, tool upright.",
     )
 
 
@@ -220,7 +219,7 @@ def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, 
     return report_page.Section(
         "Held-out poses",
         (
-            axis_table(caption, stages, "{:.3f}".format),
+            report_page.axis_table(caption, stages, "{:.3f}".format),
             _floors(comparison, trace) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
             report_page.Interactive(drawn["error_per_test_pose"], pose_spec(norms_mm(trace.errors)), hint),
             report_page.Pair((drawn["error_histogram"], drawn["error_against_extension"])),
@@ -236,15 +235,15 @@ def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
     def degrees(errors: Array) -> float:
         return float(np.degrees(np.linalg.norm(errors[:, 3:], axis=1)).mean())
 
-    said = "; ".join(
+    parts = "; ".join(
         f"{label} {degrees(errors):.3f}°, of which {degrees(noncompensable_error(geometry, joints, errors)):.3f}°"
         for label, errors in trace.errors.items()
     )
-    return f"Mean attitude error, and the part that no motion of {geometry.joints} joints removes on this arm: {said}."
+    return f"Mean attitude error, and the part that no motion of {geometry.joints} joints removes on this arm: {parts}."
 
 
 def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, Drawing]) -> report_page.Section:
-    dropped = ", ".join(name for name, kept in zip(trace.names, trace.kept, strict=True) if not kept)
+    dropped = ", ".join(name for name, identified in zip(trace.names, trace.kept, strict=True) if not identified)
     condition = trace.singular_values[0] / trace.singular_values[-1]
     name, joints = next(iter(trace.sets.items()))
     kind = "" if calibration.learnt is None else f", then {calibration.record['residual']['kind']} on what remains"

@@ -10,8 +10,7 @@ from pickenv.harvester import Measure
 from pickenv.harvester.machine import dense_workspace
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
-from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, PageVerdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
@@ -39,13 +38,13 @@ def drawings(run: Run) -> Drawings:
     """Figures of a harvester: what the arms did on a tree, what came of the fruit, throughput, reach."""
     trace = load_part(run, HarvestTrace)
     arms = trace.cloud.shape[1]
-    shown = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
+    trees = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
     return [
-        Drawing("gantt", "What each arm did on one tree.", lambda: plot_harvest.gantt(shown, arms)),
+        Drawing("gantt", "What each arm did on one tree.", lambda: plot_harvest.gantt(trees, arms)),
         Drawing(
             "pick_map",
             "The fruit of one tree by the arm that collected it, and the zones from which they were picked.",
-            lambda: plot_harvest.pick_map(shown),
+            lambda: plot_harvest.pick_map(trees),
         ),
         Drawing(
             "funnel",
@@ -86,7 +85,10 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     measures = PageTable(
         f"Measures of each strategy. {_intervals(trace)}",
         ("measure", *trace.measures),
-        [(MEASURES.get(key, key), *(_said(found[key], key) for found in trace.measures.values())) for key in before],
+        [
+            (MEASURES.get(key, key), *(_said(measures[key], key) for measures in trace.measures.values()))
+            for key in before
+        ],
     )
     funnel = PageTable(
         "Fruit at each stage, over all trees",
@@ -112,10 +114,10 @@ def _intervals(trace: HarvestTrace) -> str:
 
 
 def _share(measures: Mapping[str, Any]) -> str:
-    found = measures["harvested"]
-    return percent(found.value, found.low, found.high, 1)
+    harvested = measures["harvested"]
+    return percent(harvested.value, harvested.low, harvested.high, 1)
 
 
 def _rate(measures: Mapping[str, Any]) -> str:
-    found = measures["picks_per_hour"]
-    return estimated(found.value, found.low, found.high, 0)
+    rate = measures["picks_per_hour"]
+    return estimated(rate.value, rate.low, rate.high, 0)

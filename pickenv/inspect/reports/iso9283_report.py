@@ -7,8 +7,7 @@ from typing import Any
 
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
-from pickenv.inspect.reports.plain_report import plain_report
-from pickenv.inspect.reports.report_page import PageTable, PageVerdict
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.reports.report_words import estimated
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_iso9283
 
@@ -20,10 +19,10 @@ def drawings(run: Run) -> Drawings:
     result = load_iso9283(run)
     controllers = {name: result[name] for name in CONTROLLERS if name in result}
     accuracy, repeatability = (
-        {name: [pose[key] for pose in found["poses"]] for name, found in controllers.items()}
+        {name: [pose[key] for pose in test["poses"]] for name, test in controllers.items()}
         for key in ("accuracy_mm", "repeatability_mm")
     )
-    drift = {name: found["drift_accuracy_mm"] for name, found in controllers.items()}
+    drift = {name: test["drift_accuracy_mm"] for name, test in controllers.items()}
     return [
         Drawing(
             "pose_accuracy",
@@ -43,9 +42,9 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     result = load_iso9283(run)
     controllers = {name: result[name] for name in CONTROLLERS if name in result}
     worst = "; ".join(
-        f"{name}: AP {found['worst_accuracy_mm']:.3f} mm, RP {found['worst_repeatability_mm']:.3f} mm, drift dAP "
-        f"{found['drift_mm']:.3f} mm"
-        for name, found in controllers.items()
+        f"{name}: AP {test['worst_accuracy_mm']:.3f} mm, RP {test['worst_repeatability_mm']:.3f} mm, drift dAP "
+        f"{test['drift_mm']:.3f} mm"
+        for name, test in controllers.items()
     )
     best = list(controllers.values())[-1]
     verdict = PageVerdict(
@@ -60,10 +59,10 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
             _repeated(pose),
             f"{pose['accuracy_deg']:.4f}",
             f"{max(pose['repeatability_deg']):.4f}",
-            f"{found['variation_mm'][pose['name']]:.3f}" if pose["name"] in found["variation_mm"] else "–",
+            f"{test['variation_mm'][pose['name']]:.3f}" if pose["name"] in test["variation_mm"] else "–",
         )
-        for name, found in controllers.items()
-        for pose in found["poses"]
+        for name, test in controllers.items()
+        for pose in test["poses"]
     ]
     heads = ("test pose", "AP (mm)", "RP (mm), 95 % interval over cycles", "AP (deg)", "RP (deg)", "vAP (mm)")
     settings = result["settings"]

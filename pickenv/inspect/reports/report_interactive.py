@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from pickenv.arm import Array
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures.field_figure import field_gain, thinned
-from pickenv.inspect.runs.comparison_summary import Comparison, colour_scale_mm, error_spread, field_mm, round_step
+from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
+from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import eye_direction
 
 MOST_ARROWS = 3000
@@ -48,17 +49,17 @@ def library() -> str:
 
 def field_spec(comparison: Comparison) -> dict[str, Any]:
     """The error fields side by side in 3-D: a dot per wanted position, to hover over, and a line to the true one."""
-    shown, spacing = thinned(comparison, MOST_ARROWS)
+    rows, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
-    gain = field_gain(comparison.grid_step, top)
-    points = comparison.field_points[shown]
+    gain = field_gain(comparison.grid.step, top)
+    points = comparison.grid.points[rows]
     scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
     axes = _axes(points, spacing) | {"camera": {"eye": _xyz(EYE_DISTANCE * eye_direction(comparison))}}
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 80}, "showlegend": False}
     for i, policy in enumerate(comparison.policies, start=1):
         scene = "scene" if i == 1 else f"scene{i}"
-        shaft, end = _arrows(points, policy.field_errors[shown], gain, scale)
+        shaft, end = _arrows(points, policy.field_errors[rows], gain, scale)
         end["marker"]["showscale"] = i == 1
         data += [shaft | {"scene": scene}, end | {"scene": scene, "name": policy.label}]
         layout[scene] = axes
@@ -94,11 +95,11 @@ def _axes(points: Array, spacing: float) -> dict[str, Any]:
     """The same axes for every scene, m."""
     low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
     small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 6.0)}
-    named = {
+    axes = {
         f"{axis}axis": small | {"title": {"text": f"{axis} (m)", "font": {"size": 11}}, "range": ends}
         for axis, ends in zip("xyz", np.column_stack([low, high]).tolist(), strict=True)
     }
-    return named | {"aspectmode": "data"}
+    return axes | {"aspectmode": "data"}
 
 
 def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:

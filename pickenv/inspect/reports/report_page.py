@@ -6,19 +6,23 @@ Every text is escaped once, by the templates. A page is light or dark as the rea
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from pickenv.calibration.assessment.quality import AxisErrors
 from pickenv.calibration.assessment.screen import is_number
-from pickenv.inspect.figures.run_drawings import Drawing
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_interactive import library
 from pickenv.inspect.reports.report_svg import inline_svg
+from pickenv.inspect.reports.report_words import named_values
+from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
 HERE = Path(__file__).parent / "templates"
 TONES = ("good", "care", "bad", "note")
@@ -27,7 +31,7 @@ TONES = ("good", "care", "bad", "note")
 
 @dataclass(frozen=True)
 class PageVerdict:
-    """What a reader should take away.
+    """The verdict that a page begins with.
 
     Attributes:
         tone: One of `TONES`.
@@ -57,7 +61,7 @@ class Bar:
     limit: float
 
     def at(self, sigmas: float = 0.0) -> float:
-        """Where the value plus so many standard deviations stands: 4 to 116, with zero at 60."""
+        """Place of the value plus so many standard deviations: 4 to 116, with zero at 60."""
         return 60.0 + 56.0 * min(max((self.value + sigmas * self.sigma) / self.limit, -1.0), 1.0)
 
 
@@ -133,7 +137,7 @@ class Folded:
 
 
 Part: TypeAlias = str | PageTable | Drawing | Interactive | Picture | Pair | Folded | Mapping[str, str] | None
-"""What a section holds: a paragraph, a table, a figure, names with values; what is empty is left out."""
+"""A part of a section: a paragraph, a table, a figure, names with values; what is empty is left out."""
 
 
 @dataclass(frozen=True)
@@ -196,19 +200,87 @@ def html_of(page: Page) -> str:
 
 @cache
 def _templates() -> Environment:
-    found = Environment(
+    environment = Environment(
         loader=FileSystemLoader(HERE),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
     )
-    found.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    found.globals["library"] = library
-    found.filters |= {
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    environment.globals["library"] = library
+    environment.filters |= {
         "base64": lambda content: base64.b64encode(content).decode(),
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
         "kind": lambda part: type(part).__name__,
         "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
     }
-    return found
+    return environment
+
+
+def plain_report(
+    run: Run, title: str, subtitle: str, verdict: PageVerdict, tables: Sequence[PageTable], drawings: Drawings
+) -> str:
+    """A page of a verdict, tables, figures and the run's origin.
+
+    Args:
+        run: The run.
+        title: Heading.
+        subtitle: What was run, in a line.
+        verdict: Goes first.
+        tables: Its numbers.
+        drawings: Figures; those left out are named with their reason.
+    """
+    left_out = "; ".join(f"{d.name}: {d.reason}" for d in drawings if not isinstance(d, Drawing))
+    sections = (
+        Section("Numbers", tables),
+        Section("Figures", [d for d in drawings if isinstance(d, Drawing)]),
+        Section("Left out", [left_out]),
+    )
+    origin = {"Reproduce": run.command, "Seed": str(run.seed), "Versions": named_values(run.versions)}
+    return html_of(Page(title, subtitle, verdict, sections, origin))
+
+
+def drawings_of(run: Run) -> Drawings:
+    """Every figure of a run, drawable or left out."""
+    drawings: Drawings = _pages(run).drawings(run)
+    return drawings
+
+
+def page_of(run: Run, picture: TakePicture | None = None) -> str:
+    """A run's report as HTML.
+
+    Args:
+        run: The run.
+        picture: Takes a picture of its recording, such as `viewer_picture`; none is shown when left out.
+    """
+    html: str = _pages(run).page(run, picture)
+    return html
+
+
+def _pages(run: Run) -> Any:
+    """The module that draws and writes about this kind of run."""
+    return import_module(run_kind(run.kind).pages)
+
+
+def axis_table(caption: str, stages: Mapping[str, Sequence[AxisErrors]], say: Callable[[float], str]) -> PageTable:
+    """Errors per degree of freedom, four columns for each stage.
+
+    Args:
+        caption: What the errors are of.
+        stages: For each stage, by label, its errors along and about each axis.
+        say: How a number is written.
+    """
+    heads = ["axis", *(f"{label} {statistic}" for label in stages for statistic in ("mean", "std", "RMSE", "max"))]
+    rows = [
+        [
+            f"{axes[0].axis} ({axes[0].unit})",
+            *(
+                cell
+                for a in axes
+                for cell in ("+" * (a.mean >= 0.0) + say(a.mean), say(a.std), say(a.rmse), say(a.max))
+            ),
+        ]
+        for axes in zip(*stages.values(), strict=True)
+    ]
+    return PageTable(caption, heads, rows, "dense")

@@ -1,15 +1,9 @@
-"""How reports say numbers with their intervals, and what a parameter's name means to who does not know the notation."""
+"""Numbers with their intervals in words, and the meanings of parameters for who does not know the notation."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
-
-from pickenv.calibration.assessment.quality import AxisErrors
-
-if TYPE_CHECKING:
-    from pickenv.inspect.reports.report_page import PageTable
+from collections.abc import Mapping, Sequence
 
 LINK_WORDS = {
     "alpha": "twist between the axes of {before} and {after}",
@@ -41,8 +35,8 @@ def between(low: float | None, high: float | None, digits: int, sign: str = "") 
 
 def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "") -> str:
     """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); alone where there is no interval."""
-    said = f"{_plain(value, digits):.{digits}f}{unit}"
-    return said if low is None and high is None else f"{said} ({between(low, high, digits)})"
+    text = f"{_plain(value, digits):.{digits}f}{unit}"
+    return text if low is None and high is None else f"{text} ({between(low, high, digits)})"
 
 
 def _plain(value: float, digits: int) -> float:
@@ -61,31 +55,6 @@ def named_values(values: Mapping[str, object]) -> str:
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
-def axis_table(caption: str, stages: Mapping[str, Sequence[AxisErrors]], say: Callable[[float], str]) -> PageTable:
-    """Errors per degree of freedom, four columns for each stage.
-
-    Args:
-        caption: What the errors are of.
-        stages: For each stage, by label, its errors along and about each axis.
-        say: How a number is written.
-    """
-    from pickenv.inspect.reports.report_page import PageTable  # pages need Jinja, numbers on a terminal do not
-
-    heads = ["axis", *(f"{label} {what}" for label in stages for what in ("mean", "std", "RMSE", "max"))]
-    rows = [
-        [
-            f"{axes[0].axis} ({axes[0].unit})",
-            *(
-                cell
-                for a in axes
-                for cell in ("+" * (a.mean >= 0.0) + say(a.mean), say(a.std), say(a.rmse), say(a.max))
-            ),
-        ]
-        for axes in zip(*stages.values(), strict=True)
-    ]
-    return PageTable(caption, heads, rows, "dense")
-
-
 def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[str] | None = None) -> str:
     """The meaning of a parameter; an empty string for a name that is not known.
 
@@ -96,9 +65,9 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
             theta and d.
     """
     links = link_names or joint_names
-    found = re.fullmatch(r"(alpha|a|beta|theta|d)(\d+)", name)
-    if found:
-        kind, number = found[1], int(found[2])
+    match = re.fullmatch(r"(alpha|a|beta|theta|d)(\d+)", name)
+    if match:
+        kind, number = match[1], int(match[2])
         place = number if kind in ("alpha", "a", "beta") else number - 1
         if not 0 <= place < len(links):
             return ""
@@ -109,9 +78,9 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
     if kind in FRAME_WORDS:
         station = f", station {frame[len(kind) :]}" if frame != kind else ""
         return f"{FRAME_WORDS[kind]}{station}: {'turn about ' if axis.startswith('r') else 'position along '}{axis[-1]}"
-    found = re.match(r"([a-z]+)(\d*)", name)
-    if found and found[1] in EFFECT_WORDS:
-        place = int(found[2] or 1) - 1
+    match = re.match(r"([a-z]+)(\d*)", name)
+    if match and match[1] in EFFECT_WORDS:
+        place = int(match[2] or 1) - 1
         after = joint_names[place] if place < len(joint_names) else ""
-        return EFFECT_WORDS[found[1]].format(after=after)
+        return EFFECT_WORDS[match[1]].format(after=after)
     return ""

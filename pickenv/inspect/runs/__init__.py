@@ -1,1 +1,1 @@
-"""What runs leave on disk, and the numbers that pictures start from."""
+"""Run folders, and the numbers that pictures start from."""

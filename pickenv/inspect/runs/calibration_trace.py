@@ -1,4 +1,4 @@
-"""What a calibration leaves for its figures and its report: poses, held-out errors, convergence, identifiability."""
+"""The trace of a calibration, for its figures and its report: poses, held-out errors, convergence, identifiability."""
 
 from __future__ import annotations
 
@@ -9,8 +9,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, forward
-from pickenv.calibration import Bpnn, Fit, Measurements, Observations
-from pickenv.inspect.runs.view_errors import ViewErrors
+from pickenv.calibration import Bpnn, Fit, Measurements, Observations, Result
+from pickenv.calibration.model.pixels import PixelObservations
+
+
+@dataclass(frozen=True, eq=False)
+class ViewErrors:
+    """One view's corners.
+
+    Attributes:
+        name: Of the view.
+        found: Where corners were found ``(C, 2)``, px.
+        errors: Found minus predicted ``(C, 2)``, px.
+        size: Width and height of the picture, px.
+        picture: Its file; None where there is none.
+    """
+
+    name: str
+    found: Array
+    errors: Array
+    size: tuple[int, int]
+    picture: str | None = None
+
+    @property
+    def rms(self) -> float:
+        """RMS length of the errors, px."""
+        return float(np.sqrt(np.mean(np.sum(self.errors**2, axis=1))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +94,10 @@ def trace_of(
         errors: Held-out errors of each stage, by label.
         views: Of pictures the views held out.
     """
-    found, calibration = fit.identification, fit.calibration
-    seen, test = found.identifiability, sets["test"]
+    identification, calibration = fit.identification, fit.calibration
+    identifiability, test = identification.identifiability, sets["test"]
     train = next(iter(sets.values()))
-    steps = list(zip(found.iterates, found.unknown_iterates, strict=True))
+    steps = list(zip(identification.iterates, identification.unknown_iterates, strict=True))
     attitude = None
     if isinstance(train, Measurements) and train.rotation is not None:
         attitude = np.array([_rms(train.difference(model)[:, 3:]) for model, _ in steps])
@@ -88,10 +112,10 @@ def trace_of(
         position_rms=np.array([_rms(train.misses(model, unknowns)) for model, unknowns in steps]),
         attitude_rms=attitude,
         loss=learnt.model.loss if learnt is not None and isinstance(learnt.model, Bpnn) else None,
-        names=seen.names,
-        kept=np.isin(np.arange(len(seen.names)), seen.kept),
-        r_diagonal=seen.r_diagonal,
-        singular_values=seen.singular_values,
+        names=identifiability.names,
+        kept=np.isin(np.arange(len(identifiability.names)), identifiability.kept),
+        r_diagonal=identifiability.r_diagonal,
+        singular_values=identifiability.singular_values,
         fingerprints={name: data.fingerprint() for name, data in sets.items()},
         views=views,
     )
@@ -100,3 +124,15 @@ def trace_of(
 def _rms(errors: Array) -> float:
     """RMS of the norms of error vectors ``(N, 3)``."""
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
+
+
+def views_of(result: Result) -> tuple[ViewErrors, ...]:
+    """The views held out with the errors of their corners; none where no pictures were taken."""
+    views = result.test
+    if not isinstance(views, PixelObservations) or result.pixels is None:
+        return ()
+    paths = [None] * len(views.joints) if views.pictures is None else [str(path) for path in views.pictures]
+    parts = zip(result.pixels.names, views.corners, views.seen, result.held_out.pixels, paths, strict=True)
+    return tuple(
+        ViewErrors(name, at[visible], errors, views.camera.size, path) for name, at, visible, errors, path in parts
+    )

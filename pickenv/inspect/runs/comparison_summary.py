@@ -1,161 +1,289 @@
-"""The numbers beside the pictures: error statistics per policy, the colour scale, shared histogram bins, the table.
+"""The numbers of a comparison, once: terminal, JSON, page, figures and recording all read them here.
 
-Millimetres and degrees, because these numbers are for people.
+First the tables of its episodes, whose intervals are over fruit, of one arm with one calibration; then the statistics,
+colour scales and bins of its error fields. Millimetres and degrees, because these numbers are for people.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Geometry, Plant
+from pickenv.arm import Array
+from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
+from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
-from pickenv.inspect.colours import policy_key
-from pickenv.inspect.runs.field_grid import FieldGrid
+from pickenv.inspect.runs.matters import PickChange, change_cells, matters, pick_changes
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
+from pickenv.orchard import misalignment
 
-# What inspection looks at: errors of several policies on one arm, over a field of poses and over seeded reaches.
+HEADS = ("policy", "miss, mean (mm)", "median (mm)", "95th (mm)", "attitude, mean (deg)", "picked", "share picked (%)")
+DIFFERENCES = ("from", "to", "miss (mm)", "attitude (deg)", "share picked (points of %)", "nearer")
+INTERVALS = "in brackets 95 % intervals over fruit, of this one arm and calibration"
+NO_INTERVAL = f"fewer than {LEAST} episodes, so no intervals of means"
 
 
-@dataclass(frozen=True, eq=False)
-class PolicyErrors:
-    """One policy's errors.
+def episode_misses(policy: RecordedPolicy) -> Array:
+    """Mean distance between tool and fruit where the gripper closed ``(E,)``, mm; nan where it never did."""
+    closed = np.isfinite(policy.miss_mm)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(closed, policy.miss_mm, 0.0).sum(axis=1) / closed.sum(axis=1))
 
-    Attributes:
-        key: Short name as in entity paths and JSON: raw, ls, ls_bpnn.
-        label: Name for people: raw, LS, LS + BPNN.
-        field_errors: True minus wanted tool position at the field's points ``(F, 3)``, m, world axes.
-        reach_joints: Final joint commands given to the drives ``(R, n)``, rad or m.
-        reach_positions: Final true tool positions ``(R, 3)``, m.
-        position_error_mm: Final distance between true tool and fruit ``(R,)``.
-        attitude_error_deg: Final attitude error ``(R,)``.
-        success: Whether the fruit was inside the gripper's capture region ``(R,)``.
-        field_attitude: True against wanted attitude at the field's points ``(F, 3)``, rotation vectors in world axes,
-            rad; None where only positions are known.
+
+def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
+    """Number of times that the gripper closed in each episode ``(E,)``."""
+    return np.asarray(np.isfinite(policy.miss_mm).sum(axis=1))
+
+
+def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
+    """One row of numbers per policy; what is not known is None."""
+    return [_policy_row(policy) for policy in episodes.policies]
+
+
+def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
+    misses, attitudes = _finite(episode_misses(policy)), _finite(policy.attitude_error_deg[:, -1])
+    picks, tries = policy.picked[:, -1], tries_of(policy)
+    tried, taken = int(tries.sum()), int(picks.sum())
+    ends = None
+    if tried:
+        ends = share_interval(taken, tried) if tries.max() == 1 else clustered_share_interval(picks, tries)
+    return {
+        "policy": policy.label,
+        "key": policy.key,
+        "episodes": len(policy.moments),
+        "mean_mm": _mean(misses),
+        "ci95_mm": _ends(mean_interval(misses), 0.0),
+        "median_mm": None if not len(misses) else float(np.median(misses)),
+        "p95_mm": None if not len(misses) else float(np.percentile(misses, 95)),
+        "attitude_deg": _mean(attitudes),
+        "attitude_ci95_deg": _ends(mean_interval(attitudes), 0.0),
+        "picked": taken,
+        "tried": tried,
+        "share_picked": taken / tried if tried else None,
+        "share_ci95": _ends(ends),
+        "reward": float(policy.reward.sum(axis=1).mean()),
+    }
+
+
+def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
+    """Each policy against each that stands before it, fruit by fruit: the later minus the earlier one."""
+    return [_difference(before, after) for before, after in combinations(episodes.policies, 2)]
+
+
+def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]:
+    misses = _finite(episode_misses(after) - episode_misses(before))
+    attitudes = _finite(after.attitude_error_deg[:, -1] - before.attitude_error_deg[:, -1])
+    ends = mean_interval(misses)
+    tries = np.concatenate([tries_of(before), tries_of(after)])
+    single = bool((tries == 1).all())
+    shares = [_policy_row(policy)["share_picked"] for policy in (before, after)]
+    share_ends = paired_share_interval(after.picked[:, -1] > 0, before.picked[:, -1] > 0) if single else None
+    return {
+        "from": before.label,
+        "to": after.label,
+        "pairs": len(misses),
+        "difference_mm": _mean(misses),
+        "ci95_mm": _ends(ends),
+        "significant": None if ends is None else bool(ends[0] > 0.0 or ends[1] < 0.0),
+        "attitude_deg": _mean(attitudes),
+        "attitude_ci95_deg": _ends(mean_interval(attitudes)),
+        "share_picked": None if None in shares else shares[1] - shares[0],
+        "share_ci95": _ends(share_ends),
+        "nearer": int(np.sum(misses < 0.0)),
+    }
+
+
+def row_cells(row: Mapping[str, Any]) -> list[str]:
+    """Cells of a row, under `HEADS`."""
+    return [
+        row["policy"],
+        said(row["mean_mm"], row["ci95_mm"], 3),
+        said(row["median_mm"], None, 3),
+        said(row["p95_mm"], None, 3),
+        said(row["attitude_deg"], row["attitude_ci95_deg"], 3),
+        f"{row['picked']} of {row['tried']}",
+        said(row["share_picked"], row["share_ci95"], 0, 100.0),
+    ]
+
+
+def difference_cells(line: Mapping[str, Any]) -> list[str]:
+    """Cells of a difference, under `DIFFERENCES`."""
+    return [
+        line["from"],
+        line["to"],
+        said(line["difference_mm"], line["ci95_mm"], 3, sign="+"),
+        said(line["attitude_deg"], line["attitude_ci95_deg"], 3, sign="+"),
+        said(line["share_picked"], line["share_ci95"], 0, 100.0, sign="+"),
+        f"{line['nearer']} of {line['pairs']}",
+    ]
+
+
+def said(value: float | None, ends: Sequence[float] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
+    """A number with its interval: 0.49 (0.42 to 0.57); a dash where it is not known."""
+    if value is None:
+        return "–"
+    words = f"{_plain(scale * value, digits):{sign}.{digits}f}"
+    if ends is None:
+        return words
+    return f"{words} ({' to '.join(f'{_plain(scale * end, digits):{sign}.{digits}f}' for end in ends)})"
+
+
+def _plain(value: float, digits: int) -> float:
+    """The number as it is written, without a minus before a zero."""
+    return round(value, digits) + 0.0
+
+
+def outcome_sentence(episodes: RecordedEpisodes) -> str:
+    """The verdict in a few words: the better policy."""
+    rows = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
+    if not rows:
+        return "No policy closed the gripper"
+    best = min(rows, key=lambda row: row["mean_mm"])
+    if len(rows) == 1:
+        return f"{best['policy']} ends {best['mean_mm']:.3f} mm from the fruit"
+    _, line = _against(episodes, best["policy"])
+    if line["significant"] is None:
+        return f"{best['policy']} ends nearest in these few episodes, {best['mean_mm']:.3f} mm"
+    if not line["significant"]:
+        return f"No policy is told apart from {best['policy']} with {best['mean_mm']:.3f} mm"
+    return f"{best['policy']} ends nearest to the fruit: {best['mean_mm']:.3f} mm"
+
+
+def explanation(episodes: RecordedEpisodes) -> str:
+    """By how much it is better, whether that changes a pick for any gripper, and what this gripper picked here."""
+    rows = policy_rows(episodes)
+    closed = [row for row in rows if row["mean_mm"] is not None]
+    if not closed:
+        return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
+    best = min(closed, key=lambda row: row["mean_mm"])
+    rival, line = _against(episodes, best["policy"]) if len(closed) > 1 else ("", {"difference_mm": None})
+    if line["difference_mm"] is None:  # no fruit for which two of them closed the gripper
+        return f"{_picking(episodes, rows)}."
+    by = said(abs(line["difference_mm"]), _turned(line), 3)
+    first = f"{best['policy']} misses by {by} mm less than {rival} for the same {line['pairs']} fruit"
+    between = (f"with {rival}", f"with {best['policy']}")
+    worth = matters(episodes.plant_name or episodes.env_id, _changes(episodes, rival, best["policy"]), between)
+    return f"{first}. {worth} {_picking(episodes, rows)}."
+
+
+def _picking(episodes: RecordedEpisodes, rows: Sequence[Mapping[str, Any]]) -> str:
+    counts = ", ".join(f"{row['picked']} of {row['tried']} with {row['policy']}" for row in rows)
+    return f"In these episodes {episodes.gripper}, which forgives {episodes.tolerance_mm:g} mm, picks {counts}"
+
+
+def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
+    """The change in picks by the best policy instead of the other, for each gripper and perception error.
+
+    What counts is the miss across the tool. Empty where no two policies closed the gripper for the same fruit.
     """
-
-    key: str
-    label: str
-    field_errors: Array
-    reach_joints: Array
-    reach_positions: Array
-    position_error_mm: Array
-    attitude_error_deg: Array
-    success: NDArray[np.bool_]
-    field_attitude: Array | None = None
+    closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
+    if len(closed) < 2:
+        return {}
+    best = min(closed, key=lambda row: row["mean_mm"])["policy"]
+    rival, line = _against(episodes, best)
+    if line["difference_mm"] is None:
+        return {}
+    return {"from": rival, "to": best, "changes": [vars(change) for change in _changes(episodes, rival, best)]}
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Several policies on the same arm, the same field and the same fruit.
-
-    Attributes:
-        plant: The true arm that was simulated.
-        nominal: Geometry the controller believes in.
-        identified: Geometry found by the calibration.
-        seed: Seed of the run.
-        tolerance_mm: Radius of the gripper's capture region.
-        grid_shape: Shape (nx, ny, nz) of the regular grid that the field's points were taken from.
-        grid_origin: Centre of the grid's first cell, m, ``(3,)``.
-        grid_step: Cell size, m.
-        field_index: Integer grid index of each field point ``(F, 3)``; unreachable cells are left out.
-        field_points: Wanted tool positions ``(F, 3)``, m.
-        field_joints: Joints that bring the nominal arm there ``(F, n)``, rad or m.
-        fruit: Fruit positions of the reaches ``(R, 3)``, m.
-        policies: One entry per policy, raw first.
-        field_uncertainty: Standard uncertainty of the calibrated tool position that the calibration itself predicts
-            ``(F,)``, m; None where the calibration carries none.
-    """
-
-    plant: Plant
-    nominal: Geometry
-    identified: Geometry
-    seed: int
-    tolerance_mm: float
-    grid_shape: tuple[int, int, int]
-    grid_origin: Array
-    grid_step: float
-    field_index: NDArray[np.int64]
-    field_points: Array
-    field_joints: Array
-    fruit: Array
-    policies: tuple[PolicyErrors, ...]
-    field_uncertainty: Array | None = None
+def change_table(episodes: RecordedEpisodes) -> tuple[tuple[str, ...], list[tuple[str, ...]]] | None:
+    """Heads and rows of `policy_changes`; None where there are none."""
+    changes = policy_changes(episodes)
+    if not changes:
+        return None
+    heads = ("gripper", "fruit seen to, per axis (mm)", f"taken, {changes['from']} (%)", f"{changes['to']} (%)")
+    return (*heads, "change (points of %)"), [change_cells(PickChange(**change)) for change in changes["changes"]]
 
 
-def policy_errors(
-    label: str,
-    field: Array,
-    joints: Array,
-    positions: Array,
-    errors: Array,
-    success: NDArray[np.bool_],
-    key: str | None = None,
-) -> PolicyErrors:
-    """A policy's errors, from pose errors.
+def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChange]:
+    misses = {policy.label: _across(policy) for policy in episodes.policies}
+    return pick_changes(misses[other], misses[best])
 
-    Args:
-        label: Its name for people.
-        field: True against wanted pose at the field's points ``(F, 6)``, or positions alone ``(F, 3)``, m and rad.
-        joints: Final joint commands of the reaches ``(R, n)``, rad or m.
-        positions: Final true tool positions ``(R, 3)``, m.
-        errors: Final pose errors ``(R, 6)``, m and rad.
-        success: Whether the fruit was inside the capture region ``(R,)``.
-        key: Its short name; made from the label when left out.
-    """
-    return PolicyErrors(
-        key=key or policy_key(label),
-        label=label,
-        field_errors=field[:, :3],
-        reach_joints=joints,
-        reach_positions=positions,
-        position_error_mm=1e3 * np.linalg.norm(errors[:, :3], axis=1),
-        attitude_error_deg=np.degrees(np.linalg.norm(errors[:, 3:], axis=1)),
-        success=success,
-        field_attitude=field[:, 3:] if field.shape[1] == 6 else None,
-    )
+
+def _across(policy: RecordedPolicy) -> Array:
+    """The part of each miss across the tool, mm; all of it where the tool's attitude to that fruit is not known."""
+    axis, across = policy.tool_rotation[..., 2], policy.miss_mm.copy()
+    comparable = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
+    apart = (policy.fruit_position - policy.tool_position)[comparable]
+    across[comparable] = 1e3 * misalignment(apart, axis[comparable]).lateral
+    return _finite(across)
+
+
+def _against(episodes: RecordedEpisodes, best: str) -> tuple[str, dict[str, Any]]:
+    """The difference of the best policy to the first of the others, or to the nearest where the best is the first."""
+    lines = [line for line in policy_differences(episodes) if best in (line["from"], line["to"])]
+    lines = [line for line in lines if line["difference_mm"] is not None] or lines
+    line = lines[0]
+    return (line["from"] if line["to"] == best else line["to"]), line
+
+
+def _turned(line: Mapping[str, Any]) -> list[float] | None:
+    """The interval of a difference's size, in the direction in which it is above zero."""
+    ends = line["ci95_mm"]
+    if ends is None or line["difference_mm"] >= 0.0:
+        return None if ends is None else list(ends)
+    return [-ends[1], -ends[0]]
+
+
+def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
+    """All of it, for JSON."""
+    return {
+        "environment": episodes.env_id,
+        "plant": episodes.plant_name,
+        "gripper": episodes.gripper,
+        "tolerance_mm": episodes.tolerance_mm,
+        "seed": episodes.seed,
+        "simulated": True,
+        "intervals": INTERVALS,
+        "headline": outcome_sentence(episodes),
+        "explanation": explanation(episodes),
+        "rows": policy_rows(episodes),
+        "differences": policy_differences(episodes),
+        "matters": policy_changes(episodes),
+    }
+
+
+def comparison_markdown(episodes: RecordedEpisodes) -> str:
+    """The verdict and both tables, for the recording."""
+    lines = [f"## {outcome_sentence(episodes)}", "", explanation(episodes), ""]
+    lines += _table(HEADS, [row_cells(row) for row in policy_rows(episodes)])
+    differences = policy_differences(episodes)
+    if differences:
+        lines += ["", "Fruit by fruit, later minus earlier policy:", ""]
+        lines += _table(DIFFERENCES, [difference_cells(line) for line in differences])
+    return "\n".join([*lines, "", f"{len(episodes.seeds)} episodes of {episodes.env_id}, simulated; {INTERVALS}."])
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(cells)} |" for cells in (heads, [":--"] + ["--:"] * (len(heads) - 1), *rows)]
+
+
+def _finite(values: Array) -> Array:
+    return values[np.isfinite(values)]
+
+
+def _mean(values: Array) -> float | None:
+    return float(values.mean()) if len(values) else None
+
+
+def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[float] | None:
+    """An interval for JSON, cut at the least that the number can be."""
+    return None if ends is None else [max(end, least) for end in ends]
 
 
 def stage_label(calibration: Calibration) -> str:
-    """What a calibration is called among policies: LS, or LS+BPNN after what it learnt of the rest."""
+    """The name of a calibration among policies: LS, or LS+BPNN after what it learnt of the rest."""
     return "LS" if calibration.learnt is None else f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
 
 
-def compared(
-    plant: Plant,
-    grid: FieldGrid,
-    policies: Iterable[PolicyErrors],
-    *,
-    seed: int,
-    fruit: Array | None = None,
-    tolerance_mm: float = 0.0,
-    identified: Geometry | None = None,
-    uncertainty: Array | None = None,
-) -> Comparison:
-    """A comparison over a grid; without fruit there are no reaches, and the nominal arm counts as identified."""
-    return Comparison(
-        plant=plant,
-        nominal=plant.arm.nominal,
-        identified=plant.arm.nominal if identified is None else identified,
-        seed=seed,
-        tolerance_mm=tolerance_mm,
-        grid_shape=grid.shape,
-        grid_origin=grid.origin,
-        grid_step=grid.step,
-        field_index=grid.index,
-        field_points=grid.points,
-        field_joints=grid.joints,
-        fruit=np.empty((0, 3)) if fruit is None else fruit,
-        policies=tuple(policies),
-        field_uncertainty=uncertainty,
-    )
-
-
 GAIN = 20.0
-"""How much longer than true size recordings draw errors, and figures where their arrows then fit."""
+"""Factor by which recordings draw errors longer than true size, and figures where their arrows then fit."""
 SCALE_PERCENTILE = 99.0
 """The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
 
@@ -183,7 +311,7 @@ def error_spread(values: ArrayLike) -> Spread:
     )
 
 
-def field_mm(policy: PolicyErrors) -> Array:
+def field_mm(policy: RecordedPolicy) -> Array:
     """Magnitude of a policy's field errors ``(F,)``, mm."""
     return np.asarray(np.linalg.norm(policy.field_errors, axis=-1) * 1e3)
 
@@ -208,8 +336,8 @@ def colour_scale_mm(comparison: Comparison) -> float:
 def uncertainty_scale_mm(comparison: Comparison) -> float:
     """Upper end of the colour scale that predicted uncertainty and the last policy's field share, mm."""
     assert comparison.field_uncertainty is not None
-    shown = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
-    return scale_end(shown)
+    lengths = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
+    return scale_end(lengths)
 
 
 def attitude_scale_deg(fields: Mapping[str, Array]) -> float:
@@ -225,9 +353,8 @@ def scale_end(values: Array) -> float:
 
 def histogram_edges_mm(comparison: Comparison, bins: int = 24) -> Array:
     """Edges ``(B + 1,)`` in mm of about ``bins`` bins of round width, which hold every policy's reach errors."""
-    largest = max(
-        (float(p.position_error_mm.max()) for p in comparison.policies if p.position_error_mm.size), default=0.0
-    )
+    errors = [policy.ends.position_error_mm for policy in comparison.policies]
+    largest = float(np.max(errors, initial=0.0))
     width = round_step((largest or 1.0) / bins)
     return np.asarray(width * np.arange(int(largest / width) + 2))
 
@@ -266,8 +393,8 @@ def summary_markdown(comparison: Comparison, gain: float) -> str:
     )
     lines += [
         "",
-        f"{reaches if has_reaches else ''}{len(comparison.field_points)} field points, cells of "
-        f"{comparison.grid_step * 1e3:g} mm.{_better(comparison)}",
+        f"{reaches if has_reaches else ''}{len(comparison.grid.points)} field points, cells of "
+        f"{comparison.grid.step * 1e3:g} mm.{_better(comparison)}",
         "",
         f"**Arrows**: true minus wanted tool position, drawn ×{gain:g}. **Colour**: its length, 0 to {top:.2f} mm in "
         f"every field (p{SCALE_PERCENTILE:g} of {first}; above that the colour saturates).",
@@ -291,12 +418,11 @@ def _better(comparison: Comparison) -> str:
     return f" {last.label} errs less than {before.label} at {share:.0f} % of them."
 
 
-def _reach_cells(policy: PolicyErrors) -> list[str]:
-    reach, field, attitude = (
-        error_spread(v) for v in (policy.position_error_mm, field_mm(policy), policy.attitude_error_deg)
-    )
+def _reach_cells(policy: RecordedPolicy) -> list[str]:
+    ends = policy.ends
+    reach, field, attitude = map(error_spread, (ends.position_error_mm, field_mm(policy), ends.attitude_error_deg))
     return [
-        f"{100.0 * float(np.mean(policy.success)):.0f} %",
+        f"{100.0 * float(np.mean(ends.success)):.0f} %",
         f"{reach.mean:.2f} mm",
         *(f"{value:.2f}" for value in (reach.rms, reach.p95, reach.largest)),
         f"{attitude.mean:.3f}°",
@@ -305,6 +431,6 @@ def _reach_cells(policy: PolicyErrors) -> list[str]:
     ]
 
 
-def _field_cells(policy: PolicyErrors) -> list[str]:
+def _field_cells(policy: RecordedPolicy) -> list[str]:
     field = error_spread(field_mm(policy))
     return [f"{field.mean:.2f} mm", *(f"{value:.2f}" for value in (field.rms, field.p95, field.largest))]

@@ -1,4 +1,4 @@
-"""What a harvester's run leaves for its figures: trees as they were picked, funnels, throughput, reach. Metres, s."""
+"""The trace of a harvester's run, for its figures: trees as they were picked, funnels, throughput, reach. Metres, s."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class PickedTree:
 
 @dataclass(frozen=True, eq=False)
 class JointCurves:
-    """How joints move over one stop of the machine.
+    """The motion of joints over one stop of the machine.
 
     Attributes:
         time: Times ``(T,)``, s.

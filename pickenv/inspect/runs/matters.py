@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Array, forward
-from pickenv.inspect.runs.comparison_summary import Comparison
+from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.orchard import Gripper, capture_probability, load_gripper, misalignment
 
 # What position errors mean for grippers: how the fruit lies in the tool, and whether it is taken.
@@ -43,19 +43,20 @@ def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, 
 
 
 def gripped(comparison: Comparison, names: tuple[str, ...] = GRIPPERS) -> dict[str, Gripped]:
-    """How the fruit of each reach lies in the true tool, by policy label.
+    """The fruit of each reach as it lies in the true tool, by policy label.
 
     The tool is as the true arm holds it; it should point as the nominal arm does at the first policy's command.
     """
     grippers: dict[str, Gripper] = {name: load_gripper(name) for name in names}
-    wanted = forward(comparison.nominal, comparison.policies[0].reach_joints).rotation[..., 2]
-    found = {}
+    target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
+    by_policy = {}
     for policy in comparison.policies:
-        axis = comparison.plant.tool_pose(policy.reach_joints).rotation[..., 2]
-        lying = misalignment(comparison.fruit - policy.reach_positions, axis, wanted)
+        ends = policy.ends
+        axis = comparison.plant.tool_pose(ends.joint_command).rotation[..., 2]
+        lying = misalignment(comparison.fruit - ends.tool_position, axis, target)
         success = {n: capture_probability(g, lying.lateral, lying.axial, lying.angle) for n, g in grippers.items()}
-        found[policy.label] = Gripped(lying.lateral * 1e3, success)
-    return found
+        by_policy[policy.label] = Gripped(lying.lateral * 1e3, success)
+    return by_policy
 
 
 PERCEPTION_MM = (0.0, 1.0, 2.0, 3.0, 5.0)
@@ -70,7 +71,7 @@ RINGS, SPOKES = 24, 24
 
 @dataclass(frozen=True)
 class PickChange:
-    """What a calibration does to the picks of one gripper.
+    """The effect of a calibration on the picks of one gripper.
 
     Attributes:
         gripper: Its name.
@@ -86,7 +87,7 @@ class PickChange:
 
     @property
     def gain(self) -> float:
-        """What calibration adds, as a share of fruit."""
+        """Gain by calibration, as a share of fruit."""
         return self.after - self.before
 
 
@@ -98,15 +99,15 @@ def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) ->
         lateral_mm: Distance of the fruit across the tool's axis that the arm's own error leaves ``(N,)``, mm.
         perception_mm: Standard deviation per axis of where the fruit is seen, mm.
     """
-    own = np.asarray(lateral_mm, dtype=float)[:, None, None]
+    error = np.asarray(lateral_mm, dtype=float)[:, None, None]
     ring = perception_mm * np.sqrt(-2.0 * np.log1p(-(np.arange(RINGS) + 0.5) / RINGS))[:, None]
     spoke = 2.0 * np.pi * (np.arange(SPOKES) + 0.5) / SPOKES
-    lateral: Array = np.sqrt(np.maximum(own**2 + ring**2 + 2.0 * own * ring * np.cos(spoke), 0.0))
+    lateral: Array = np.sqrt(np.maximum(error**2 + ring**2 + 2.0 * error * ring * np.cos(spoke), 0.0))
     return float(capture_probability(gripper, lateral * 1e-3, 0.0, 0.0).mean())
 
 
 def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike, grippers: Sequence[str] = GRIPPERS) -> list[PickChange]:
-    """What a calibration does to picks, for each gripper and each of `PERCEPTION_MM`.
+    """The effect of a calibration on picks, for each gripper and each of `PERCEPTION_MM`.
 
     Args:
         before_mm: Lateral errors without calibration ``(N,)``, mm.
@@ -114,14 +115,14 @@ def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike, grippers: Sequence[s
         grippers: Names of grippers.
     """
     return [
-        PickChange(name, seen, *(pick_share(gripper, errors, seen) for errors in (before_mm, after_mm)))
+        PickChange(name, perception, *(pick_share(gripper, errors, perception) for errors in (before_mm, after_mm)))
         for name, gripper in ((name, load_gripper(name)) for name in grippers)
-        for seen in PERCEPTION_MM
+        for perception in PERCEPTION_MM
     ]
 
 
 def change_cells(change: PickChange) -> tuple[str, ...]:
-    """What people are shown of a change: gripper, perception error, shares without and with, points of % between."""
+    """A change as cells of a table: gripper, perception error, shares without and with, points of % between."""
     shares = (f"{100.0 * share:.1f}" for share in (change.before, change.after))
     return (change.gripper, f"{change.perception_mm:g}", *shares, f"{100.0 * change.gain:+.1f}")
 
@@ -168,5 +169,5 @@ def matters(
 
 
 def _where(change: PickChange) -> str:
-    seen = f"seen to {change.perception_mm:g} mm per axis" if change.perception_mm else "seen without error"
-    return f"with {change.gripper} and the fruit {seen}"
+    perception = f"seen to {change.perception_mm:g} mm per axis" if change.perception_mm else "seen without error"
+    return f"with {change.gripper} and the fruit {perception}"

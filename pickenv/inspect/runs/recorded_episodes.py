@@ -1,24 +1,86 @@
-"""Episodes of several policies for the same fruit, step by step: what a film, a recording and a table start from.
+"""Episodes of policies on the same fruit, and their error fields: the start of tables, films, recordings and pages.
 
-Saved and loaded whole as `episodes.npz` of a comparison's run folder (`pickenv.inspect.runs.run_folder`).
+`RecordedEpisodes` hold every moment, or only the ends. A `Comparison` is of a simulated arm and holds its error field
+as well. Metres, radians; mm and degrees where the name says so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Geometry
+from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse, noncompensable_error
 from pickenv.base import InputError
+from pickenv.calibration import random_joints
+from pickenv.inspect.colours import policy_key
+
+
+@dataclass(frozen=True, eq=False)
+class Reaches:
+    """The ends of R episodes.
+
+    Attributes:
+        seeds: Seed of each episode.
+        pose_error: True tool against fruit ``(R, 6)``, m and rad.
+        noncompensable: The part of it that no joint motion removes ``(R, 6)``.
+        success: Whether the fruit was inside the capture region.
+        joint_command: What the drives got at the end ``(R, n)``.
+        tool_position: True tool positions ``(R, 3)``, m.
+        fruit_position: Fruit ``(R, 3)``, m.
+    """
+
+    seeds: tuple[int, ...]
+    pose_error: Array
+    noncompensable: Array
+    success: NDArray[np.bool_]
+    joint_command: Array
+    tool_position: Array
+    fruit_position: Array
+
+    @property
+    def position_error_mm(self) -> Array:
+        """Final distances ``(R,)``."""
+        return np.asarray(np.linalg.norm(self.pose_error[:, :3], axis=1) * 1e3)
+
+    @property
+    def attitude_error_deg(self) -> Array:
+        """Final attitude errors ``(R,)``."""
+        return np.asarray(np.degrees(np.linalg.norm(self.pose_error[:, 3:], axis=1)))
+
+    @property
+    def noncompensable_deg(self) -> Array:
+        """Their part that no joint motion removes ``(R,)``."""
+        return np.asarray(np.degrees(np.linalg.norm(self.noncompensable[:, 3:], axis=1)))
+
+
+def reaches_of(geometry: Geometry, seeds: Sequence[int], infos: Mapping[str, Any]) -> Reaches:
+    """The ends of episodes, given the arm's true geometry and the `info` of their last steps, stacked."""
+    names = ("pose_error", "joint_command", "tool_position", "fruit_position")
+    columns = {name: np.array(infos[name], order="C") for name in names}
+    return Reaches(
+        seeds=tuple(seeds),
+        noncompensable=noncompensable_error(geometry, columns["joint_command"], columns["pose_error"]),
+        success=np.array(infos["is_success"]),
+        **columns,
+    )
+
+
+MOMENTS = (
+    *("joint_target", "joint_command", "tool_position", "tool_rotation", "fruit_position", "position_error_mm"),
+    *("attitude_error_deg", "success", "picked", "miss_mm", "reward"),
+)
+"""Attributes of a `RecordedPolicy` with a value for each moment."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedPolicy:
     """One policy's E episodes of at most T moments, the reset being the first; a shorter one stays at its last moment.
+
+    Where only the ends of episodes are kept (`ended`), each has one moment.
 
     Attributes:
         label: Name for people: raw, LS, LS+BPNN.
@@ -37,6 +99,9 @@ class RecordedPolicy:
         miss_mm: Distance between tool and fruit where the gripper closes ``(E, T)``; nan at all other moments. A reach
             closes at its last moment.
         reward: Reward of each step ``(E, T)``; 0 at the reset and after the end.
+        field_errors: True minus wanted tool position at the points of a comparison's grid ``(F, 3)``, m, world axes.
+        field_attitude: True against wanted attitude there ``(F, 3)``, rotation vectors in world axes, rad; None where
+            only positions are known.
     """
 
     label: str
@@ -53,50 +118,180 @@ class RecordedPolicy:
     picked: NDArray[np.int64]
     miss_mm: Array
     reward: Array
+    field_errors: Array = field(default_factory=lambda: np.empty((0, 3)))
+    field_attitude: Array | None = None
+
+    @property
+    def ends(self) -> RecordedPolicy:
+        """The last moment of each episode alone: `MOMENTS` are ``(E, ...)`` instead of ``(E, T, ...)``."""
+        rows = np.arange(len(self.moments)), self.moments - 1
+        return replace(self, **{name: getattr(self, name)[rows] for name in MOMENTS})
+
+    def with_field(self, errors: Array) -> RecordedPolicy:
+        """The policy with its error field: true against wanted pose ``(F, 6)``, or positions alone ``(F, 3)``."""
+        return replace(self, field_errors=errors[:, :3], field_attitude=errors[:, 3:] if errors.shape[1] == 6 else None)
 
 
-@dataclass(frozen=True, eq=False)
+def ended(label: str, reaches: Reaches, key: str | None = None) -> RecordedPolicy:
+    """A policy of whose episodes only the ends are known.
+
+    Args:
+        label: Its name for people.
+        reaches: The ends.
+        key: Its short name; made from the label when left out.
+    """
+    count = len(reaches.success)
+    ends: dict[str, Any] = {
+        "joint_target": reaches.joint_command,
+        "joint_command": reaches.joint_command,
+        "tool_position": reaches.tool_position,
+        "tool_rotation": np.full((count, 3, 3), np.nan),
+        "fruit_position": reaches.fruit_position,
+        "position_error_mm": reaches.position_error_mm,
+        "attitude_error_deg": reaches.attitude_error_deg,
+        "success": reaches.success,
+        "picked": reaches.success.astype(np.int64),
+        "miss_mm": reaches.position_error_mm,
+        "reward": np.zeros(count),
+    }
+    moments = np.ones(count, dtype=np.int64)
+    return RecordedPolicy(
+        label, key or policy_key(label), moments, **{n: values[:, None] for n, values in ends.items()}
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class RecordedEpisodes:
     """The same episodes with several policies.
 
     Attributes:
-        env_id: The environment, as `gymnasium.make` knows it.
-        plant: Name of the plant; empty where the environment has none.
-        gripper: Name of the gripper that picks are judged by.
+        policies: One entry per policy: raw, LS, LS+BPNN, then others.
+        plant: The true arm that was simulated; with `joint_command` and `tool_position` it is drawn
+            (`pickenv.inspect.runs.saved.true_points`). None where the environment has none.
         tolerance_mm: How far aside of the tool a fruit may lie so that the gripper takes it one time in two, or always
             for a cup.
         seed: Seed of the comparison.
         seeds: Seed of each episode; no two policies' differ.
+        env_id: The environment, as `gymnasium.make` knows it; like the next two empty where only ends are kept.
+        gripper: Name of the gripper that picks are judged by.
         period: Time between two moments, s.
-        nominal: The arm as its controller believes it to be; None where the environment has no arm.
-        true_geometry: Geometry of the true arm; with `joint_command` and `tool_position` it draws it
-            (`pickenv.inspect.runs.saved.true_points`).
-        policies: One entry per policy: raw, LS, LS+BPNN, then others.
     """
 
-    env_id: str
-    plant: str
-    gripper: str
+    policies: tuple[RecordedPolicy, ...]
+    plant: Plant | None
     tolerance_mm: float
     seed: int
-    seeds: tuple[int, ...]
-    period: float
-    nominal: Geometry | None
-    true_geometry: Geometry | None
-    policies: tuple[RecordedPolicy, ...]
+    seeds: tuple[int, ...] = ()
+    env_id: str = ""
+    gripper: str = ""
+    period: float = 0.0
+
+    @property
+    def plant_name(self) -> str:
+        """Name of the plant; empty where the environment has none."""
+        return "" if self.plant is None else self.plant.name
+
+    @property
+    def nominal(self) -> Geometry | None:
+        """The arm as its controller believes it to be; None where the environment has no arm."""
+        return None if self.plant is None else self.plant.arm.nominal
+
+    @property
+    def fruit(self) -> Array:
+        """Fruit of the episodes' ends ``(E, 3)``, m."""
+        return self.policies[0].ends.fruit_position
 
 
-def last_of(policy: RecordedPolicy, values: Array | NDArray[np.int64] | NDArray[np.bool_]) -> Array:
-    """The last moment of each episode of values ``(E, T, ...)``: ``(E, ...)``."""
-    return np.asarray(values[np.arange(len(policy.moments)), policy.moments - 1])
+UPRIGHT = np.radians(30.0)
+"""Tool poses this near to the vertical tell how large a grid is, rad."""
+PROBES = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class FieldGrid:
+    """A regular grid of upright tool poses, and its cells that the nominal arm reaches.
+
+    Attributes:
+        shape: Number of cells (nx, ny, nz).
+        origin: Centre of the first cell, m, ``(3,)``.
+        step: Cell size, m.
+        index: Integer index of each reached cell ``(F, 3)``.
+        points: Their centres ``(F, 3)``, m.
+        joints: Joints that bring the nominal arm's tool there, upright ``(F, n)``, rad or m.
+    """
+
+    shape: tuple[int, int, int]
+    origin: Array
+    step: float
+    index: NDArray[np.int64]
+    points: Array
+    joints: Array
+
+    @property
+    def corner(self) -> Array:
+        """Lowest corner of the first cell ``(3,)``, m."""
+        return self.origin - self.step / 2.0
+
+    @property
+    def size(self) -> Array:
+        """Size of the whole grid ``(3,)``, m."""
+        return np.asarray(self.shape) * self.step
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Comparison(RecordedEpisodes):
+    """Several policies on the same simulated arm, raw first, with their errors over a field of poses.
+
+    Attributes:
+        plant: The true arm that was simulated.
+        grid: The field's points.
+        field_uncertainty: Standard uncertainty of the calibrated tool position that the calibration itself predicts
+            ``(F,)``, m; None where the calibration carries none.
+    """
+
+    plant: Plant
+    grid: FieldGrid
+    field_uncertainty: Array | None = None
+
+    @property
+    def nominal(self) -> Geometry:
+        """Geometry that the controller believes in."""
+        return self.plant.arm.nominal
+
+
+def field_grid(nominal: Geometry, step: float, seed: int) -> FieldGrid:
+    """A grid over the workspace of an arm.
+
+    Args:
+        nominal: The arm as its controller believes it to be.
+        step: Cell size, m.
+        seed: Seed of the joints that find the workspace's extent.
+    """
+    probe = forward(nominal, random_joints(nominal, PROBES, np.random.default_rng(seed)))
+    upright = probe.rotation[:, 2, 2] > np.cos(UPRIGHT)
+    low, high = np.percentile(probe.position[upright], [1, 99], axis=0)
+    shape = np.maximum(((high - low) / step).astype(int), 1)
+    index = np.stack(np.meshgrid(*(np.arange(count) for count in shape), indexing="ij"), -1).reshape(-1, 3)
+    origin = (low + high) / 2 - (shape - 1) / 2 * step
+    points = origin + index * step
+    solution = inverse(nominal, Pose(points, np.eye(3)), restarts=1)
+    inside = solution.reached
+    return FieldGrid(
+        shape=(int(shape[0]), int(shape[1]), int(shape[2])),
+        origin=origin,
+        step=step,
+        index=index[inside],
+        points=points[inside],
+        joints=solution.joints[inside],
+    )
 
 
 POSITIONS = ("tool_position", "fruit_position")
-"""What an environment's `info` must hold to be drawn and compared: three finite numbers each, m, in one frame."""
+"""Entries of `info` that drawing and comparing an environment need: three finite numbers each, m, in one frame."""
 
 
 def missing_positions(info: Mapping[str, Any]) -> str:
-    """What `info` lacks of `POSITIONS`, in a sentence that says what to do; empty where nothing is missing.
+    """The `POSITIONS` that `info` lacks, in a sentence that says what to do; empty where nothing is missing.
 
     Raises:
         InputError: If one of them is there, but no position.

@@ -19,6 +19,7 @@ from typing import Any, TypeAlias, TypeVar
 from pickenv.base import (
     InputError,
     code_fingerprint,
+    command_line,
     file_sha256,
     locked,
     refusing_damage,
@@ -29,14 +30,13 @@ from pickenv.base import (
 )
 from pickenv.base.registry import get, load_all
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-from pickenv.inspect.runs.comparison_summary import Comparison
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
+from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
 
 RECORD = "run.json"
 LIST = "files.json"
-"""What a folder of many runs, tables and calibrations holds, where it is no run itself."""
+"""The list of files of a folder of many runs, tables and calibrations that is no run itself."""
 
 PARTS: Mapping[type, str] = {
     Comparison: "comparison.npz",
@@ -70,15 +70,19 @@ class RunKind:
     pages: str
 
 
+def _kind(pages: str, *words: str, **options: str) -> RunKind:
+    return RunKind(command_line(*words, **options), f"pickenv.{pages}")
+
+
 _KINDS: Mapping[str, RunKind] = {
-    "demo": RunKind("pickenv demo --out RUN", "pickenv.inspect.reports.demo_report"),
-    "calibration": RunKind("pickenv calibrate FILE --arm ARM --run RUN", "pickenv.inspect.reports.calibration_report"),
-    "comparison": RunKind("pickenv compare POLICY POLICY --out RUN", "pickenv.inspect.reports.comparison_report"),
-    "evaluation": RunKind("pickenv evaluate --out RUN", "pickenv.experiments.policy_tables"),
-    "iso9283": RunKind("pickenv iso9283 --out RUN", "pickenv.inspect.reports.iso9283_report"),
-    "conditions": RunKind("pickenv conditions PLANT --out RUN", "pickenv.inspect.reports.conditions_report"),
-    "harvest": RunKind("python -m papers.li2016 --out RUN", "pickenv.inspect.reports.harvest_report"),
-    "study": RunKind("pickenv study CONFIG --out RUN", "pickenv.experiments.study_report"),
+    "demo": _kind("inspect.reports.demo_report", "pickenv", "demo", out="RUN"),
+    "calibration": _kind("inspect.reports.calibration_report", "pickenv", "calibrate", "FILE", arm="ARM", run="RUN"),
+    "comparison": _kind("inspect.reports.comparison_report", "pickenv", "compare", "POLICY", "POLICY", out="RUN"),
+    "evaluation": _kind("experiments.policy_tables", "pickenv", "evaluate", out="RUN"),
+    "iso9283": _kind("inspect.reports.iso9283_report", "pickenv", "iso9283", out="RUN"),
+    "conditions": _kind("inspect.reports.conditions_report", "pickenv", "conditions", "PLANT", out="RUN"),
+    "harvest": _kind("inspect.reports.harvest_report", "python", "-m", "papers.li2016", out="RUN"),
+    "study": _kind("experiments.study_report", "pickenv", "study", "CONFIG", out="RUN"),
 }
 for _name, _run_kind in _KINDS.items():
     register("report", _name)(lambda run_kind=_run_kind: run_kind)
@@ -123,7 +127,7 @@ class Run:
 
     @property
     def made_by(self) -> str:
-        """How such a folder is made, for error messages."""
+        """The command that makes such a folder, for error messages."""
         return run_kind(self.kind).made_by.replace("RUN", shlex.quote(str(self.folder)))
 
 
@@ -162,15 +166,15 @@ def added_to(run: Run) -> Iterator[None]:
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """What tells whether a file was written again, for every file of a folder; hidden files are not its own."""
-    found = {}
+    """Inode, time and size of every file of a folder, which tell whether it was written again; no hidden ones."""
+    stamps = {}
     for root, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
         for path in (Path(root, name) for name in names if not name.startswith(".")):
             if path.is_file():
                 state = path.stat()
-                found[path.relative_to(folder).as_posix()] = (state.st_ino, state.st_mtime_ns, state.st_size)
-    return found
+                stamps[path.relative_to(folder).as_posix()] = (state.st_ino, state.st_mtime_ns, state.st_size)
+    return stamps
 
 
 def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]:
@@ -194,12 +198,12 @@ def _record_text(run: Run) -> str:
         "code": run.code,
         "files": dict(run.files or {}),
     }
-    own = hashlib.sha256(json.dumps(content).encode()).hexdigest()
-    return json.dumps(content | {"sha256": own}, indent=2) + "\n"
+    digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    return json.dumps(content | {"sha256": digest}, indent=2) + "\n"
 
 
 def read_run(folder: str | Path) -> Run:
-    """What kind of run ``folder`` holds.
+    """The run that ``folder`` holds.
 
     Raises:
         InputError: If it is no run folder, is incomplete, damaged, edited, or of another version.
@@ -244,18 +248,18 @@ def faults_of(run: Run) -> list[tuple[Path, str | None]]:
 
 
 def _faults(folder: Path, listed: Mapping[str, str], own: str) -> list[tuple[Path, str | None]]:
-    there = _stamps(folder)
-    found: list[tuple[Path, str | None]] = []
-    for name in sorted({*listed, *there} - {own}):
+    stamps = _stamps(folder)
+    faults: list[tuple[Path, str | None]] = []
+    for name in sorted({*listed, *stamps} - {own}):
         path, reason = folder / name, None
-        if name not in there:
+        if name not in stamps:
             reason = "is missing; the run wrote it"
         elif name not in listed:
             reason = "is stray: this run did not write it"
         elif file_sha256(path) != listed[name]:
             reason = "was edited since the run wrote it"
-        found.append((path, reason))
-    return found
+        faults.append((path, reason))
+    return faults
 
 
 @contextmanager
@@ -269,8 +273,8 @@ def listed_files(folder: Path) -> Iterator[None]:
 
 def _list_text(files: Mapping[str, str]) -> str:
     """The only text that `LIST` may hold for these files: its own hash stands in it."""
-    own = hashlib.sha256(json.dumps(dict(files)).encode()).hexdigest()
-    return json.dumps({"files": dict(files), "sha256": own}, indent=2) + "\n"
+    digest = hashlib.sha256(json.dumps(dict(files)).encode()).hexdigest()
+    return json.dumps({"files": dict(files), "sha256": digest}, indent=2) + "\n"
 
 
 def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
@@ -298,22 +302,15 @@ def unedited(run: Run, name: str) -> Path:
     return path
 
 
-def save_part(
-    folder: Path, part: Comparison | CalibrationTrace | HarvestTrace | RecordedEpisodes, seed: int | None
-) -> Path:
-    """Write numbers behind figures into a run folder."""
-    return save_numbers(folder / PARTS[type(part)], part, seed=seed)
+def save_part(folder: Path, part: Part, seed: int | None, kind: type | None = None) -> Path:
+    """Write numbers behind figures into a run folder, as their own class or as ``kind``, which it is derived from."""
+    kind = kind or type(part)
+    return save_numbers(folder / PARTS[kind], part, seed=seed, kind=kind)
 
 
 def load_part(run: Run, kind: type[Part]) -> Part:
     """Numbers behind figures of a run, to the bit; raises `InputError` as `load_numbers`, or if they were exchanged."""
     return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
-
-
-def load_comparison(run: Run) -> tuple[RecordedEpisodes, Comparison | None]:
-    """A comparison of policies: every episode, and their errors over the workspace where the environment has an arm."""
-    there = (run.folder / PARTS[Comparison]).is_file() or PARTS[Comparison] in (run.files or {})
-    return load_part(run, RecordedEpisodes), load_part(run, Comparison) if there else None
 
 
 def load_iso9283(run: Run) -> dict[str, Any]:
@@ -322,14 +319,14 @@ def load_iso9283(run: Run) -> dict[str, Any]:
     Raises:
         InputError: If the file is missing or damaged.
     """
-    found = _load_result(run, ISO9283, "an ISO 9283 result", ("raw", "settings", "plant", "standard"))
+    result = _load_result(run, ISO9283, "an ISO 9283 result", ("raw", "settings", "plant", "standard"))
     with refusing_damage(run.folder / ISO9283, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
-        found["raw"]["poses"]
-    return found
+        result["raw"]["poses"]
+    return result
 
 
 def load_cases(run: Run) -> dict[str, list[dict[str, Any]]]:
-    """What calibration does to picks on each plant of a demonstration; empty for a run that says nothing of it."""
+    """The effect of calibration on picks, by plant of a demonstration; empty for a run that says nothing of it."""
     if not (run.folder / MATTERS_FILE).is_file():
         return {}
     return _load_result(run, MATTERS_FILE, "what calibration does to picks", ())
@@ -343,10 +340,10 @@ def load_conditions(run: Run) -> dict[str, Any]:
 def _load_result(run: Run, name: str, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
     path = unedited(run, name)
     with refusing_damage(path, what, f"`{run.made_by}` makes it anew"):
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         for key in keys:
-            found[key]
-    return found
+            result[key]
+    return result
 
 
 def written_report(run: Run) -> str:

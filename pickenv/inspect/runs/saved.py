@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,28 +23,16 @@ from pickenv.arm.kinematics.forward import (
 )
 from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.base import InputError, read_container, refusing_damage, registry, write_container
-from pickenv.inspect.runs.comparison_summary import Comparison
-
-# The links of an arm as capsules (rods with round ends), as the viewer wants them. Metres.
+from pickenv.inspect.runs.recorded_episodes import Comparison
 
 
-@dataclass(frozen=True, eq=False)
-class Capsules:
-    """Rods with round ends.
+def capsules(points: Array, parts: list[int]) -> tuple[Array, Array, Array]:
+    """Capsules (rods with round ends) along the ``parts`` of polylines ``points`` ``(..., K, 3)``, from `drawn_parts`.
 
-    Attributes:
-        start: Centre of the first end ``(..., 3)``, m.
-        length: Distance between the ends' centres ``(...)``, m.
-        quaternion: Turns the z axis into the rod's direction ``(..., 4)``, order x, y, z, w.
+    Returns:
+        Centres of their first ends ``(..., P, 3)``, m; distances between the ends' centres ``(..., P)``, m; quaternions
+        that turn the z axis into the rods' directions ``(..., P, 4)``, order x, y, z, w.
     """
-
-    start: Array
-    length: Array
-    quaternion: Array
-
-
-def capsules(points: Array, parts: list[int]) -> Capsules:
-    """Capsules ``(..., P)`` along the ``parts`` of the polyline ``points`` ``(..., K, 3)``, from `drawn_parts`."""
     start, end = points[..., parts, :], points[..., [i + 1 for i in parts], :]
     along = end - start
     length = np.linalg.norm(along, axis=-1)
@@ -56,7 +44,7 @@ def capsules(points: Array, parts: list[int]) -> Capsules:
     quaternion = np.stack([-direction[..., 1], direction[..., 0], np.zeros_like(w), w], axis=-1)
     quaternion[down] = [1.0, 0.0, 0.0, 0.0]
     quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    return Capsules(start, length, quaternion)
+    return start, length, quaternion
 
 
 # Where the eye stands: at one point for every picture of a comparison, on screen and on paper. Metres, radians.
@@ -68,8 +56,8 @@ EYE_TURN, EYE_LIFT = 0.5, 0.45
 
 def shown_box(comparison: Comparison) -> tuple[Array, float]:
     """Centre ``(3,)`` and radius of the field's grid, m: what the eye looks at."""
-    size = np.asarray(comparison.grid_shape) * comparison.grid_step
-    return comparison.grid_origin - comparison.grid_step / 2.0 + size / 2.0, float(np.linalg.norm(size) / 2.0)
+    size = comparison.grid.size
+    return comparison.grid.corner + size / 2.0, float(np.linalg.norm(size) / 2.0)
 
 
 def eye_direction(comparison: Comparison) -> Array:
@@ -77,7 +65,7 @@ def eye_direction(comparison: Comparison) -> Array:
 
     Outside is where the arm's base is not; oblique, so that cells behind each other do not hide each other.
     """
-    width_x, width_y, _ = comparison.grid_shape
+    width_x, width_y, _ = comparison.grid.shape
     x, y, _ = shown_box(comparison)[0] - comparison.nominal.base.position
     outward = float(np.arctan2(y, x))
     along_x = width_y > width_x or (width_y == width_x and abs(x) > abs(y))
@@ -88,24 +76,25 @@ def eye_direction(comparison: Comparison) -> Array:
 
 
 def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
-    """Which field points ``(F,)`` lie in the corner nearest to the eye, where voxels would hide all others."""
-    offset = comparison.field_points - shown_box(comparison)[0]
+    """Whether each field point ``(F,)`` lies in the corner nearest to the eye, where voxels would hide all others."""
+    offset = comparison.grid.points - shown_box(comparison)[0]
     return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
 
 
-FORMAT = 3
-"""Version of the files' content."""
+FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4}
+"""Version of the files' content; of some kinds another."""
 
 Saved = TypeVar("Saved")
 
 
-def save_numbers(path: str | Path, value: Any, *, seed: int | None = None) -> Path:
+def save_numbers(path: str | Path, value: Any, *, seed: int | None = None, kind: type | None = None) -> Path:
     """Write a frozen dataclass to ``path`` (.npz), whole or not at all; equal values give equal bytes.
 
     Args:
         path: The file.
         value: The object: dataclasses, named tuples, tuples, mappings, arrays, numbers, text and None, nested.
         seed: Seed of the run that found it, for the record.
+        kind: What the file is called by; the object's own class when left out, or one that it is derived from.
 
     Raises:
         InputError: If the file cannot be written.
@@ -113,7 +102,8 @@ def save_numbers(path: str | Path, value: Any, *, seed: int | None = None) -> Pa
     arrays: dict[str, np.ndarray] = {}
     sources: dict[str, Any] = {}
     header = {"seed": seed, "content": _pack(value, arrays, sources)} | ({"others": sources} if sources else {})
-    return write_container(path, type(value).__name__, header, arrays, version=FORMAT, compressed=True)
+    name = (kind or type(value)).__name__
+    return write_container(path, name, header, arrays, version=FORMATS.get(name, FORMAT), compressed=True)
 
 
 def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
@@ -129,15 +119,16 @@ def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
             effect of a package that is not here; the message names the package.
     """
     remake = f"`{made_by}` makes it anew"
-    found = read_container(path, kind.__name__, remake=remake, version=FORMAT)
-    own = [registry.get("effect", name) for name in shipped_effects()]
+    version = FORMATS.get(kind.__name__, FORMAT)
+    container = read_container(path, kind.__name__, remake=remake, version=version)
+    effects = [registry.get("effect", name) for name in shipped_effects()]
     try:
-        others = {key: registry.get(*key.split(" "), **by) for key, by in found.header.get("others", {}).items()}
+        others = {key: registry.get(*key.split(" "), **by) for key, by in container.header.get("others", {}).items()}
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    classes = _classes(kind, *own, *others.values()) | others
+    classes = _classes(kind, *kind.__subclasses__(), *effects, *others.values()) | others
     with refusing_damage(path, f"a {kind.__name__} file", remake):
-        content = _unpack(found.header["content"], found.arrays, {**classes, "Plant": _plant})
+        content = _unpack(container.header["content"], container.arrays, {**classes, "Plant": _plant})
         if not isinstance(content, kind):
             raise TypeError(f"it holds a {type(content).__name__}")
     return content
@@ -177,25 +168,24 @@ def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str,
     if "mapping" in packed:
         pairs = packed["mapping"]
         return {_unpack(key, arrays, classes): _unpack(item, arrays, classes) for key, item in pairs}
-    given = {name: _unpack(item, arrays, classes) for name, item in packed["fields"].items()}
-    return classes[packed["class"]](**given)
+    return classes[packed["class"]](**{name: _unpack(item, arrays, classes) for name, item in packed["fields"].items()})
 
 
 def _plant(effects: tuple[Effect, ...] = (), **parts: Any) -> Plant:
     """A plant of its fields; earlier files have a field for each effect, None where it is off."""
-    own = [parts.pop(name) for name in shipped_effects() if name in parts]
-    return Plant(effects=(*effects, *(effect for effect in own if effect is not None)), **parts)
+    earlier = [parts.pop(name) for name in shipped_effects() if name in parts]
+    return Plant(effects=(*effects, *(effect for effect in earlier if effect is not None)), **parts)
 
 
 def _classes(*roots: Any) -> dict[str, Any]:
     """The dataclasses and named tuples that type hints lead to from ``roots``, these included, by name."""
-    found: dict[str, Any] = {}
-    waiting = [*roots]
-    while waiting:
-        hint = waiting.pop()
-        waiting += typing.get_args(hint)
-        is_one = isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields"))
-        if is_one and hint.__name__ not in found:
-            found[hint.__name__] = hint
-            waiting += typing.get_type_hints(hint).values()
-    return found
+    classes: dict[str, Any] = {}
+    hints = [*roots]
+    while hints:
+        hint = hints.pop()
+        hints += typing.get_args(hint)
+        is_record = isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields"))
+        if is_record and hint.__name__ not in classes:
+            classes[hint.__name__] = hint
+            hints += typing.get_type_hints(hint).values()
+    return classes

@@ -14,17 +14,16 @@ from gymnasium import spaces
 
 from pickenv.agents import RandomReach, ServoReach, compare, episode_seeds
 from pickenv.agents.evaluation.compare import GRID_STEP, _command, _field
-from pickenv.agents.evaluation.compared_policies import Kind, kind_of, maker_of, policy_name
-from pickenv.agents.evaluation.contenders import contenders_of
+from pickenv.agents.evaluation.contenders import Kind, contenders_of, kind_of, maker_of, policy_name
 from pickenv.agents.policies.adaptive import CALIBRATED_PRIOR
 from pickenv.arm import load_plant
 from pickenv.base import InputError, seed_words, stream
 from pickenv.base.registry import names
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
+from pickenv.inspect import Comparison, PickChange, Reaches, ended, field_grid, matters, pick_changes
 from pickenv.inspect.runs import matters as matters_module
-from pickenv.inspect.runs.comparison_summary import compared, policy_errors, stage_label
-from pickenv.inspect.runs.field_grid import field_grid
-from pickenv.inspect.runs.matters import PERCEPTION_MM, PickChange, change_cells, matters, pick_changes, pick_share
+from pickenv.inspect.runs.comparison_summary import stage_label
+from pickenv.inspect.runs.matters import PERCEPTION_MM, change_cells, pick_share
 from pickenv.orchard import load_gripper
 
 
@@ -65,11 +64,11 @@ def test_a_comparison_of_an_environment_without_an_arm() -> None:
         "pickenv compare random --env tests/Late-v0 --episodes 20 --seed 0 --gripper li_cup --label any"
     )
     whole = found.episodes
-    assert (whole.env_id, whole.plant, whole.gripper, whole.seed, whole.period) == (
+    assert (whole.env_id, whole.plant_name, whole.gripper, whole.seed, whole.period) == (
         "tests/Late-v0", "", "li_cup", 0, 0.1,
     )  # fmt: skip
     assert whole.seeds == episode_seeds(0, 20) and whole.tolerance_mm == 5.0
-    assert (whole.nominal, whole.true_geometry, found.comparison) == (None, None, None)
+    assert (whole.plant, whole.nominal, found.comparison) == (None, None, None)
     (policy,) = whole.policies
     np.testing.assert_allclose(policy.position_error_mm, 5.0)
     np.testing.assert_array_equal(policy.moments, [4] * 20)
@@ -126,8 +125,8 @@ def test_a_comparison_of_arms_has_fields_ends_and_grasps(calibration: Calibratio
     plant, comparison = load_plant("qiao2026"), found.comparison
     assert (comparison.seed, comparison.tolerance_mm) == (4, found.episodes.tolerance_mm)
     grid = field_grid(plant.arm.nominal, 0.4, 4)
-    np.testing.assert_array_equal(comparison.field_joints, grid.joints)
-    np.testing.assert_array_equal(comparison.identified.d, plant.arm.nominal.d)  # the last one is raw
+    np.testing.assert_array_equal(comparison.grid.joints, grid.joints)
+    assert comparison.plant.name == plant.name and comparison.nominal.d is comparison.plant.arm.nominal.d
     named = contenders_of(["scripted", "random"], [calibration, None], ["LS", "any"])
     for number, (contender, errors, policy) in enumerate(
         zip(named, comparison.policies, found.episodes.policies, strict=True)
@@ -137,18 +136,14 @@ def test_a_comparison_of_arms_has_fields_ends_and_grasps(calibration: Calibratio
         np.testing.assert_array_equal(errors.field_attitude, field[:, 3:])
         last = [(e, k - 1) for e, k in enumerate(policy.moments)]
         for mine, all_of_it in (
-            (errors.reach_joints, policy.joint_command),
-            (errors.reach_positions, policy.tool_position),
-            (errors.position_error_mm, policy.position_error_mm),
-            (errors.attitude_error_deg, policy.attitude_error_deg),
-            (errors.success, policy.picked > 0),
+            (errors.ends.joint_command, policy.joint_command),
+            (errors.ends.tool_position, policy.tool_position),
+            (errors.ends.position_error_mm, policy.position_error_mm),
+            (errors.ends.attitude_error_deg, policy.attitude_error_deg),
+            (errors.ends.picked, policy.picked),
             (comparison.fruit, policy.fruit_position),
         ):
             np.testing.assert_array_equal(mine, [all_of_it[place] for place in last])
-    only = compare(["scripted"], compensate=[calibration], episodes=1, seed=4, grid_step=0.4).comparison
-    assert only is not None
-    np.testing.assert_array_equal(only.identified.d, calibration.identified.d)
-    assert not np.array_equal(only.identified.d, only.nominal.d)
 
 
 def test_policies_are_paired_with_calibrations_and_named_by_what_differs(
@@ -186,7 +181,7 @@ def test_policies_are_paired_with_calibrations_and_named_by_what_differs(
     with pytest.raises(InputError, match="unknown policy"):
         contenders_of([tmp_path / "none.npy"])
     made = contenders_of([object()], [calibration])[0]
-    assert made.label == "LS+RBF" and made.calibration is calibration
+    assert made.label == "LS+RBF" and made.compensator is not None
     assert contenders_of([SimpleNamespace()])[0].label == "SimpleNamespace"
     assert stage_label(calibration) == "LS+RBF" and stage_label(calibration.without_residual()) == "LS"
     learnt = SimpleNamespace(learnt=SimpleNamespace(kind="some_kind"))
@@ -258,34 +253,29 @@ def test_a_policys_errors_are_lengths_in_mm_and_degrees() -> None:
     rng = np.random.default_rng(2)
     field, joints, positions, errors = (rng.normal(size=shape) for shape in ((5, 6), (4, 6), (4, 3), (4, 6)))
     taken = np.array([True, False, True, True])
-    found = policy_errors("LS + BPNN", field, joints, positions, errors, taken)
+    reaches = Reaches((1, 2, 3, 4), errors, errors, taken, joints, positions, positions + 0.1)
+    found = ended("LS + BPNN", reaches).with_field(field)
     assert (found.label, found.key) == ("LS + BPNN", "ls_bpnn")
     np.testing.assert_array_equal(found.field_errors, field[:, :3])
     np.testing.assert_array_equal(found.field_attitude, field[:, 3:])
-    for got, given in ((found.reach_joints, joints), (found.reach_positions, positions), (found.success, taken)):
-        np.testing.assert_array_equal(got, given)
+    ends = found.ends
+    for values, expected in (
+        (ends.joint_command, joints), (ends.tool_position, positions), (ends.fruit_position, positions + 0.1),
+        (ends.success, taken), (ends.picked, taken), (ends.miss_mm, ends.position_error_mm),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(values, expected)
     for i, (x, y, z, a, b, c) in enumerate(errors):
-        assert found.position_error_mm[i] == pytest.approx(1e3 * math.sqrt(x * x + y * y + z * z))
-        assert found.attitude_error_deg[i] == pytest.approx(math.degrees(math.sqrt(a * a + b * b + c * c)))
-    bare = policy_errors("LS", field[:, :3], joints, positions, errors, taken, key="mine")
+        assert found.position_error_mm[i, 0] == pytest.approx(1e3 * math.sqrt(x * x + y * y + z * z))
+        assert found.attitude_error_deg[i, 0] == pytest.approx(math.degrees(math.sqrt(a * a + b * b + c * c)))
+    bare = ended("LS", reaches, key="mine").with_field(field[:, :3])
     assert bare.key == "mine" and bare.field_attitude is None
     plant = load_plant("qiao2026")
     grid = field_grid(plant.arm.nominal, 0.4, 0)
-    few = compared(plant, grid, [bare], seed=3)
-    assert (few.plant, few.nominal, few.identified) == (plant, plant.arm.nominal, plant.arm.nominal)
-    assert (few.seed, few.tolerance_mm, few.fruit.shape, few.field_uncertainty) == (3, 0.0, (0, 3), None)
-    assert (few.grid_shape, few.grid_step, few.policies) == (grid.shape, grid.step, (bare,))
-    for got, given in (
-        (few.grid_origin, grid.origin), (few.field_index, grid.index), (few.field_points, grid.points),
-        (few.field_joints, grid.joints),
-    ):  # fmt: skip
-        np.testing.assert_array_equal(got, given)
-    other, spread = plant.geometry, rng.random(len(grid.points))
-    full = compared(
-        plant, grid, [bare], seed=3, fruit=positions, tolerance_mm=7.0, identified=other, uncertainty=spread
-    )
-    assert (full.identified, full.tolerance_mm) == (other, 7.0)
-    assert full.fruit is positions and full.field_uncertainty is spread
+    few = Comparison(policies=(bare,), plant=plant, grid=grid, seed=3, tolerance_mm=7.0)
+    assert (few.plant_name, few.nominal, few.field_uncertainty) == ("qiao2026", plant.arm.nominal, None)
+    np.testing.assert_array_equal(few.fruit, positions + 0.1)
+    np.testing.assert_allclose(grid.corner, grid.origin - 0.2)
+    np.testing.assert_allclose(grid.size, 0.4 * np.array(grid.shape))
 
 
 @pytest.mark.parametrize("seen", [0.0, 0.7, 4.0])

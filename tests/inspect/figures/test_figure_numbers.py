@@ -250,7 +250,7 @@ def test_error_fields(comparison: Comparison) -> None:
         known = {tuple(c) for c in np.asarray(viridis(lengths / top) / 255.0)}
         assert {tuple(c[:3]) for c in arrows.get_facecolor()} <= known
     assert "×40" in figure.get_suptitle()
-    assert f"×{field_gain(comparison.grid_step, top):g}" in error_fields(comparison).get_suptitle()
+    assert f"×{field_gain(comparison.grid.step, top):g}" in error_fields(comparison).get_suptitle()
 
 
 def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison: Comparison) -> None:
@@ -261,14 +261,14 @@ def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison
     figure = error_fields(comparison, gain=40.0)
     top = np.percentile(1e3 * np.linalg.norm(comparison.policies[0].field_errors, axis=1), 99)
     shown, _ = thinned(comparison)
-    shown = shown[np.argsort((comparison.field_points[shown] - centre) @ eye)]
-    low = comparison.grid_origin - comparison.grid_step / 2
-    ends = np.stack([low, low + np.array(comparison.grid_shape) * comparison.grid_step])
+    shown = shown[np.argsort((comparison.grid.points[shown] - centre) @ eye)]
+    low = comparison.grid.corner
+    ends = np.stack([low, low + comparison.grid.size])
     corners = {(x, y, z): (ends[[x, y, z], [0, 1, 2]] - centre) @ plane for x in (0, 1) for y in (0, 1) for z in (0, 1)}
     for axes, policy in zip(figure.axes, comparison.policies, strict=False):
         (arrows,) = [c for c in axes.collections if isinstance(c, PolyCollection)]
         outlines = np.array([path.vertices[:7] for path in arrows.get_paths()])
-        start, error = comparison.field_points[shown], policy.field_errors[shown]
+        start, error = comparison.grid.points[shown], policy.field_errors[shown]
         np.testing.assert_allclose(outlines[:, [0, 6]].mean(axis=1), (start - centre) @ plane, atol=1e-9)
         np.testing.assert_allclose(outlines[:, 3], (start + 40.0 * error - centre) @ plane, atol=1e-9)
         colours = viridis(1e3 * np.linalg.norm(error, axis=1) / top) / 255.0
@@ -285,7 +285,7 @@ def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison
             middles = [(corners[a] + corners[b]) / 2 for a, b in edges if a[axis] != b[axis]]
             assert min(np.linalg.norm(place - middle) for middle in middles) < 0.2 * radius
         nearest = np.argmin(np.linalg.norm(comparison.fruit - centre, axis=1))
-        points = nominal_points(comparison.nominal, comparison.policies[0].reach_joints[nearest])
+        points = nominal_points(comparison.nominal, comparison.policies[0].ends.joint_command[nearest])
         arm = [line.get_xydata()[0] for line in axes.lines[12:]] + [axes.lines[-1].get_xydata()[1]]
         np.testing.assert_allclose(arm, (points - centre) @ plane, atol=1e-9)
 
@@ -306,7 +306,7 @@ def test_every_second_or_third_cell_is_drawn_where_there_are_too_many(
     comparison: Comparison, most: int, stride: int
 ) -> None:
     index = np.argwhere(np.ones((6, 6, 8), dtype=bool)) if stride > 1 else np.argwhere(np.ones((5, 8, 10), dtype=bool))
-    made = replace(comparison, field_index=index, field_points=0.1 * index, grid_step=0.1)
+    made = replace(comparison, grid=replace(comparison.grid, index=index, points=0.1 * index, step=0.1))
     shown, apart = thinned(made, most)
     assert apart == pytest.approx(0.1 * stride)
     expected = np.flatnonzero(np.all(index % stride == {1: 0, 2: 0, 3: 1}[stride], axis=1))

@@ -23,9 +23,8 @@ from pickenv.inspect import Drawing, corner_errors, trace_drawings, view_errors
 from pickenv.inspect.colours import viridis
 from pickenv.inspect.figures.field_figure import MOST_VIEWS, faint_picture
 from pickenv.inspect.reports.calibration_report import calibration_page
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
+from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of, views_of
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
-from pickenv.inspect.runs.view_errors import views_of
 
 VIEWS, SIZE = 11, (640, 480)
 

@@ -21,9 +21,9 @@ from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, Rgb, viri
 from pickenv.inspect.figures import field_figure, plot_harvest, plot_policies
 from pickenv.inspect.figures.field_figure import field_gain
 from pickenv.inspect.figures.style import INK
+from pickenv.inspect.runs.calibration_trace import ViewErrors
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 from pickenv.inspect.runs.saved import eye_direction, shown_box
-from pickenv.inspect.runs.view_errors import ViewErrors
 
 RNG = np.random.default_rng(29)
 
@@ -440,8 +440,8 @@ def test_the_field_figure(comparison: Comparison) -> None:
     eye, (centre, radius) = eye_direction(comparison), shown_box(comparison)
     right = np.array([-eye[1], eye[0], 0.0]) / np.hypot(eye[0], eye[1])
     plane = np.stack([right, np.cross(eye, right)], axis=-1)
-    low = comparison.grid_origin - comparison.grid_step / 2
-    ends = np.stack([low, low + 10 * comparison.grid_step])
+    low = comparison.grid.corner
+    ends = np.stack([low, low + 10 * comparison.grid.step])
     corners = np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
     flat = (corners - centre) @ plane
     rim = 0.15 * radius
@@ -489,7 +489,7 @@ def test_the_field_figure(comparison: Comparison) -> None:
         with pytest.raises(InputError, match=match):
             error_fields(wrong)
     with pytest.raises(InputError, match="no error field"):
-        error_fields(replace(comparison, field_points=np.zeros((0, 3))))
+        error_fields(replace(comparison, grid=replace(comparison.grid, points=np.zeros((0, 3)))))
     for gain in (0.0, -1.0):
         with pytest.raises(InputError, match="give a number above zero"):
             error_fields(comparison, gain=gain)

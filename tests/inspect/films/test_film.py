@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, load_arm
+from pickenv.arm import forward, load_plant
 from pickenv.base import InputError
 from pickenv.inspect.films.film import (
     GAP,
@@ -24,7 +24,8 @@ from pickenv.inspect.films.film import (
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.pictures.arm_shapes import GAIN
 
-ARM = load_arm("qiao2026").nominal
+ARM = load_plant("qiao2026").arm.nominal
+PLANT = dataclasses.replace(load_plant("qiao2026"), name="orchard")
 
 
 def policy(label, rng, off_mm, taken, episodes, moments, many):
@@ -63,8 +64,8 @@ def run(many, episodes=3, moments=40):
         policy("LS", rng, 1.0, True, episodes, moments, many),
     )
     return RecordedEpisodes(
-        env_id="pickenv/Pick-v0" if many else "pickenv/Reach-v0", plant="orchard", gripper="li_cup", tolerance_mm=5.0,
-        seed=0, seeds=tuple(range(episodes)), period=0.1, nominal=ARM, true_geometry=ARM, policies=policies,
+        env_id="pickenv/Pick-v0" if many else "pickenv/Reach-v0", plant=PLANT, gripper="li_cup", tolerance_mm=5.0,
+        seed=0, seeds=tuple(range(episodes)), period=0.1, policies=policies,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, load_arm
+from pickenv.arm import Plant, forward, load_arm
 from pickenv.arm.kinematics.forward import nominal_points
 from pickenv.base import InputError
 from pickenv.inspect import film
@@ -67,8 +67,8 @@ def of_tracks(
 
 def run_of(*policies: RecordedPolicy) -> RecordedEpisodes:
     return RecordedEpisodes(
-        env_id="x/Pick", plant="", gripper="li_cup", tolerance_mm=5.0, seed=0,
-        seeds=tuple(range(len(policies[0].moments))), period=0.1, nominal=None, true_geometry=None, policies=policies,
+        env_id="x/Pick", plant=None, gripper="li_cup", tolerance_mm=5.0, seed=0,
+        seeds=tuple(range(len(policies[0].moments))), period=0.1, policies=policies,
     )  # fmt: skip
 
 
@@ -261,14 +261,15 @@ def test_a_hand_is_closed_from_the_grasp_on(moment, closed):
 
 def test_the_ghost_stands_where_the_tool_of_the_believed_arm_would_be():
     """Also of an arm whose last link has a length."""
-    nominal = load_arm("ur5").nominal
+    arm = load_arm("ur5")
+    nominal = arm.nominal
     target = (nominal.lower + nominal.upper) / 2 + 0.3
     believed = forward(nominal, target).position
     assert np.linalg.norm(nominal_points(nominal, target)[-2] - believed) > 0.01
     policy = of_tracks([[A] * 4], [{}], [{}], tool=np.broadcast_to(believed + 0.002 * SIDE, (1, 4, 3)))
     joints = np.broadcast_to(target, (1, 4, 6))
     policy = replace(policy, joint_target=joints, joint_command=joints + 0.01)
-    found = arm_parts(replace(run_of(policy), nominal=nominal), policy, 0, 2, (1, 2, 3))
+    found = arm_parts(replace(run_of(policy), plant=Plant("ur5", arm, nominal)), policy, 0, 2, (1, 2, 3))
     ghost = next(rods for rods in found.rods if len(rods.colour) and rods.colour[0, 3] < 255)
     np.testing.assert_allclose(ghost.end[-1], believed + (1 - GAIN) * 0.002 * SIDE, atol=1e-9)
 

@@ -34,8 +34,8 @@ def policy(label: str, miss_mm: float, ends: int) -> RecordedPolicy:
 @pytest.fixture
 def episodes() -> RecordedEpisodes:
     return RecordedEpisodes(
-        env_id="x/Reach", plant="field", gripper="li_cup", tolerance_mm=5.0, seed=0, seeds=(0,), period=0.1,
-        nominal=None, true_geometry=None, policies=(policy("raw", 7.0, 6), policy("LS", 2.0, 5)),
+        env_id="x/Reach", plant=None, gripper="li_cup", tolerance_mm=5.0, seed=0, seeds=(0,), period=0.1,
+        policies=(policy("raw", 7.0, 6), policy("LS", 2.0, 5)),
     )  # fmt: skip
 
 
@@ -70,7 +70,8 @@ def test_each_half_says_whose_it_is_what_is_picked_and_how_far_it_is(
 def test_halves_stand_side_by_side_above_a_line(
     count: int, dark: bool, plant: str, episodes: RecordedEpisodes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shown = replace(episodes, policies=episodes.policies[:count], plant=plant)
+    named = SimpleNamespace(name=plant, arm=SimpleNamespace(nominal=None))
+    shown = replace(episodes, policies=episodes.policies[:count], plant=named)
     plan = plan_film(shown, seconds=1.0, frames_per_second=4)
     lines: list[tuple[object, ...]] = []
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from pickenv.inspect.runs.matters import MATTERS, PERCEPTION_MM, PickChange, matters, pick_changes, pick_share
+from pickenv.inspect import PickChange, matters, pick_changes
+from pickenv.inspect.runs.matters import MATTERS, PERCEPTION_MM, pick_share
 from pickenv.orchard import Cup, capture_probability, load_gripper
 
 

@@ -9,7 +9,7 @@ import pytest
 from pickenv.arm import forward
 from pickenv.calibration import assess, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
-from pickenv.inspect.reports.calibration_report import calibration_page
+from pickenv.inspect import calibration_page, gripped, gripper_curves
 from pickenv.inspect.runs.comparison_summary import (
     attitude_scale_deg,
     cell_means,
@@ -22,7 +22,6 @@ from pickenv.inspect.runs.comparison_summary import (
     ticks,
     uncertainty_scale_mm,
 )
-from pickenv.inspect.runs.matters import gripped, gripper_curves
 from pickenv.orchard import capture_probability, load_gripper
 
 
@@ -41,13 +40,13 @@ def mixed(comparison):
     rng = np.random.default_rng(3)
     policies = []
     for i, policy in enumerate(comparison.policies):
-        count, field = len(policy.position_error_mm), len(policy.field_errors)
+        count, field = len(policy.ends.position_error_mm), len(policy.field_errors)
         policies.append(
             replace(
                 policy,
-                position_error_mm=rng.gamma(2.0, 1.0 + i, count),
-                attitude_error_deg=rng.gamma(3.0, 0.1 * (i + 1), count),
-                success=rng.random(count) < (0.9, 0.35, 0.62)[i],
+                position_error_mm=rng.gamma(2.0, 1.0 + i, (count, 1)),
+                attitude_error_deg=rng.gamma(3.0, 0.1 * (i + 1), (count, 1)),
+                success=rng.random((count, 1)) < (0.9, 0.35, 0.62)[i],
                 field_errors=rng.normal(size=(field, 3)) * (1e-3, 3e-4, 4e-4)[i],
             )
         )
@@ -64,16 +63,16 @@ def test_every_cell_of_the_summary_is_its_policys(comparison):
     expected_heads = ["policy", "picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
     assert heads == expected_heads and len(rows) == 3
     for policy, row in zip(many.policies, rows, strict=True):
-        mean, rms, p95, largest = numbers(policy.position_error_mm)
+        mean, rms, p95, largest = numbers(policy.ends.position_error_mm)
         field = numbers(1e3 * np.sqrt(np.sum(policy.field_errors**2, axis=1)))
         assert row == [
             f"**{policy.label}**",
-            f"{100 * policy.success.sum() / len(policy.success):.0f} %",
+            f"{100 * policy.ends.success.sum() / len(policy.ends.success):.0f} %",
             f"{mean:.2f} mm",
             f"{rms:.2f}",
             f"{p95:.2f}",
             f"{largest:.2f}",
-            f"{numbers(policy.attitude_error_deg)[0]:.3f}°",
+            f"{numbers(policy.ends.attitude_error_deg)[0]:.3f}°",
             f"{field[0]:.2f} mm",
             f"{field[1]:.2f}",
         ]
@@ -88,7 +87,7 @@ def test_the_sentences_below_the_summary_count_and_compare_the_last_two(comparis
     assert f"LS + BPNN errs less than LS at {share:.0f} % of them." in text
     assert f"{len(many.fruit)} reaches, of this one calibration; a pick if the fruit is inside the capture" in text
     assert "capture region, radius 1 mm" in text
-    assert f"{len(many.field_points)} field points, cells of 55 mm." in text
+    assert f"{len(many.grid.points)} field points, cells of 55 mm." in text
     top = np.percentile(1e3 * np.linalg.norm(many.policies[0].field_errors, axis=1), 99)
     assert f"drawn ×25. **Colour**: its length, 0 to {top:.2f} mm in every field (p99 of raw;" in text
     assert f"qiao2026, seed {many.seed}" in text and "difference drawn ×25; red ball = capture region ×25" in text
@@ -125,14 +124,16 @@ def test_ticks_and_bins_are_round_and_hold_everything(comparison):
     assert ticks(1.0) == pytest.approx([0.2 * i for i in range(6)]) and ticks(8.0) == [float(i) for i in range(9)]
     assert ticks(1.0, 2) == pytest.approx([0.0, 0.5, 1.0]) and ticks(0.9, 2) == pytest.approx([0.0, 0.5])
     many = mixed(comparison)
-    largest = max(policy.position_error_mm.max() for policy in many.policies)
+    largest = max(policy.ends.position_error_mm.max() for policy in many.policies)
     edges = histogram_edges_mm(many)
     width = edges[1]
     assert width == round_step(largest / 24) and edges[0] == 0.0
     np.testing.assert_allclose(np.diff(edges), width)
     assert edges[-2] <= largest < edges[-1]
     assert histogram_edges_mm(many, 6)[1] == round_step(largest / 6)
-    still = replace(many, policies=tuple(replace(p, position_error_mm=np.zeros(3)) for p in many.policies))
+    still = replace(
+        many, policies=tuple(replace(p, position_error_mm=np.zeros_like(p.position_error_mm)) for p in many.policies)
+    )
     assert histogram_edges_mm(still)[1] == round_step(1.0 / 24)
 
 
@@ -154,10 +155,10 @@ def test_how_a_fruit_lies_in_the_true_tool_and_whether_grippers_take_it(comparis
     found = gripped(comparison)
     assert list(found) == [policy.label for policy in comparison.policies]
     for policy in comparison.policies:
-        tool = comparison.plant.tool_pose(policy.reach_joints)
-        wanted = forward(comparison.nominal, comparison.policies[0].reach_joints)
+        tool = comparison.plant.tool_pose(policy.ends.joint_command)
+        wanted = forward(comparison.nominal, comparison.policies[0].ends.joint_command)
         for i, fruit in enumerate(comparison.fruit):
-            x, y, along = tool.rotation[i].T @ (fruit - policy.reach_positions[i])
+            x, y, along = tool.rotation[i].T @ (fruit - policy.ends.tool_position[i])
             told = found[policy.label]
             assert told.lateral_mm[i] == pytest.approx(1e3 * np.hypot(x, y), rel=1e-9)
             angle = np.arccos(min(1.0, tool.rotation[i, :, 2] @ wanted.rotation[i, :, 2]))

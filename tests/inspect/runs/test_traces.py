@@ -10,7 +10,7 @@ import pytest
 from pickenv.arm import forward, load_plant
 from pickenv.calibration import BpnnSettings, fit, random_joints, simulated_tracker
 from pickenv.calibration.model.arm_model import Conditions
-from pickenv.inspect.runs.calibration_trace import trace_of
+from pickenv.inspect import trace_of
 
 
 def rms(errors: np.ndarray) -> float:
