@@ -9,7 +9,7 @@ import typer
 
 from pickenv.base import locked, separate, write_json, write_text
 from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import print_table, progress_bars
+from pickenv.commands.showing import CommandOfNames, print_table, progress_bars
 
 bench = typer.Typer(
     name="bench", help="Benchmarks: calibrations on measured robots, policies on simulated ones.", no_args_is_help=True
@@ -21,7 +21,7 @@ def _benchmarks() -> None:
     """Benchmarks: calibrations on measured robots, policies on simulated ones."""
 
 
-@bench.command()
+@bench.command(cls=CommandOfNames)
 def calibration(
     json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for tables and what is done; a run that was cut off goes on.")] = (
@@ -83,7 +83,7 @@ def calibration(
         deliver(saves, show)
 
 
-@bench.command()
+@bench.command(cls=CommandOfNames)
 def policies(
     policy: Annotated[
         list[str] | None,

@@ -11,7 +11,7 @@ import typer
 
 from pickenv.base import command_line, npz_path, require, separate, write_json
 from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import progress_bars
+from pickenv.commands.showing import progress_bars, with_options
 
 if TYPE_CHECKING:
     from pickenv.calibration import Result
@@ -217,7 +217,7 @@ def calibrate(
             (run, lambda folder: write_run(folder, command, seed, result, seeds)),
             (json_file, lambda path: write_json(path, result.as_dict())),
         ],
-        lambda: print(result.report()),
+        lambda: print(with_options(result.report())),
     )
     if result.quality.grade == "do not use":
         raise typer.Exit(DO_NOT_USE)

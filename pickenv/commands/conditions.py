@@ -35,7 +35,7 @@ def conditions(
     """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves."""
     from pickenv.arm import load_plant
     from pickenv.calibration import Calibration
-    from pickenv.commands.showing import print_table, progress_bars
+    from pickenv.commands.showing import print_table, progress_bars, with_options
     from pickenv.experiments.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
@@ -74,6 +74,6 @@ def conditions(
 
         for title, heads, rows in condition_tables(result):
             print_table(title, heads, rows, words=("method",), width=WIDE)
-        print(*conditions_in_words(result), sep="\n")
+        print(with_options("\n".join(conditions_in_words(result))))
 
     deliver([(json_file, lambda path: write_json(path, result)), (out, write_run)], show)

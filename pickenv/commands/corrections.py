@@ -11,6 +11,7 @@ import typer
 
 from pickenv.base import DO_NOT_USE, InputError, check_limit, obey, separate, write_json
 from pickenv.commands.handing_over import deliver
+from pickenv.commands.showing import with_options
 
 ARM = typer.Option(help="Arm name or file ({arm_format}).", show_default=False)
 UNIT = typer.Option(help="Serial number of the robot, which must be the calibration's.", show_default=False)
@@ -133,7 +134,7 @@ def plan_poses(
         (out, lambda path: planned.write_csv(path, chosen.nominal.prismatic)),
         (json_file, lambda path: write_json(path, planned.as_dict())),
     ]
-    deliver(saves, lambda: print(planned.report()))
+    deliver(saves, lambda: print(with_options(planned.report())))
 
 
 def apply(
@@ -176,7 +177,7 @@ def apply(
         loaded, chosen, read_targets(targets, chosen.nominal), frame=frame, conditions=conditions
     )
     written = commands.write_csv(out)
-    print(commands.report())
+    print(with_options(commands.report()))
     print(f"wrote {written}")
     if not commands.reached.all():
         raise typer.Exit(UNREACHED)
@@ -234,5 +235,5 @@ def export(
     )
     told = {"files": [str(path) for path in (done.path, *done.beside)], "notes": list(done.notes)}
     for line in (*done.notes, *(f"wrote {path}" for path in (done.path, *done.beside))):
-        print(line)
+        print(with_options(line))
     deliver([(json_file, lambda path: write_json(path, told))], lambda: None)

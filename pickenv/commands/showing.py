@@ -1,15 +1,22 @@
-"""What commands show: progress bars on standard error, so that standard output stays clean, tables, names in help."""
+"""What commands show: progress bars on standard error, so that standard output stays clean, tables, names in help.
+
+The library names its parameters, in backticks; commands print options in their place (`with_options`).
+"""
 
 from __future__ import annotations
 
+import ast
 import re
+import shlex
+import sys
+import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from typer.core import TyperArgument, TyperCommand, TyperOption
 
-from pickenv.base import screen_width, side_by_side
+from pickenv.base import InputError, screen_width, side_by_side
 from pickenv.base.registry import names
 
 WIDTH = 150
@@ -25,6 +32,70 @@ class CommandOfNames(TyperCommand):
             if isinstance(param, TyperOption | TyperArgument) and param.help:
                 param.help = re.sub(r"\{(\w+)\}", lambda match: ", ".join(names(match[1])), param.help)
         super().format_help(ctx, formatter)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run it; its errors and warnings, and what `with_options` is given meanwhile, name its options."""
+        before = dict(_options)
+        _options.clear()
+        _options.update({str(param.name): param for param in self.params if isinstance(param, TyperOption)})
+        try:
+            with warnings.catch_warnings():
+                warnings.showwarning = _print_warning
+                return super().invoke(ctx)
+        except InputError as error:
+            error.args = (with_options(str(error)),)
+            raise
+        finally:
+            _options.clear()
+            _options.update(before)
+
+
+_options: dict[str, TyperOption] = {}
+"""Options of the running command by the names of their parameters."""
+
+PARAMETERS = {
+    "algorithm": "algo",
+    "camera_noise_mm": "camera_noise",
+    "compensations": "compensation",
+    "env_id": "env",
+    "folder": "out",
+    "fruit_noise_mm": "fruit_noise",
+    "grippers": "gripper",
+    "labels": "label",
+    "plants": "plant",
+    "policies": "policy",
+}
+"""Parameters of the library that have another name in commands."""
+
+
+def with_options(text: str) -> str:
+    """A text of the library for a person at the command line: parameters in backticks become the command's options.
+
+    ``give `refit` with `test='b.csv'` `` reads "give --refit with --test b.csv"; a list repeats its option. What the
+    running command has no option for loses its backticks.
+    """
+    return re.sub(r"`([A-Za-z_]\w*)(?:=([^`]*))?`", _option, text)
+
+
+def _option(match: re.Match[str]) -> str:
+    name, value = match.groups()
+    option = _options.get(PARAMETERS.get(name, name), _options.get(name))
+    if option is None:
+        return match[0].strip("`")
+    if value is None:
+        return option.opts[0]
+    try:
+        content = ast.literal_eval(value)
+    except (SyntaxError, ValueError):  # a word that stands for a value: NAME
+        return f"{option.opts[0]} {value}"
+    if isinstance(content, bool):
+        return option.opts[0] if content else next(iter(option.secondary_opts), f"no {option.opts[0]}")
+    values = content if isinstance(content, list | tuple) else [content]
+    return " ".join(f"{option.opts[0]} {shlex.quote(str(each))}" for each in values)
+
+
+def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"warning: {with_options(str(message))}", file=sys.stderr)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import typer
 
 from pickenv.base import check_limit, locked, require, separate, write_json
 from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import print_table, progress_bars
+from pickenv.commands.showing import print_table, progress_bars, with_options
 
 if TYPE_CHECKING:
     from pickenv.experiments import StudyConfig
@@ -63,7 +63,7 @@ def study(
                 workers=workers,
                 device=device,
                 progress=partial(report_progress, "arms"),
-                warn=lambda text: print(f"warning: {text}", file=sys.stderr),
+                warn=lambda text: print(f"warning: {with_options(text)}", file=sys.stderr),
             )
         saves = [
             (out / "summary.json", lambda path: path),  # written by the study, as its last file

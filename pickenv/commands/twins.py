@@ -10,6 +10,7 @@ import typer
 from pickenv.base import DO_NOT_USE, npz_path, obey, separate, write_json
 from pickenv.commands.corrections import ALLOW, CALIBRATION, UNIT
 from pickenv.commands.handing_over import deliver
+from pickenv.commands.showing import with_options
 
 
 def twin(
@@ -67,5 +68,5 @@ def twin(
     ]
     deliver(
         [(path, lambda file: write_twin(plant, file)), (json_file, lambda file: write_json(file, told))],
-        lambda: print(*lines, sep="\n"),
+        lambda: print(with_options("\n".join(lines))),
     )

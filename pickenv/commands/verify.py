@@ -9,6 +9,7 @@ import typer
 
 from pickenv.base import separate, write_json
 from pickenv.commands.handing_over import deliver
+from pickenv.commands.showing import with_options
 
 NOT_GOOD = 3
 """Exit code where the calibration is not what it was."""
@@ -40,6 +41,6 @@ def verify(
     old = Calibration.load(calibration)
     data = read_observations(files, old.arm, columns).observations
     found = verified(old, data, *frames_and_rows(refit, refit_rows))
-    deliver([(json_file, lambda path: write_json(path, found.as_dict()))], lambda: print(found.text()))
+    deliver([(json_file, lambda path: write_json(path, found.as_dict()))], lambda: print(with_options(found.text())))
     if found.status != "still good":
         raise typer.Exit(NOT_GOOD)
