@@ -12,21 +12,12 @@ import typer
 
 import pickenv
 from pickenv.base import absent_extras, command_for, folded, locked, screen_width
-from pickenv.commands import corrections, inspection, learning, plants, reports
+from pickenv.commands import check, comparing, corrections, experiments, inspection, learning, plants
 from pickenv.commands.bench import bench
-from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
-from pickenv.commands.check import check
-from pickenv.commands.comparing import SeveralValues, compare, film
-from pickenv.commands.conditions import conditions
 from pickenv.commands.examples import examples, pages_address
-from pickenv.commands.experiments import experiment
 from pickenv.commands.guard import INTERRUPTED, guarded
-from pickenv.commands.schema import schema
 from pickenv.commands.showing import WIDTH, CommandOfNames, print_table, progress_bars
-from pickenv.commands.studies import study
-from pickenv.commands.twins import twin
-from pickenv.commands.verify import verify
 
 app = typer.Typer(
     name="pickenv",
@@ -135,35 +126,35 @@ def _print_gains(blocked: dict[str, Any]) -> None:
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Measure and correct a robot": (
         calibrate,
-        verify,
+        corrections.verify,
         corrections.plan_poses,
-        board,
+        corrections.board,
         corrections.apply,
         corrections.export,
-        check,
+        check.check,
         plants.arms,
-        schema,
+        check.schema,
     ),
     "Simulate, learn and judge": (
         demo,
-        twin,
+        corrections.twin,
         plants.effects,
         plants.iso9283,
-        conditions,
+        plants.conditions,
         learning.train,
         learning.evaluate,
         learning.datasets,
-        compare,
-        study,
-        experiment,
+        comparing.compare,
+        experiments.study,
+        experiments.experiment,
     ),
-    "Look at what came out": (inspection.inspect, film, reports.figures, reports.report),
+    "Look at what came out": (inspection.inspect, comparing.film, inspection.figures, inspection.report),
 }
 """Commands by what they are for, in the order in which `pickenv --help` shows them."""
 
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
-        cls = SeveralValues if _command is compare else CommandOfNames
+        cls = comparing.SeveralValues if _command is comparing.compare else CommandOfNames
         app.command(rich_help_panel=_purpose, epilog=examples(_command.__name__.replace("_", "-")), cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from pickenv.base import InputError
 from pickenv.cli import app as pickenv
-from pickenv.commands.showing import CommandOfNames, with_options
+from pickenv.commands.showing import CommandOfNames, command_of, with_options
 
 SENTENCES = {
     "give `refit` with it": "give --refit with it",
@@ -73,3 +73,21 @@ def test_every_command_speaks_so() -> None:
             yield from commands(command) if hasattr(command, "commands") else [command]
 
     assert all(isinstance(command, CommandOfNames) for command in commands(typer.main.get_command(pickenv)))
+
+
+def test_a_command_is_said_as_it_is_typed_less_what_it_writes() -> None:
+    def judge(
+        files: Annotated[list[str], typer.Argument()],
+        pool: Annotated[str | None, typer.Option("--from")] = None,
+        allow: Annotated[list[str] | None, typer.Option(help="Names.")] = None,
+        quick: Annotated[bool, typer.Option("--quick")] = False,
+        robust: Annotated[bool, typer.Option("--robust/--no-robust")] = True,
+        test_rows: Annotated[int | None, typer.Option()] = None,
+        out: Annotated[str, typer.Option()] = "out",
+    ) -> None: ...
+
+    values = {"files": ["a b.csv", "c.csv"], "pool": "p.csv", "allow": ["x", "y"], "quick": True, "robust": False}
+    line = command_of(judge, values | {"test_rows": None, "out": "there"})
+    assert line == "pickenv judge 'a b.csv' c.csv --from p.csv --allow x --allow y --quick --no-robust"
+    plain = values | {"pool": None, "allow": None, "quick": False, "robust": True}
+    assert command_of(judge, plain | {"test_rows": 5, "out": ""}) == "pickenv judge 'a b.csv' c.csv --test-rows 5"

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.base import InputError, write_container, write_text
 from pickenv.cli import app
-from pickenv.commands import plants, reports
-from pickenv.commands.handing_over import deliver
+from pickenv.commands import inspection, plants
+from pickenv.commands.showing import deliver
 from pickenv.inspect import read_run
 from pickenv.inspect.runs.run_folder import recorded_run
 
@@ -61,13 +61,13 @@ def test_no_command_writes_over_what_it_reads_or_into_one_file_twice(command, he
 
 
 def test_a_figure_that_is_a_link_to_the_numbers_is_not_drawn(tmp_path, monkeypatch):
-    monkeypatch.setattr("pickenv.inspect.reports.run_pages.drawings_of", lambda run: [reports_drawing("accuracy")])
+    monkeypatch.setattr("pickenv.inspect.drawings_of", lambda run: [reports_drawing("accuracy")])
     with recorded_run(tmp_path, "iso9283", "pickenv iso9283", 0):
         numbers = write_text(tmp_path / "iso9283.json", "kept")
     (tmp_path / "figures").mkdir()
     (tmp_path / "figures" / "accuracy.svg").symlink_to(numbers)
     with pytest.raises(InputError, match=r"--out would write over .*accuracy\.svg, which RUN reads"):
-        reports.figures(tmp_path, formats="svg")
+        inspection.figures(tmp_path, formats="svg")
     assert numbers.read_text() == "kept"
 
 

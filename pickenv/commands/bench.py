@@ -7,9 +7,8 @@ from typing import Annotated, Literal
 
 import typer
 
-from pickenv.base import locked, separate, write_json, write_text
-from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import CommandOfNames, print_table, progress_bars
+from pickenv.base import locked, separate
+from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
 
 bench = typer.Typer(
     name="bench", help="Benchmarks: calibrations on measured robots, policies on simulated ones.", no_args_is_help=True
@@ -61,26 +60,22 @@ def calibration(
     names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
 
     def show() -> None:
-        if made.gains:
+        if result.gains:
             words = GAIN_HEADS[:3]
-            print_table("Gains predicted and measured", GAIN_HEADS, gain_cells(made), words=words)
-            print(agreement_words(made))
-        if len(made.models):
-            print(spread_table(made.models))
-        for name, held_out, poses, _ in peer_cells(made):
+            print_table("Gains predicted and measured", GAIN_HEADS, gain_cells(result), words=words)
+            print(agreement_words(result))
+        if len(result.models):
+            print(spread_table(result.models))
+        for name, held_out, poses, _ in peer_cells(result):
             print(f"{name}: {held_out} mm RMS on 200 rows of the UR5, {poses} mm on its 20 random poses")
-        for name, reason in made.skipped.items():
+        for name, reason in result.skipped.items():
             print(f"not made: {name}: {reason}")
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
-            made = run_bench(names, settings, data, out, peers, workers=workers, progress=report)
-        saves = [
-            (page, lambda path: write_text(path, bench_page(made))),
-            (blocked, lambda path: write_json(path, blocked_json(made, date.today().isoformat()))),
-            (json_file, lambda path: write_json(path, bench_json(made))),
-        ]
-        deliver(saves, show)
+            result = run_bench(names, settings, data, out, peers, workers=workers, progress=report)
+        measured_gains = blocked_json(result, date.today().isoformat())
+        deliver([(page, bench_page(result)), (blocked, measured_gains), (json_file, bench_json(result))], show)
 
 
 @bench.command(cls=CommandOfNames)
@@ -139,16 +134,12 @@ def policies(
     )
 
     def show() -> None:
-        for task, each in groupby(rows, lambda row: row["task"]):
-            some = list(each)
-            print_table(task, leaderboard_heads(some[0]), [leaderboard_cells(row) for row in some], words=WORDS)
+        for task, group in groupby(rows, lambda row: row["task"]):
+            table = list(group)
+            print_table(task, leaderboard_heads(table[0]), map(leaderboard_cells, table), words=WORDS)
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
             backend = "loky" if executor == "joblib" else executor
             rows = run_leaderboard(settings, out, backend=backend, workers=workers, progress=report)
-        saves = [
-            (page, lambda path: write_text(path, leaderboard_tables(rows))),
-            (json_file, lambda path: write_json(path, {"rows": rows})),
-        ]
-        deliver(saves, show)
+        deliver([(page, leaderboard_tables(rows)), (json_file, {"rows": rows})], show)

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pickenv.base import command_line, npz_path, require, separate, write_json
-from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import progress_bars, with_options
+from pickenv.base import npz_path, require, separate, write_json
+from pickenv.commands.showing import command_of, deliver, fields_among, progress_bars
 
 if TYPE_CHECKING:
     from pickenv.calibration import Result
@@ -138,6 +137,7 @@ def calibrate(
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
+    typed = dict(locals())
     from pickenv.calibration import Choices, calibrate as calibrated
     from pickenv.calibration.camera.boards import write_lens
     from pickenv.calibration.pipeline.fitting import lens_of
@@ -156,23 +156,9 @@ def calibrate(
     )
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
-    moved, count = frames_and_rows(refit, refit_rows)
-    choices = Choices(
-        fit=fit,
-        tolerances=tolerances,
-        prior_scale=prior_scale,
-        workspace=workspace,
-        terms=terms,
-        residual=residual,
-        force=force,
-        robust=robust,
-        seed=seed,
-        frames=frames,
-        lens=lens,
-        refit=moved,
-        refit_rows=count,
-    )
-    with progress_bars() if sys.stderr.isatty() else nullcontext() as told:
+    frames_moved, count = frames_and_rows(refit, refit_rows)
+    choices = Choices(**fields_among(Choices, typed) | {"refit": frames_moved, "refit_rows": count})
+    with progress_bars() if sys.stderr.isatty() else nullcontext() as progress:
         result = calibrated(
             arm,
             files,
@@ -183,41 +169,19 @@ def calibrate(
             test_rows=test_rows,
             choices=choices,
             unit=unit,
-            progress=told,
+            progress=progress,
         )
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
-    options: dict[str, Any] = {
-        "columns": columns,
-        "stations": stations,
-        "frames": frames,
-        "test_rows": test_rows,
-        "split": split,
-        "seed": seed,
-    }
-    options |= {
-        "fit": fit,
-        "tolerances": tolerances,
-        "prior_scale": prior_scale,
-        "workspace": workspace,
-        "terms": terms,
-        "residual": residual,
-        "force": force,
-        "no_robust": not robust,
-        "lens": lens,
-        "unit": unit,
-        "refit": refit,
-        "refit_rows": refit_rows,
-    }
-    command = command_line("pickenv", "calibrate", *files, arm=arm, test=test, **options)
+    command = command_of(calibrate, typed)
     deliver(
         [
             (out, result.calibration.save),
             (lens_out, lambda path: write_lens(lens_of(result.geometric, result.train), path)),
             (report, lambda path: result.write_page(path, seeds)),
             (run, lambda folder: write_run(folder, command, seed, result, seeds)),
-            (json_file, lambda path: write_json(path, result.as_dict())),
+            (json_file, result.as_dict()),
         ],
-        lambda: print(with_options(result.report())),
+        result.report(),
     )
     if result.quality.grade == "do not use":
         raise typer.Exit(DO_NOT_USE)

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pickenv.base import separate, write_json
-from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import CommandOfNames, print_table, progress_bars
+from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
 
 if TYPE_CHECKING:
     from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes

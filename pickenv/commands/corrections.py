@@ -1,25 +1,45 @@
-"""Commands around a calibration: plan-poses before it, its report page, apply and export after it."""
+"""Commands around a calibration: a board and poses before it; verify, apply, export and twin after it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
 
-from pickenv.base import DO_NOT_USE, InputError, check_limit, obey, separate, write_json
-from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import with_options
+from pickenv.base import DO_NOT_USE, InputError, check_limit, npz_path, obey, separate
+from pickenv.commands.showing import deliver
 
 ARM = typer.Option(help="Arm name or file ({arm_format}).", show_default=False)
 UNIT = typer.Option(help="Serial number of the robot, which must be the calibration's.", show_default=False)
 ALLOW = typer.Option(help="Use the calibration in spite of this reservation: do-not-use.", show_default=False)
-UNREACHED = 3
-"""Exit code where targets cannot be reached."""
+NOT_GOOD = 3
+"""Exit code where targets cannot be reached, and where an old calibration is not what it was."""
 
 CALIBRATION = typer.Argument(help="Calibration file (.npz).", show_default=False)
+
+
+def board(
+    file: Annotated[
+        str,
+        typer.Argument(
+            help="Board file (.toml, or a description with [board]), or charuco_a4, chessboard_a4, apriltags_a4.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="Write the page to this file (.pdf, .svg).")] = Path("board.pdf"),
+) -> None:
+    """Print a calibration board to true scale, with a rule to check the printer by."""
+    from pickenv.calibration.camera.boards import load_board, write_board
+
+    separate({"FILE": file}, {"--out": out})
+    page = load_board(file)
+    width, height = page.size
+    text = f"{page.title}: {1e3 * width:g} x {1e3 * height:g} mm. Print at 100 %, glue it onto something flat, and "
+    deliver([(out, lambda path: write_board(page, path))], f"{text}measure the rule below it")
 
 
 def plan_poses(
@@ -82,28 +102,28 @@ def plan_poses(
     from pickenv.calibration.reading.read import joints_of
 
     separate({"--at": at, "--arm": arm, "--from": pool, "--like": like}, {"--out": out, "--json": json_file})
-    chosen = load_arm(arm)
+    robot = load_arm(arm)
     if columns is not None and pool is None and like is None:
         raise InputError("--columns describes the file of --like or --from; give that too")
     if noise_mm is not None:
         check_limit("--noise-mm", noise_mm, "scatter_mm")
-    test_joints = None if at is None else joints_of(read_targets(at, chosen.nominal), chosen.nominal)
+    test_joints = None if at is None else joints_of(read_targets(at, robot.nominal), robot.nominal)
     rng = np.random.default_rng(seed)
     prior = prior_model(
-        chosen.name,
-        chosen.nominal,
+        robot.name,
+        robot.nominal,
         known=frames == "known",
         fit=fit,
-        tolerances=tolerances or chosen.tolerance_class,
+        tolerances=tolerances or robot.tolerance_class,
         scale=prior_scale,
     )
     if like is not None:
         if kind is not None or noise_mm is not None or frames == "known":
             raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
-        first, _ = given_rows(given_arm(chosen, columns), like, columns)
-        joints, lines = (candidates, None) if pool is None else pool_of(pool, chosen.nominal)
+        first, _ = given_rows(given_arm(robot, columns), like, columns)
+        joints, lines = (candidates, None) if pool is None else pool_of(pool, robot.nominal)
         planned = plan_like(
-            chosen,
+            robot,
             first,
             n,
             rng,
@@ -115,9 +135,9 @@ def plan_poses(
             prior=prior if prior.proper else None,
         )
     else:
-        joints, lines = (candidates, None) if pool is None else pool_of(pool, chosen.nominal, columns)
+        joints, lines = (candidates, None) if pool is None else pool_of(pool, robot.nominal, columns)
         planned = plan(
-            chosen,
+            robot,
             prior if prior.proper else prior.parameters,
             n,
             rng,
@@ -130,11 +150,39 @@ def plan_poses(
         )
         if lines is not None:
             planned = replace(planned, lines=lines[planned.chosen])
-    saves = [
-        (out, lambda path: planned.write_csv(path, chosen.nominal.prismatic)),
-        (json_file, lambda path: write_json(path, planned.as_dict())),
-    ]
-    deliver(saves, lambda: print(with_options(planned.report())))
+    table = partial(planned.write_csv, prismatic=robot.nominal.prismatic)
+    deliver([(out, table), (json_file, planned.as_dict())], planned.report())
+
+
+def verify(
+    calibration: Annotated[Path, typer.Argument(help="Calibration file (.npz).", show_default=False)],
+    files: Annotated[list[Path], typer.Argument(help="New poses or positions of the same robot.", show_default=False)],
+    columns: Annotated[str | None, typer.Option(help="Column description, by name or path; ours if left out.")] = None,
+    refit: Annotated[
+        str | None,
+        typer.Option(help="Find base, tool or base,tool anew first: the instrument or its target was moved."),
+    ] = None,
+    refit_rows: Annotated[
+        int | None, typer.Option(help="Rows to find them from; the others judge. 6 if left out.", min=3)
+    ] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+) -> None:
+    """Judge an old calibration on new rows: does it beat the nominal arm, is it as good as promised, was this measured?
+
+    Still good, worse than nominal, drifted, outside what was measured, another station or another arm.
+
+    The verdict comes first; unless it is "still good" the exit code is 3.
+    """
+    from pickenv.calibration import Calibration, read_observations
+    from pickenv.calibration.pipeline.verification import frames_and_rows, verify as verified
+
+    separate({"CALIBRATION": calibration, "FILES": files, "--columns": columns}, {"--json": json_file})
+    old = Calibration.load(calibration)
+    data = read_observations(files, old.arm, columns).observations
+    verdict = verified(old, data, *frames_and_rows(refit, refit_rows))
+    deliver([(json_file, verdict.as_dict())], verdict.text())
+    if verdict.status != "still good":
+        raise typer.Exit(NOT_GOOD)
 
 
 def apply(
@@ -162,25 +210,23 @@ def apply(
     from pickenv.calibration.model.arm_model import Conditions
 
     separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
-    given = {"--payload-kg": (payload_kg, "payload_kg"), "--temperature-k": (temperature_k, "temperature_K")}
-    for option, (value, quantity) in given.items():
+    limits = {"--payload-kg": (payload_kg, "payload_kg"), "--temperature-k": (temperature_k, "temperature_K")}
+    for option, (value, quantity) in limits.items():
         if value is not None:
             check_limit(option, value, quantity)
-    chosen = load_arm(arm)
-    loaded = Calibration.load(calibration, chosen, unit)
+    robot = load_arm(arm)
+    loaded = Calibration.load(calibration, robot, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
     conditions = Conditions(
         payload=None if payload_kg is None else np.array(payload_kg),
         temperature=None if temperature_k is None else np.array(temperature_k),
     )
     commands = apply_calibration(
-        loaded, chosen, read_targets(targets, chosen.nominal), frame=frame, conditions=conditions
+        loaded, robot, read_targets(targets, robot.nominal), frame=frame, conditions=conditions
     )
-    written = commands.write_csv(out)
-    print(with_options(commands.report()))
-    print(f"wrote {written}")
+    deliver([(out, commands.write_csv)], commands.report())
     if not commands.reached.all():
-        raise typer.Exit(UNREACHED)
+        raise typer.Exit(NOT_GOOD)
 
 
 def export(
@@ -227,13 +273,64 @@ def export(
         mjcf_files(out, sample) if onto is None and (kind == "mjcf" or (out.suffix == ".xml" and kind is None)) else out
     )
     separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": files, "--json": json_file})
-    chosen = None if arm is None else load_arm(arm)
-    loaded = Calibration.load(calibration, chosen, unit)
+    robot = None if arm is None else load_arm(arm)
+    loaded = Calibration.load(calibration, robot, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
     done = exported(
-        loaded, out, kind=kind, onto=onto, arm=chosen, counts_per_turn=counts_per_turn, sample=sample, seed=seed
+        loaded, out, kind=kind, onto=onto, arm=robot, counts_per_turn=counts_per_turn, sample=sample, seed=seed
     )
-    told = {"files": [str(path) for path in (done.path, *done.beside)], "notes": list(done.notes)}
-    for line in (*done.notes, *(f"wrote {path}" for path in (done.path, *done.beside))):
-        print(with_options(line))
-    deliver([(json_file, lambda path: write_json(path, told))], lambda: None)
+    written = [str(path) for path in (done.path, *done.beside)]
+    lines = [*done.notes, *(f"wrote {path}" for path in written)]
+    deliver([(json_file, {"files": written, "notes": list(done.notes)})], "\n".join(lines))
+
+
+def twin(
+    calibration: Annotated[Path, CALIBRATION],
+    out: Annotated[Path, typer.Option(help="Write the plant (.npz).")] = Path("my_arm.npz"),
+    arm: Annotated[
+        str | None, typer.Option(help="Arm name or arm file; by its name in the calibration if left out.")
+    ] = None,
+    rows: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Poses or positions that it was fitted to, where it has no Gaussian process.", show_default=False
+        ),
+    ] = None,
+    columns: Annotated[str | None, typer.Option(help="Column description of --rows; ours if left out.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the residual's waves.", min=0)] = 0,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write what was said of the plant to this file.", show_default=False)
+    ] = None,
+    unit: Annotated[str | None, UNIT] = None,
+    allow: Annotated[list[str] | None, ALLOW] = None,
+) -> None:
+    """Make a plant whose truth is what a calibration found, and whose arms are drawn from what its data allow.
+
+    Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another arm of them.
+    """
+    from pickenv.arm import load_arm, write_twin
+    from pickenv.calibration import Calibration, Measurements, read_observations, twin as as_plant
+
+    if columns is not None and rows is None:
+        raise InputError("--columns describes the files of --rows; give those too")
+    path = npz_path(out)
+    separate({"CALIBRATION": calibration, "--arm": arm, "--rows": rows or []}, {"--out": path, "--json": json_file})
+    loaded = Calibration.load(calibration, None, unit)
+    robot = load_arm(arm or loaded.arm_name)
+    obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
+    data = None if not rows else read_observations(rows, robot.nominal, columns).observations
+    if data is not None and not isinstance(data, Measurements):
+        raise InputError(f"--rows holds {data.kind}, not poses or positions; leave it out")
+    plant = as_plant(loaded, robot, data, name=path.stem, seed=seed)
+    assert plant.posterior is not None
+    posterior = plant.posterior
+    content: dict[str, Any] = {
+        "name": plant.name,
+        "arm": robot.name,
+        "parameters": posterior.factor.shape[1],
+        "not_identified": len(posterior.unseen),
+        "notes": list(posterior.notes),
+    }
+    head = f"{plant.name}: {content['parameters']} parameters of arm '{robot.name}' as found, "
+    lines = [f"{head}{content['not_identified']} that were not identified", *(f"  {note}" for note in posterior.notes)]
+    deliver([(path, lambda file: write_twin(plant, file)), (json_file, content)], "\n".join(lines))

@@ -1,16 +1,23 @@
-"""Looking at runs: `pickenv inspect`."""
+"""Looking at finished runs: `pickenv inspect`, `pickenv figures` and `pickenv report`."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pickenv.base import InputError
+from pickenv.base import InputError, separate, write_text
 
 if TYPE_CHECKING:
     from pickenv.inspect import Run
+
+
+MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
+"""Suffixes of pages and pictures, which may be made again."""
+
+RUN = typer.Argument(help="Run folder.", show_default=False)
 
 
 def inspect(
@@ -56,12 +63,12 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
 
     if run.is_file() or run.suffix == ".rrd":
         return [run]
-    there = sorted(run.glob("*.rrd"))
-    if there and policy is None:
-        return there
-    found = read_run(run)
-    with added_to(found):
-        return [_record(found, policy)]
+    recordings = sorted(run.glob("*.rrd"))
+    if recordings and policy is None:
+        return recordings
+    record = read_run(run)
+    with added_to(record):
+        return [_record(record, policy)]
 
 
 def _record(run: Run, policy: str | None) -> Path:
@@ -107,3 +114,54 @@ def _record_evaluation(run: Run, policy: str | None) -> Path:
         run.folder / f"{policy_key(name)}.rrd",
         seed=int(rows["seed"][0]),
     )
+
+
+def figures(
+    run: Annotated[Path, RUN],
+    out: Annotated[Path | None, typer.Option(help="Folder for the figures; RUN/figures if left out.")] = None,
+    formats: Annotated[str, typer.Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
+) -> None:
+    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out or looks wrong."""
+    from pickenv.inspect import drawings_of, read_run, write_drawings
+    from pickenv.inspect.figures.figure_lint import linting
+    from pickenv.inspect.figures.run_drawings import NotDrawn
+    from pickenv.inspect.runs.run_folder import added_to
+
+    record, folder = read_run(run), out or run / "figures"
+    drawings, suffixes = drawings_of(record), formats.split(",")
+    separate(
+        {"RUN": _numbers(run)}, {"--out": [folder / f"{d.name}.{suffix}" for d in drawings for suffix in suffixes]}
+    )
+    with added_to(record), linting() as faults:
+        written = write_drawings(drawings, folder, suffixes)
+    for fault in faults:
+        print(f"warning: {fault}", file=sys.stderr)
+    for path in written:
+        print(f"wrote {path}")
+    for drawing in drawings:
+        if isinstance(drawing, NotDrawn):
+            print(f"left out {drawing.name}: {drawing.reason}")
+
+
+def report(
+    run: Annotated[Path, RUN],
+    out: Annotated[Path | None, typer.Option(help="File to write (.html); RUN/report.html if left out.")] = None,
+    picture: Annotated[
+        bool, typer.Option("--picture/--no-picture", help="Show the recording as its viewer draws it.")
+    ] = True,
+) -> None:
+    """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
+    from pickenv.inspect import page_of, read_run
+    from pickenv.inspect.recordings.open_recording import viewer_picture
+    from pickenv.inspect.runs.run_folder import added_to
+
+    record = read_run(run)
+    path = out or run / "report.html"
+    separate({"RUN": _numbers(run)}, {"--out": path})
+    with added_to(record):
+        print(f"wrote {write_text(path, page_of(record, viewer_picture if picture else None))}")
+
+
+def _numbers(run: Path) -> list[Path]:
+    """Files of a run that figures and pages are made of, and that none of them may replace."""
+    return [path for path in run.rglob("*") if path.is_file() and path.suffix not in MADE_FROM_NUMBERS]

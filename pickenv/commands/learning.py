@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from pickenv.base import InputError, separate, write_json
-from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import print_table, progress_bars
+from pickenv.base import InputError, separate
+from pickenv.commands.showing import deliver, print_table, progress_bars
 
 if TYPE_CHECKING:
     from pickenv.agents import Training
@@ -215,7 +214,7 @@ def evaluate(
     content = tables.evaluation_content(settings, rows)
     deliver(
         [
-            (json_file, lambda path: write_json(path, content)),
+            (json_file, content),
             (table, lambda path: write_rows(path, tables.flat_rows(content["rows"]))),
             (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
             (figures, lambda folder: write_drawings(tables.evaluation_drawings(rows), folder)),
@@ -259,7 +258,7 @@ def datasets(
     separate({}, {"--json": json_file})
     with progress_bars() as report:
         cards = record(out, task or ("reach",), quality or QUALITIES, episodes=episodes, seed=seed, progress=report)
-    deliver([(json_file, lambda path: write_json(path, cards))], lambda: _print_cards(cards, out))
+    deliver([(json_file, cards)], lambda: _print_cards(cards, out))
 
 
 def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:

@@ -1,14 +1,14 @@
-"""Commands about arms and the simulated true arm: `pickenv arms`, `pickenv effects` and `pickenv iso9283`."""
+"""Commands about arms and the simulated true arm: `pickenv arms`, `effects`, `iso9283` and `conditions`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from pickenv.base import check_limit, command_line, obey, separate, write_json
-from pickenv.commands.handing_over import deliver
+from pickenv.base import check_limit, obey, separate, write_json
+from pickenv.commands.showing import command_of, deliver, print_table, progress_bars, with_options
 
 JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
 
@@ -17,18 +17,17 @@ def arms(json_file: JsonFile = None) -> None:
     """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from."""
     from pickenv.arm import load_arm, shipped_arms
     from pickenv.arm.kinematics.workspace import farthest
-    from pickenv.commands.showing import print_table
 
     separate({}, {"--json": json_file})
-    found = []
+    table: list[dict[str, Any]] = []
     for name in shipped_arms():
         arm = load_arm(name)
         kinds = "".join("P" if slides else "R" for slides in arm.nominal.prismatic)
         reach = round(1e3 * farthest(arm.nominal), 1)
-        found.append({"name": name, "joints": kinds, "reach_mm": reach, "source": arm.source})
-    rows = [[str(cell) for cell in row.values()] for row in found]
+        table.append({"name": name, "joints": kinds, "reach_mm": reach, "source": arm.source})
+    rows = [[str(cell) for cell in row.values()] for row in table]
     deliver(
-        [(json_file, lambda path: write_json(path, {"arms": found}))],
+        [(json_file, {"arms": table})],
         lambda: print_table(
             "arms that come with pickenv",
             ("name", "joints", "reach (mm)", "source"),
@@ -57,10 +56,10 @@ def effects(
     check_limit("--dwell", dwell, "dwell_s")
     check_limit("--hours", hours, "hours")
     separate({"--plant": plant}, {"--json": json_file})
-    chosen = load_plant(plant)
-    joints = draw_reaches(chosen, reaches, np.random.default_rng(seed))
-    shares = effect_shares(chosen, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
-    deliver([(json_file, lambda path: write_json(path, shares.as_dict()))], lambda: print(shares.report()))
+    machine = load_plant(plant)
+    joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
+    shares = effect_shares(machine, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
+    deliver([(json_file, shares.as_dict())], shares.report())
 
 
 def iso9283(
@@ -77,6 +76,7 @@ def iso9283(
     out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
     """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated."""
+    typed = dict(locals())
     import numpy as np
 
     from pickenv.arm import load_plant
@@ -91,25 +91,85 @@ def iso9283(
         {"--plant": plant, "--calibration": [] if calibration is None else [calibration, f"{calibration}.npz"]},
         {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},
     )
-    chosen = load_plant(plant)
-    fitted = Calibration.load(calibration, chosen.arm) if calibration is not None else None
+    machine = load_plant(plant)
+    fitted = Calibration.load(calibration, machine.arm) if calibration is not None else None
     if fitted is not None:
         obey(fitted.reservations(), allow or ())
     result = test(
-        chosen,
+        machine,
         fitted.compensator() if fitted is not None else None,
         rng=np.random.default_rng(seed),
         settings=Iso9283Settings(cycles=cycles, pace=Pace(speed=speed, dwell=dwell)),
         reference=fitted.nominal if fitted is not None else None,
     )
-    settings = {"cycles": cycles, "speed": speed, "dwell": dwell, "seed": seed}
-    command = command_line("pickenv", "iso9283", plant=plant, calibration=calibration, **settings)
 
     def write_run(folder: Path) -> Path:
-        with recorded_run(folder, "iso9283", command, seed):
+        with recorded_run(folder, "iso9283", command_of(iso9283, typed), seed):
             return write_json(folder / ISO9283, result.as_dict())
 
-    deliver(
-        [(json_file, lambda path: write_json(path, result.as_dict())), (out, write_run)],
-        lambda: print(result.report()),
-    )
+    deliver([(json_file, result.as_dict()), (out, write_run)], result.report())
+
+
+WIDE = 170
+"""Characters of a table of five levels with their intervals."""
+
+
+def conditions(
+    subject: Annotated[str, typer.Argument(help="Plant preset or plant file (.toml), or fitted calibration (.npz).")],
+    plant: Annotated[str, typer.Option(help="The simulated arm that a calibration is judged on.")] = "orchard",
+    payload: Annotated[float, typer.Option(help="Largest payload, kg.", min=0.0)] = 0.5,
+    weather: Annotated[float, typer.Option(help="How much cooler or warmer a day may be, K.", min=0.0)] = 10.0,
+    hours: Annotated[float, typer.Option(help="Length of a working day, h.", min=0.0)] = 8.0,
+    arms: Annotated[int, typer.Option(help="Drawn arms; fewer than 10 have no intervals.", min=1)] = 10,
+    tolerances: Annotated[str, typer.Option(help="Tolerance class that arms are drawn from.")] = "medium",
+    sessions: Annotated[int, typer.Option(help="Training sessions, each under other conditions.", min=2)] = 12,
+    poses: Annotated[int, typer.Option(help="Poses of a session.", min=5)] = 25,
+    residual: Annotated[str, typer.Option(help="What learns the rest: {residual}.")] = "rbf",
+    allow: Annotated[
+        list[str] | None, typer.Option(help="Judge the calibration in spite of this: fitted-frames, do-not-use.")
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder with figure and page.")] = None,
+) -> None:
+    """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves."""
+    typed = dict(locals())
+    from pickenv.arm import load_plant
+    from pickenv.calibration import Calibration
+    from pickenv.experiments.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
+    from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
+
+    numbers = {"--payload": (payload, "payload_kg"), "--hours": (hours, "hours"), "--arms": (arms, "arms")}
+    numbers |= {"--weather": (weather, "weather_K"), "--poses": (poses, "poses"), "--sessions": (sessions, "poses")}
+    for option, (value, quantity) in (numbers | {"--seed": (seed, "seed")}).items():
+        check_limit(option, value, quantity)
+    is_calibration = subject.endswith(".npz")
+    folder = [] if out is None else [out / RECORD, out / CONDITIONS]
+    separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
+    machine = load_plant(plant if is_calibration else subject)
+    fitted = Calibration.load(subject, machine.arm) if is_calibration else None
+    if fitted is not None:
+        obey(fitted.reservations(), allow or ())
+    ranges = ConditionRanges(payload, weather, hours)
+    settings = ConditionsSettings(ranges, arms, tolerances, sessions, poses, residual, seed)
+    with progress_bars() as report:
+        result = conditions_study(machine, settings, fitted, report)
+
+    def write_run(folder: Path) -> list[Path]:
+        from pickenv.base import write_text
+        from pickenv.inspect import write_drawings
+        from pickenv.inspect.reports.conditions_report import drawings, page
+
+        with recorded_run(folder, "conditions", command_of(conditions, typed), seed) as run:
+            written = [write_json(folder / CONDITIONS, result)]
+            written += write_drawings(drawings(run), folder / "figures")
+            return [*written, write_text(folder / REPORT, page(run))]
+
+    def show() -> None:
+        from pickenv.inspect.reports.conditions_report import condition_tables, conditions_in_words
+
+        for title, heads, rows in condition_tables(result):
+            print_table(title, heads, rows, words=("method",), width=WIDE)
+        print(with_options("\n".join(conditions_in_words(result))))
+
+    deliver([(json_file, result), (out, write_run)], show)

@@ -1,6 +1,7 @@
-"""What commands show: progress bars on standard error, so that standard output stays clean, tables, names in help.
+"""The words of commands: progress bars on standard error, so that standard output stays clean, tables, names in help.
 
-The library names its parameters, in backticks; commands print options in their place (`with_options`).
+The library names its parameters, in backticks; commands print options in their place (`with_options`). Results are
+saved first, then printed, so that a screen that fails costs nothing (`deliver`).
 """
 
 from __future__ import annotations
@@ -10,13 +11,16 @@ import re
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeAlias, get_type_hints
 
 from typer.core import TyperArgument, TyperCommand, TyperOption
+from typer.models import ArgumentInfo
 
-from pickenv.base import InputError, screen_width, side_by_side
+from pickenv.base import InputError, command_line, screen_width, side_by_side, write_json, write_text
 from pickenv.base.registry import names
 
 WIDTH = 150
@@ -96,6 +100,62 @@ def _option(match: re.Match[str]) -> str:
 
 def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {with_options(str(message))}", file=sys.stderr)
+
+
+WRITTEN = ("json_file", "lens_out", "out", "report", "run")
+"""Parameters of commands that name what is written."""
+
+
+def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
+    """The command with the values of its parameters as a shell reads it, less what it writes.
+
+    Args:
+        command: The function of the command; its annotations name its options.
+        values: Values by parameter.
+    """
+    words, options = ["pickenv", command.__name__.replace("_", "-")], dict[str, Any]()
+    for name, hint in get_type_hints(command, include_extras=True).items():
+        if name in WRITTEN or name == "return":
+            continue
+        declared, value = hint.__metadata__[0], values[name]
+        if isinstance(declared, ArgumentInfo):
+            words += value if isinstance(value, list) else [value]
+            continue
+        option, _, opposite = (declared.default if isinstance(declared.default, str) else name).partition("/")
+        options |= {opposite.strip("-"): not value} if opposite else {option.strip("-"): value}
+    return command_line(*words, **options)
+
+
+def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values whose names are those of fields of a dataclass."""
+    return {one.name: values[one.name] for one in fields(kind) if one.name in values}
+
+
+Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]] | str | Mapping[str, Any] | list[Any]]
+"""A file or folder, None where it was not asked for; and its text, its content for JSON, or what writes it."""
+
+
+def deliver(saves: Iterable[Save], show: Callable[[], object] | str) -> None:
+    """Save results, then print them; where saving fails they are printed all the same, before the error is raised.
+
+    Args:
+        saves: The files to write, each with its content, or with what writes it and returns the paths written.
+        show: A text to print (`with_options`), or what prints the results; "wrote …" follows for every file.
+    """
+    written: list[Path] = []
+    try:
+        for path, content in saves:
+            if path is None:
+                continue
+            if callable(content):
+                paths = content(path)
+            else:
+                paths = write_text(path, content) if isinstance(content, str) else write_json(path, content)
+            written += [paths] if isinstance(paths, Path) else paths
+    finally:
+        print(with_options(show)) if isinstance(show, str) else show()
+        for path in written:
+            print(f"wrote {path}")
 
 
 @contextmanager

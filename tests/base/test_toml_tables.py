@@ -17,7 +17,7 @@ from pickenv.base.toml_faults import line_of
 from pickenv.calibration.camera import boards
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.cli import app
-from pickenv.commands.schema import kinds
+from pickenv.commands.check import kinds
 from pickenv.harvester import machine, trees, zones
 from pickenv.orchard import preset_files
 
