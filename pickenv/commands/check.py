@@ -12,15 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pickenv.base import (
-    InputError,
-    check_sealed_parquet,
-    json_schema,
-    read_container,
-    refusing_damage,
-    separate,
-    write_json,
-)
+from pickenv.base import InputError, check_sealed_parquet, read_container, refusing_damage, separate, write_json
 
 REFUSED = 3
 """Exit code where something is damaged or foreign."""
@@ -278,10 +270,10 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
 
 def schema(kind: Annotated[str, typer.Argument(help="arm, plant, description, study, …")]) -> None:
     """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones."""
-    known = kinds()
-    if kind not in known:
-        raise InputError(f"there is no kind of file '{kind}'; give one of {', '.join(known)}")
-    print(json.dumps(json_schema(known[kind]), indent=2))
+    classes = kinds()
+    if kind not in classes:
+        raise InputError(f"there is no kind of file '{kind}'; give one of {', '.join(classes)}")
+    print(json.dumps(json_schema(classes[kind]), indent=2))
 
 
 def kinds() -> dict[str, Any]:

@@ -50,7 +50,7 @@ from pickenv.base import (
     write_text,
     write_whole,
 )
-from pickenv.base.locks import FILE
+from pickenv.base.files import LOCK
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -456,7 +456,7 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     except InputError as error:
         return [(record, str(error))]
     found: list[tuple[Path, str | None]] = [(record, None)]
-    there = {path.name for path in folder.iterdir()} - {RECORD, FILE}
+    there = {path.name for path in folder.iterdir()} - {RECORD, LOCK}
     for name in sorted({*pieces, *there}):
         path, reason = folder / name, None
         if name not in pieces:

@@ -26,8 +26,7 @@ from pickenv.base import (
     sealed_parquet,
     write_container,
 )
-from pickenv.base.container import HEADER, Container
-from pickenv.base.sealed import seal
+from pickenv.base.container import HEADER, Container, seal
 
 ARRAYS = {
     "poses/position": np.random.default_rng(0).normal(size=(40, 3)),
