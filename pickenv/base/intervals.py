@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -209,6 +210,7 @@ def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | No
     return low, high
 
 
+@cache
 def quantile_levels(count: int, probability: float) -> tuple[float | None, float | None]:
     """At which levels of a sample (Hazen's positions, 0..1) the ends of `quantile_interval` stand; None for open ends.
 

@@ -270,6 +270,8 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
 
 def schema(kind: Annotated[str, typer.Argument(help="arm, plant, description, study, …")]) -> None:
     """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones."""
+    from pickenv.base import json_schema  # late: it loads pydantic
+
     classes = kinds()
     if kind not in classes:
         raise InputError(f"there is no kind of file '{kind}'; give one of {', '.join(classes)}")

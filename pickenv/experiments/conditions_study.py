@@ -289,7 +289,7 @@ def conditions_study(
     """
     if plant.load is None and settings.ranges.payload > 0.0:
         raise InputError(
-            f"plant '{plant.name}' has no link masses, so a payload changes nothing; give --payload 0, or a plant with "
+            f"plant '{plant.name}' has no link masses, so a payload changes nothing; give `payload=0`, or a plant with "
             "a [load]"
         )
     require_residual(settings.residual)

@@ -39,6 +39,7 @@ from pickenv.base import (
     InputError,
     check_sealed_parquet,
     code_fingerprint,
+    command_line,
     estimate as estimate,
     locked,
     parquet_is_sealed,
@@ -264,12 +265,9 @@ def run(
     if folder is not None:
         keep(experiment, folder, backend=backend, workers=workers, progress=progress, warn=warn, refused=refused)
         return kept_rows(folder)
-    pieces, parts = experiment.pieces(), {}
-    for number, rows in spread(partial(_measured, experiment, pieces), range(len(pieces)), backend, workers):
-        parts[number] = rows if isinstance(rows, Rows) else _refuse(pieces[number], rows, refused)
-        if progress is not None:
-            progress(experiment.name, len(parts), len(pieces))
-    return joined([parts[number] for number in range(len(pieces))])
+    pieces = experiment.pieces()
+    parts = dict(_computed(experiment, pieces, range(len(pieces)), backend, workers, progress, refused))
+    return joined([parts[number] for number in sorted(parts)])
 
 
 def keep(
@@ -303,22 +301,39 @@ def keep(
             if file.is_file() and warn is not None:
                 warn(f"{file} is damaged and is made anew")
             todo.append(number)
-        done = len(pieces) - len(todo)
+        refusals = set(todo)
+        for number, rows in _computed(experiment, pieces, todo, backend, workers, progress, refused):
+            write_piece(files[number], rows, experiment.name, keys[number])
+            refusals.remove(number)
+        measured = [number for number in range(len(pieces)) if number not in refusals]
+        if refusals:
+            _write_record(folder, {files[number].name: keys[number] for number in measured}, warn)
+    return [files[number] for number in measured]
+
+
+def _computed(
+    experiment: Experiment,
+    pieces: Sequence[Piece],
+    todo: Sequence[int],
+    backend: str,
+    workers: int | None,
+    progress: Progress | None,
+    refused: Refused | None,
+) -> Iterator[tuple[int, Rows]]:
+    """Numbers of pieces to do and their rows, in any order; arguments as of `run`."""
+    done = len(pieces) - len(todo)
+    if progress is not None:
+        progress(experiment.name, done, len(pieces))
+    for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
+        if isinstance(rows, Rows):
+            yield number, rows
+        elif refused is None:
+            raise rows
+        else:
+            refused(pieces[number].levels, rows)
+        done += 1
         if progress is not None:
             progress(experiment.name, done, len(pieces))
-        kept = dict.fromkeys(range(len(pieces)))
-        for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
-            if isinstance(rows, Rows):
-                write_piece(files[number], rows, experiment.name, keys[number])
-            else:
-                _refuse(pieces[number], rows, refused)
-                kept.pop(number)
-            done += 1
-            if progress is not None:
-                progress(experiment.name, done, len(pieces))
-        if len(kept) < len(pieces):
-            _write_record(folder, {files[number].name: keys[number] for number in kept}, warn)
-    return [files[number] for number in kept]
 
 
 def _measured(experiment: Experiment, pieces: Sequence[Piece], number: int) -> Rows | InputError:
@@ -326,14 +341,6 @@ def _measured(experiment: Experiment, pieces: Sequence[Piece], number: int) -> R
         return experiment.measured(pieces[number])
     except InputError as error:
         return error
-
-
-def _refuse(piece: Piece, error: InputError, refused: Refused | None) -> Rows:
-    """No rows, where somebody wants to be told why; else the error itself."""
-    if refused is None:
-        raise error
-    refused(piece.levels, error)
-    return Rows({})
 
 
 # A folder of pieces.
@@ -641,8 +648,8 @@ def _check_answers(address: str) -> None:
         socket.create_connection((host.strip("[]"), int(port)), 5.0).close()
     except (OSError, ValueError, OverflowError) as error:
         raise InputError(
-            f"no Ray cluster answers at {address}: {error}; start one with `ray start --head`, or leave RAY_ADDRESS "
-            "out for one on this machine"
+            f"no Ray cluster answers at {address}: {error}; start one with "
+            f"`{command_line('ray', 'start', head=True)}`, or leave RAY_ADDRESS out for one on this machine"
         ) from error
 
 

@@ -136,7 +136,7 @@ def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationP
     if calibration.record.get(ORIGIN) != key:
         raise InputError(
             f"{path} is the calibration of another arm or protocol than its name says; delete it, or give another "
-            "--cache"
+            "`cache`"
         )
     return calibration
 

@@ -90,7 +90,7 @@ def check_device(device: str) -> None:
     if device not in BLOCKS:
         raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
     if device == "cuda" and not torch.cuda.is_available():
-        raise InputError("torch sees no CUDA device on this machine; give --device cpu")
+        raise InputError("torch sees no CUDA device on this machine; give `device='cpu'`")
 
 
 def _block_size(protocol: Protocol, device: str) -> int:

@@ -19,7 +19,7 @@ import numpy as np
 import pyarrow.compute as pc
 
 from pickenv.arm import forward, plant_at, pose_error
-from pickenv.base import InputError, write_text
+from pickenv.base import InputError, command_line, write_text
 from pickenv.experiments.study import LS, RAW, StudyConfig, carrying, prepared_study
 from pickenv.experiments.study_arms import OK, arm_commands
 from pickenv.experiments.study_figures import study_drawings
@@ -248,7 +248,9 @@ def _sobol_tables(folder: str | Path, findings: Findings) -> list[PageTable]:
 def _origin(folder: Path, config: StudyConfig, summary: Row) -> dict[str, str]:
     packages = {name: version(name) for name in ("numpy", "scipy", "pyarrow", "torch")}
     return {
-        "Made by": f"pickenv study {folder.name}/study.toml --executor {summary['executor']} --out DIR",
+        "Made by": command_line(
+            "pickenv", "study", f"{folder.name}/study.toml", executor=summary["executor"], out="DIR"
+        ),
         "Plant": config.plant,
         "Seed": f"{config.seed}",
         "pickenv": str(summary["pickenv"]),

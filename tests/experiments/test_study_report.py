@@ -318,7 +318,7 @@ def test_a_damaged_edited_or_foreign_file_of_indices_is_named(folder, tmp_path):
     (tmp_path / "study.toml").write_bytes((folder / "study.toml").read_bytes())
     path, sha256 = tmp_path / "sobol.json", study_of(folder).sha256()
     path.write_text("[1, 2", encoding="utf-8")
-    with pytest.raises(InputError, match=r"sobol\.json is missing or damaged; .*with --sobol again"):
+    with pytest.raises(InputError, match=r"sobol\.json is missing or damaged; .*with `sobol` again"):
         read_sobol(tmp_path)
     write_record(path, {"config_sha256": sha256, "indices": {"0": [{"total": 0.5}]}})
     assert read_sobol(tmp_path) == {0: [{"total": 0.5}]}

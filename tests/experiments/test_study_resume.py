@@ -134,7 +134,7 @@ def test_a_damaged_chunk_is_named_and_computed_again(config, folder, damage, chu
 def test_a_folder_of_another_configuration_is_refused(config, folder):
     run_study(replace(config, arms=2), folder, executor="serial")
     before = table_sha256(folder)
-    with pytest.raises(InputError, match=r"results of another configuration .*give another --out"):
+    with pytest.raises(InputError, match=r"results of another configuration .*give another `folder`"):
         run_study(config, folder, executor="serial")
     assert table_sha256(folder) == before
 
