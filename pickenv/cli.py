@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
 import pickenv
 from pickenv.base import absent_extras, command_for, folded, locked, screen_width
@@ -37,19 +38,17 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _front(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+        bool, Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     """Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms."""
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/demo"),
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
-    no_network: Annotated[
-        bool, typer.Option("--no-network", help="Least squares alone, as where torch is missing.")
-    ] = False,
+    out: Annotated[Path, Option(help="Run folder to write.")] = Path("runs/demo"),
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    quick: Annotated[bool, Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
+    no_network: Annotated[bool, Option("--no-network", help="Least squares alone, as where torch is missing.")] = False,
 ) -> None:
     """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
+from typer import Option
 
 from pickenv.base import locked, separate
 from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
@@ -22,18 +23,18 @@ def _benchmarks() -> None:
 
 @bench.command(cls=CommandOfNames)
 def calibration(
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for tables and what is done; a run that was cut off goes on.")] = (
+    json_file: Annotated[Path | None, Option("--json", help="Write the rows to this file.")] = None,
+    out: Annotated[Path, Option(help="Folder for tables and what is done; a run that was cut off goes on.")] = (
         Path("runs/bench")
     ),
-    only: Annotated[list[str] | None, typer.Option(help="Only these rows; a wrong name lists them all.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="The UR5 alone, on few rows: a minute.")] = False,
-    data: Annotated[Path, typer.Option(envvar="PICKENV_DATA", help="Folder of the measured data sets.")] = (
+    only: Annotated[list[str] | None, Option(help="Only these rows; a wrong name lists them all.")] = None,
+    quick: Annotated[bool, Option("--quick", help="The UR5 alone, on few rows: a minute.")] = False,
+    data: Annotated[Path, Option(envvar="PICKENV_DATA", help="Folder of the measured data sets.")] = (
         Path("../shared/data")
     ),
-    peers: Annotated[Path, typer.Option(help="Folder of the peers' environments.")] = Path("runs/peers"),
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    workers: Annotated[int, typer.Option(help="Processes; they do not change the figures.", min=1)] = 1,
+    peers: Annotated[Path, Option(help="Folder of the peers' environments.")] = Path("runs/peers"),
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    workers: Annotated[int, Option(help="Processes; they do not change the figures.", min=1)] = 1,
 ) -> None:
     """What calibrations leave of every measured robot, what twins of other rows predicted, and what peers leave."""
     from dataclasses import replace
@@ -82,26 +83,26 @@ def calibration(
 def policies(
     policy: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="A policy to judge as well: a file of `pickenv train` (.npz), a zip of SB3 or Python, both executed."
         ),
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the table and what is done; what was cut off goes on.")] = (
+    json_file: Annotated[Path | None, Option("--json", help="Write the rows to this file.")] = None,
+    out: Annotated[Path, Option(help="Folder for the table and what is done; what was cut off goes on.")] = (
         Path("runs/policies")
     ),
-    plant: Annotated[list[str] | None, typer.Option(help="Plant preset, a task each; may be repeated.")] = None,
-    arms: Annotated[int | None, typer.Option(help="Arms drawn for each seed.", min=1)] = None,
-    episodes: Annotated[int | None, typer.Option(help="Fruits per arm.", min=1)] = None,
+    plant: Annotated[list[str] | None, Option(help="Plant preset, a task each; may be repeated.")] = None,
+    arms: Annotated[int | None, Option(help="Arms drawn for each seed.", min=1)] = None,
+    episodes: Annotated[int | None, Option(help="Fruits per arm.", min=1)] = None,
     canopies: Annotated[
-        int | None, typer.Option(help="Canopies for each arm of the picking task; 0 leaves it out.", min=0)
+        int | None, Option(help="Canopies for each arm of the picking task; 0 leaves it out.", min=0)
     ] = None,
-    seeds: Annotated[int, typer.Option(help="How many seeds, from 0; at least 5.")] = 5,
-    quick: Annotated[bool, typer.Option("--quick", help="Three policies on one arm a seed: a minute.")] = False,
+    seeds: Annotated[int, Option(help="How many seeds, from 0; at least 5.")] = 5,
+    quick: Annotated[bool, Option("--quick", help="Three policies on one arm a seed: a minute.")] = False,
     executor: Annotated[
-        Literal["serial", "joblib", "ray"], typer.Option(help="What computes; it does not change the figures.")
+        Literal["serial", "joblib", "ray"], Option(help="What computes; it does not change the figures.")
     ] = "serial",
-    workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
+    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
 ) -> None:
     """Policies raw and calibrated, with interquartile means over arms that no two seeds share; picks per hour too."""
     from dataclasses import replace

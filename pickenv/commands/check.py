@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from pickenv.base import InputError, check_sealed_parquet, read_container, refusing_damage, separate, write_json
 
@@ -53,12 +53,9 @@ class Finding:
 
 def check(
     paths: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Calibrations, policies, checkpoints, chunks, traces, or whole folders.", show_default=False
-        ),
+        list[Path], Argument(help="Calibrations, policies, checkpoints, chunks, traces, or whole folders.")
     ],
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found to this file.")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="Write what was found to this file.")] = None,
 ) -> None:
     """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
     separate({}, {"--json": json_file})
@@ -268,7 +265,7 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
 """How each kind of file is verified: its version, and a few words about it."""
 
 
-def schema(kind: Annotated[str, typer.Argument(help="arm, plant, description, study, …")]) -> None:
+def schema(kind: Annotated[str, Argument(help="arm, plant, description, study, …")]) -> None:
     """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones."""
     from pickenv.base import json_schema  # late: it loads pydantic
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from pickenv.base import separate, write_json
 from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
@@ -36,48 +36,37 @@ class SeveralValues(CommandOfNames):
 def compare(
     policies: Annotated[
         list[str],
-        typer.Argument(
+        Argument(
             metavar="POLICY...",
             help="{policy}, a shipped baseline, a policy file (.npz), a model of "
             "Stable-Baselines3 (.zip), a Python file with make_policy(env, seed), a calibration (the scripted policy "
             "behind it), or the folder of a training or of a comparison.",
-            show_default=False,
         ),
     ],
     compensate: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="CAL...",
             help="A calibration for each policy, in the same order: none, a file, or a file and #ls for its least "
             "squares alone; one policy is taken with each of several.",
-            show_default=False,
         ),
     ] = None,
-    label: Annotated[
-        list[str] | None, typer.Option(metavar="NAME...", help="A name for each policy.", show_default=False)
-    ] = None,
-    env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
-    episodes: Annotated[int, typer.Option(help="Episodes of each policy.", min=1)] = 20,
-    seed: Annotated[int, typer.Option(help="Seed of fruit, and of policies that draw.", min=0)] = 0,
+    label: Annotated[list[str] | None, Option(metavar="NAME...", help="A name for each policy.")] = None,
+    env: Annotated[str, Option(help="Id of the environment.")] = "pickenv/Reach-v0",
+    episodes: Annotated[int, Option(help="Episodes of each policy.", min=1)] = 20,
+    seed: Annotated[int, Option(help="Seed of fruit, and of policies that draw.", min=0)] = 0,
     gripper: Annotated[
-        str, typer.Option(help="Gripper that says whether a reach picks; a name, or a file of kind {gripper}.")
+        str, Option(help="Gripper that says whether a reach picks; a name, or a file of kind {gripper}.")
     ] = "li_cup",
-    plant: Annotated[
-        str | None, typer.Option(help="Plant preset or file; the environment's if left out.", show_default=False)
-    ] = None,
-    feedback: Annotated[str | None, typer.Option(help="encoders or camera.", show_default=False)] = None,
-    camera_noise: Annotated[
-        float | None, typer.Option(help="Noise of what the camera sees, mm per axis.", show_default=False)
-    ] = None,
-    grid_step: Annotated[float, typer.Option(help="Distance of the error field's goals, m.", min=0.01)] = 0.1,
+    plant: Annotated[str | None, Option(help="Plant preset or file; the environment's if left out.")] = None,
+    feedback: Annotated[str | None, Option(help="encoders or camera.")] = None,
+    camera_noise: Annotated[float | None, Option(help="Noise of what the camera sees, mm per axis.")] = None,
+    grid_step: Annotated[float, Option(help="Distance of the error field's goals, m.", min=0.01)] = 0.1,
     allow: Annotated[
-        list[str] | None,
-        typer.Option(help="Use a calibration in spite of this: fitted-frames, do-not-use.", show_default=False),
+        list[str] | None, Option(help="Use a calibration in spite of this: fitted-frames, do-not-use.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Run folder: recording, page, figures, every episode.", show_default=False)
-    ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the numbers to this file.")] = None,
+    out: Annotated[Path | None, Option(help="Run folder: recording, page, figures, every episode.")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="Write the numbers to this file.")] = None,
 ) -> None:
     """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter."""
     from pickenv.agents import compare as run
@@ -125,15 +114,15 @@ def _print_comparison(episodes: RecordedEpisodes) -> None:
 
 
 def film(
-    run: Annotated[Path, typer.Argument(help="Run folder of `pickenv compare`.", show_default=False)],
-    out: Annotated[Path, typer.Option(help="File to write, .gif or .mp4.")] = Path("film.gif"),
+    run: Annotated[Path, Argument(help="Run folder of `pickenv compare`.")],
+    out: Annotated[Path, Option(help="File to write, .gif or .mp4.")] = Path("film.gif"),
     policy: Annotated[
         list[str] | None,
-        typer.Option(help="Policy to show, as the run names it, left first; its first and last if left out."),
+        Option(help="Policy to show, as the run names it, left first; its first and last if left out."),
     ] = None,
-    seconds: Annotated[float, typer.Option(help="Length of the film, s.")] = 12.0,
-    fps: Annotated[int, typer.Option(help="Frames per second.")] = 10,
-    dark: Annotated[bool, typer.Option("--dark", help="Draw on a dark background.")] = False,
+    seconds: Annotated[float, Option(help="Length of the film, s.")] = 12.0,
+    fps: Annotated[int, Option(help="Frames per second.")] = 10,
+    dark: Annotated[bool, Option("--dark", help="Draw on a dark background.")] = False,
 ) -> None:
     """Make a film of a comparison: two policies side by side at the same fruit, with misses in mm and fruit picked."""
     from pickenv.inspect import film as make_film

@@ -9,28 +9,26 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
+from typer import Argument, Option
 
 from pickenv.base import DO_NOT_USE, InputError, check_limit, npz_path, obey, separate
 from pickenv.commands.showing import deliver
 
-ARM = typer.Option(help="Arm name or file ({arm_format}).", show_default=False)
-UNIT = typer.Option(help="Serial number of the robot, which must be the calibration's.", show_default=False)
-ALLOW = typer.Option(help="Use the calibration in spite of this reservation: do-not-use.", show_default=False)
+ARM = Option(help="Arm name or file ({arm_format}).")
+UNIT = Option(help="Serial number of the robot, which must be the calibration's.")
+ALLOW = Option(help="Use the calibration in spite of this reservation: do-not-use.")
 NOT_GOOD = 3
 """Exit code where targets cannot be reached, and where an old calibration is not what it was."""
 
-CALIBRATION = typer.Argument(help="Calibration file (.npz).", show_default=False)
+CALIBRATION = Argument(help="Calibration file (.npz).")
 
 
 def board(
     file: Annotated[
         str,
-        typer.Argument(
-            help="Board file (.toml, or a description with [board]), or charuco_a4, chessboard_a4, apriltags_a4.",
-            show_default=False,
-        ),
+        Argument(help="Board file (.toml, or a description with [board]), or charuco_a4, chessboard_a4, apriltags_a4."),
     ],
-    out: Annotated[Path, typer.Option(help="Write the page to this file (.pdf, .svg).")] = Path("board.pdf"),
+    out: Annotated[Path, Option(help="Write the page to this file (.pdf, .svg).")] = Path("board.pdf"),
 ) -> None:
     """Print a calibration board to true scale, with a rule to check the printer by."""
     from pickenv.calibration.camera.boards import load_board, write_board
@@ -44,53 +42,40 @@ def board(
 
 def plan_poses(
     arm: Annotated[str, ARM],
-    n: Annotated[int, typer.Option("--n", help="Poses to measure.", min=1)] = 30,
-    kind: Annotated[
-        Literal["pose", "position"] | None,
-        typer.Option(help="What will be measured: pose if left out.", show_default=False),
-    ] = None,
+    n: Annotated[int, Option("--n", help="Poses to measure.", min=1)] = 30,
+    kind: Annotated[Literal["pose", "position"] | None, Option(help="What will be measured: pose if left out.")] = None,
     criterion: Annotated[
         Literal["d-optimal", "test-poses"] | None,
-        typer.Option(help="test-poses: to be accurate at the poses of --at, as is the default with --at."),
+        Option(help="test-poses: to be accurate at the poses of --at, as is the default with --at."),
     ] = None,
-    at: Annotated[
-        Path | None, typer.Option(help="CSV of joints or tool poses where accuracy matters.", show_default=False)
-    ] = None,
+    at: Annotated[Path | None, Option(help="CSV of joints or tool poses where accuracy matters.")] = None,
     frames: Annotated[
         Literal["fitted", "known"],
-        typer.Option(help="fitted: base and tool will be fitted too; known: the arm's own parameters alone."),
+        Option(help="fitted: base and tool will be fitted too; known: the arm's own parameters alone."),
     ] = "fitted",
-    candidates: Annotated[int, typer.Option(help="Poses to choose from.", min=10)] = 2000,
+    candidates: Annotated[int, Option(help="Poses to choose from.", min=10)] = 2000,
     pool: Annotated[
-        Path | None,
-        typer.Option("--from", help="Choose from the poses of this file (CSV of joints or tool poses) instead."),
+        Path | None, Option("--from", help="Choose from the poses of this file (CSV of joints or tool poses) instead.")
     ] = None,
     like: Annotated[
         Path | None,
-        typer.Option(
-            help="Plan more poses like those of this first measurement, of any kind (touches, wire, pictures, …).",
-            show_default=False,
-        ),
+        Option(help="Plan more poses like those of this first measurement, of any kind (touches, wire, pictures, …)."),
     ] = None,
     columns: Annotated[
-        str | None, typer.Option(help="Column description of the file of --like or --from; ours if left out.")
+        str | None, Option(help="Column description of the file of --like or --from; ours if left out.")
     ] = None,
-    noise_mm: Annotated[
-        float | None, typer.Option(help="What one position coordinate will scatter by.", show_default=False)
-    ] = None,
+    noise_mm: Annotated[float | None, Option(help="What one position coordinate will scatter by.")] = None,
     fit: Annotated[
-        Literal["auto", "offsets", "full"], typer.Option(help="What will be fitted, as `pickenv calibrate` says it.")
+        Literal["auto", "offsets", "full"], Option(help="What will be fitted, as `pickenv calibrate` says it.")
     ] = "auto",
-    tolerances: Annotated[
-        str | None, typer.Option(help="Tolerance class that parts are made to, by name or file.", show_default=False)
-    ] = None,
+    tolerances: Annotated[str | None, Option(help="Tolerance class that parts are made to, by name or file.")] = None,
     prior_scale: Annotated[
-        float, typer.Option(help="Factor on the class: how much better or worse parts are made.", min=1e-3, max=1e3)
+        float, Option(help="Factor on the class: how much better or worse parts are made.", min=1e-3, max=1e3)
     ] = 1.0,
-    curve: Annotated[bool, typer.Option("--curve", help="Say what half to eight times --n would bring.")] = False,
-    seed: Annotated[int, typer.Option(help="Seed of candidates and exchange.", min=0)] = 0,
-    out: Annotated[Path | None, typer.Option(help="Write the joints in measuring order (.csv).")] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    curve: Annotated[bool, Option("--curve", help="Say what half to eight times --n would bring.")] = False,
+    seed: Annotated[int, Option(help="Seed of candidates and exchange.", min=0)] = 0,
+    out: Annotated[Path | None, Option(help="Write the joints in measuring order (.csv).")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
 ) -> None:
     """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel."""
     from pickenv.arm import load_arm
@@ -155,17 +140,16 @@ def plan_poses(
 
 
 def verify(
-    calibration: Annotated[Path, typer.Argument(help="Calibration file (.npz).", show_default=False)],
-    files: Annotated[list[Path], typer.Argument(help="New poses or positions of the same robot.", show_default=False)],
-    columns: Annotated[str | None, typer.Option(help="Column description, by name or path; ours if left out.")] = None,
+    calibration: Annotated[Path, Argument(help="Calibration file (.npz).")],
+    files: Annotated[list[Path], Argument(help="New poses or positions of the same robot.")],
+    columns: Annotated[str | None, Option(help="Column description, by name or path; ours if left out.")] = None,
     refit: Annotated[
-        str | None,
-        typer.Option(help="Find base, tool or base,tool anew first: the instrument or its target was moved."),
+        str | None, Option(help="Find base, tool or base,tool anew first: the instrument or its target was moved.")
     ] = None,
     refit_rows: Annotated[
-        int | None, typer.Option(help="Rows to find them from; the others judge. 6 if left out.", min=3)
+        int | None, Option(help="Rows to find them from; the others judge. 6 if left out.", min=3)
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
 ) -> None:
     """Judge an old calibration on new rows: does it beat the nominal arm, is it as good as promised, was this measured?
 
@@ -187,17 +171,15 @@ def verify(
 
 def apply(
     calibration: Annotated[Path, CALIBRATION],
-    targets: Annotated[
-        Path, typer.Argument(help="CSV of joint targets (q1_deg, …) or tool poses (x_mm … rz_deg).", show_default=False)
-    ],
+    targets: Annotated[Path, Argument(help="CSV of joint targets (q1_deg, …) or tool poses (x_mm … rz_deg).")],
     arm: Annotated[str, ARM],
-    out: Annotated[Path, typer.Option(help="Write the corrected commands (.csv).")] = Path("commands.csv"),
+    out: Annotated[Path, Option(help="Write the corrected commands (.csv).")] = Path("commands.csv"),
     frame: Annotated[
         Literal["controller", "instrument"],
-        typer.Option(help="Frame of pose targets; instrument: where the calibration was measured."),
+        Option(help="Frame of pose targets; instrument: where the calibration was measured."),
     ] = "controller",
-    payload_kg: Annotated[float | None, typer.Option(help="Mass held, where the calibration asks for it.")] = None,
-    temperature_k: Annotated[float | None, typer.Option(help="Temperature rise above the reference, likewise.")] = None,
+    payload_kg: Annotated[float | None, Option(help="Mass held, where the calibration asks for it.")] = None,
+    temperature_k: Annotated[float | None, Option(help="Temperature rise above the reference, likewise.")] = None,
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
@@ -231,36 +213,22 @@ def apply(
 
 def export(
     calibration: Annotated[Path, CALIBRATION],
-    out: Annotated[Path, typer.Option(help="File to write.", show_default=False)],
-    kind: Annotated[
-        str | None,
-        typer.Option(
-            "--as",
-            help="{exporter}; told by the file's name if left out.",
-            show_default=False,
-        ),
-    ] = None,
+    out: Annotated[Path, Option(help="File to write.")],
+    kind: Annotated[str | None, Option("--as", help="{exporter}; told by the file's name if left out.")] = None,
     onto: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="The robot's own file (URDF, kinematics YAML, LeRobot JSON, …), corrected in place and written to "
-            "--out; robot.urdf#link names the tip.",
-            show_default=False,
+            "--out; robot.urdf#link names the tip."
         ),
     ] = None,
-    arm: Annotated[
-        str | None, typer.Option(help="Arm name or arm file, if no shipped one.", show_default=False)
-    ] = None,
-    counts_per_turn: Annotated[
-        int | None, typer.Option(help="Encoder counts per turn, for --as offsets.", show_default=False, min=1)
-    ] = None,
+    arm: Annotated[str | None, Option(help="Arm name or arm file, if no shipped one.")] = None,
+    counts_per_turn: Annotated[int | None, Option(help="Encoder counts per turn, for --as offsets.", min=1)] = None,
     sample: Annotated[
-        int, typer.Option(help="With --as mjcf: so many arms that the data allow, …_1 and on.", min=0, max=10_000)
+        int, Option(help="With --as mjcf: so many arms that the data allow, …_1 and on.", min=0, max=10_000)
     ] = 0,
-    seed: Annotated[int, typer.Option(help="Seed of --sample.", min=0)] = 0,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write what was said of the file to this one.", show_default=False)
-    ] = None,
+    seed: Annotated[int, Option(help="Seed of --sample.", min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json", help="Write what was said of the file to this one.")] = None,
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
@@ -286,21 +254,14 @@ def export(
 
 def twin(
     calibration: Annotated[Path, CALIBRATION],
-    out: Annotated[Path, typer.Option(help="Write the plant (.npz).")] = Path("my_arm.npz"),
-    arm: Annotated[
-        str | None, typer.Option(help="Arm name or arm file; by its name in the calibration if left out.")
-    ] = None,
+    out: Annotated[Path, Option(help="Write the plant (.npz).")] = Path("my_arm.npz"),
+    arm: Annotated[str | None, Option(help="Arm name or arm file; by its name in the calibration if left out.")] = None,
     rows: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Poses or positions that it was fitted to, where it has no Gaussian process.", show_default=False
-        ),
+        list[Path] | None, Option(help="Poses or positions that it was fitted to, where it has no Gaussian process.")
     ] = None,
-    columns: Annotated[str | None, typer.Option(help="Column description of --rows; ours if left out.")] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the residual's waves.", min=0)] = 0,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", help="Write what was said of the plant to this file.", show_default=False)
-    ] = None,
+    columns: Annotated[str | None, Option(help="Column description of --rows; ours if left out.")] = None,
+    seed: Annotated[int, Option(help="Seed of the residual's waves.", min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json", help="Write what was said of the plant to this file.")] = None,
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
+from typer import Argument, Option
 
 from pickenv.base import InputError, check_limit, locked, require, separate
 from pickenv.commands.showing import Save, deliver, print_table, progress_bars, with_options
@@ -22,27 +22,23 @@ TERMINAL = 80
 
 
 def experiment(
-    file: Annotated[
-        Path, typer.Argument(help="Experiment (.toml); the Python code that it names is executed.", show_default=False)
-    ],
-    quick: Annotated[bool, typer.Option("--quick", help="The file's own small sizes: minutes.")] = False,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random; the file's if left out.", min=0)] = None,
+    file: Annotated[Path, Argument(help="Experiment (.toml); the Python code that it names is executed.")],
+    quick: Annotated[bool, Option("--quick", help="The file's own small sizes: minutes.")] = False,
+    seed: Annotated[int | None, Option(help="Seed of everything random; the file's if left out.", min=0)] = None,
     seeds: Annotated[
-        int,
-        typer.Option(help="Seeds to run at; how often intervals of one hold the numbers of another is said.", min=1),
+        int, Option(help="Seeds to run at; how often intervals of one hold the numbers of another is said.", min=1)
     ] = 1,
     change: Annotated[
-        list[str] | None,
-        typer.Option("--set", help='A unit, factor or setting: arm=20, method=["raw"]; may be repeated.'),
+        list[str] | None, Option("--set", help='A unit, factor or setting: arm=20, method=["raw"]; may be repeated.')
     ] = None,
-    executor: Annotated[str, typer.Option(help="What computes: serial, loky, ray, dask; no number changes.")] = "loky",
-    workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
+    executor: Annotated[str, Option(help="What computes: serial, loky, ray, dask; no number changes.")] = "loky",
+    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for what is done; what was cut off goes on. runs/NAME if left out.")
+        Path | None, Option(help="Folder for what is done; what was cut off goes on. runs/NAME if left out.")
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the numbers to this file.")] = None,
-    table: Annotated[Path | None, typer.Option(help="Write the rows as .csv or .parquet.")] = None,
-    figures: Annotated[Path | None, typer.Option(help="Folder for the file's figures.")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="Write the numbers to this file.")] = None,
+    table: Annotated[Path | None, Option(help="Write the rows as .csv or .parquet.")] = None,
+    figures: Annotated[Path | None, Option(help="Folder for the file's figures.")] = None,
 ) -> None:
     """Measure units at every combination of factors, and print the numbers that the file asks for."""
     from pickenv.experiments import run
@@ -118,25 +114,21 @@ def _change(text: str) -> tuple[str, Any]:
 
 
 def study(
-    config: Annotated[Path, typer.Argument(help="Study (.toml); scripts/tolerance_study.toml shows every key.")],
-    quick: Annotated[bool, typer.Option("--quick", help="40 arms and 20 fruit at most.")] = False,
+    config: Annotated[Path, Argument(help="Study (.toml); scripts/tolerance_study.toml shows every key.")],
+    quick: Annotated[bool, Option("--quick", help="40 arms and 20 fruit at most.")] = False,
     executor: Annotated[
-        Literal["serial", "joblib", "ray", "batched"], typer.Option(help="What computes the arms.")
+        Literal["serial", "joblib", "ray", "batched"], Option(help="What computes the arms.")
     ] = "joblib",
-    workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
-    device: Annotated[Literal["cpu", "cuda"], typer.Option(help="Where batched computes.")] = "cpu",
-    out: Annotated[Path, typer.Option(help="Results folder; a study that it holds already goes on.")] = Path(
-        "runs/study"
-    ),
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the summary to this file.")] = None,
+    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
+    device: Annotated[Literal["cpu", "cuda"], Option(help="Where batched computes.")] = "cpu",
+    out: Annotated[Path, Option(help="Results folder; a study that it holds already goes on.")] = Path("runs/study"),
+    json_file: Annotated[Path | None, Option("--json", help="Write the summary to this file.")] = None,
     report: Annotated[
-        bool, typer.Option("--report/--no-report", help="Figures, report.html and arms.rrd in the results folder.")
+        bool, Option("--report/--no-report", help="Figures, report.html and arms.rrd in the results folder.")
     ] = True,
-    sobol: Annotated[
-        bool, typer.Option("--sobol", help="Sobol indices of the tolerances, which need further arms.")
-    ] = False,
+    sobol: Annotated[bool, Option("--sobol", help="Sobol indices of the tolerances, which need further arms.")] = False,
     samples: Annotated[
-        int, typer.Option(help="Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.", min=0)
+        int, Option(help="Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.", min=0)
     ] = 2048,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from pickenv.base import InputError, separate, write_text
 
@@ -17,22 +17,15 @@ if TYPE_CHECKING:
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
 """Suffixes of pages and pictures, which may be made again."""
 
-RUN = typer.Argument(help="Run folder.", show_default=False)
+RUN = Argument(help="Run folder.")
 
 
 def inspect(
-    run: Annotated[Path, typer.Argument(help="Run folder, or a recording (.rrd).", show_default=False)],
-    web: Annotated[bool, typer.Option("--web", help="Serve it to a browser on this machine.")] = False,
-    connect: Annotated[
-        str | None,
-        typer.Option(help="Send it to the viewer at this address.", show_default=False),
-    ] = None,
-    serve: Annotated[
-        int | None, typer.Option(help="Serve it to viewers that connect to this port.", show_default=False)
-    ] = None,
-    policy: Annotated[
-        str | None, typer.Option(help="Policy of an evaluation to show; its first if left out.", show_default=False)
-    ] = None,
+    run: Annotated[Path, Argument(help="Run folder, or a recording (.rrd).")],
+    web: Annotated[bool, Option("--web", help="Serve it to a browser on this machine.")] = False,
+    connect: Annotated[str | None, Option(help="Send it to the viewer at this address.")] = None,
+    serve: Annotated[int | None, Option(help="Serve it to viewers that connect to this port.")] = None,
+    policy: Annotated[str | None, Option(help="Policy of an evaluation to show; its first if left out.")] = None,
 ) -> None:
     """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet."""
     from pickenv.inspect.recordings import open_recording as opening
@@ -118,8 +111,8 @@ def _record_evaluation(run: Run, policy: str | None) -> Path:
 
 def figures(
     run: Annotated[Path, RUN],
-    out: Annotated[Path | None, typer.Option(help="Folder for the figures; RUN/figures if left out.")] = None,
-    formats: Annotated[str, typer.Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
+    out: Annotated[Path | None, Option(help="Folder for the figures; RUN/figures if left out.")] = None,
+    formats: Annotated[str, Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
 ) -> None:
     """Draw every figure that a run's numbers allow, for papers and reports; say what is left out or looks wrong."""
     from pickenv.inspect import drawings_of, read_run, write_drawings
@@ -145,9 +138,9 @@ def figures(
 
 def report(
     run: Annotated[Path, RUN],
-    out: Annotated[Path | None, typer.Option(help="File to write (.html); RUN/report.html if left out.")] = None,
+    out: Annotated[Path | None, Option(help="File to write (.html); RUN/report.html if left out.")] = None,
     picture: Annotated[
-        bool, typer.Option("--picture/--no-picture", help="Show the recording as its viewer draws it.")
+        bool, Option("--picture/--no-picture", help="Show the recording as its viewer draws it.")
     ] = True,
 ) -> None:
     """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Option
 
 from pickenv.base import InputError, separate
 from pickenv.commands.showing import deliver, print_table, progress_bars
@@ -25,33 +26,28 @@ def train(
     context: typer.Context,
     algo: Annotated[
         Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"],
-        typer.Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
+        Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
     ] = "ppo",
-    env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
-    compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
+    env: Annotated[str, Option(help="Id of the environment.")] = "pickenv/Reach-v0",
+    compensate: Annotated[Path | None, Option(help="Calibration file (.npz) to train behind.")] = None,
     allow: Annotated[
-        list[str] | None,
-        typer.Option(help="Train behind the calibration in spite of this: fitted-frames, do-not-use."),
+        list[str] | None, Option(help="Train behind the calibration in spite of this: fitted-frames, do-not-use.")
     ] = None,
-    plant: Annotated[
-        str | None, typer.Option(help="Plant preset or plant file; the environment's if left out.")
-    ] = None,
+    plant: Annotated[str | None, Option(help="Plant preset or plant file; the environment's if left out.")] = None,
     feedback: Annotated[
-        Literal["encoders", "camera"], typer.Option(help="What the policy sees beside its joints.")
+        Literal["encoders", "camera"], Option(help="What the policy sees beside its joints.")
     ] = "encoders",
-    camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 0.0,
-    fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
+    camera_noise: Annotated[float, Option(help="Noise of the camera's view of the gap, mm per axis.")] = 0.0,
+    fruit_noise: Annotated[float, Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
     randomise: Annotated[
-        str | None, typer.Option(help="Tolerance class: a new arm of it in every episode (domain randomisation).")
+        str | None, Option(help="Tolerance class: a new arm of it in every episode (domain randomisation).")
     ] = None,
-    steps: Annotated[int | None, typer.Option(help="Environment steps; the tuned number if left out.", min=1)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    checkpoint_every: Annotated[int, typer.Option(help="Steps between checkpoints.", min=1)] = 50_000,
-    evaluate_every: Annotated[int, typer.Option(help="Steps between evaluations.", min=1)] = 50_000,
-    out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/train"),
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")
-    ] = False,
+    steps: Annotated[int | None, Option(help="Environment steps; the tuned number if left out.", min=1)] = None,
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    checkpoint_every: Annotated[int, Option(help="Steps between checkpoints.", min=1)] = 50_000,
+    evaluate_every: Annotated[int, Option(help="Steps between evaluations.", min=1)] = 50_000,
+    out: Annotated[Path, Option(help="Run folder to write.")] = Path("runs/train"),
+    resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")] = False,
 ) -> None:
     """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs."""
     from pickenv.agents import Training, train as run
@@ -144,32 +140,31 @@ def evaluate(
     context: typer.Context,
     policy: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="{policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated."
         ),
     ] = None,
     compensation: Annotated[
-        list[str] | None,
-        typer.Option(help="raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated."),
+        list[str] | None, Option(help="raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated.")
     ] = None,
-    feedback: Annotated[list[str] | None, typer.Option(help="encoders, camera; may be repeated.")] = None,
-    plant: Annotated[list[str] | None, typer.Option(help="Plant preset; may be repeated.")] = None,
+    feedback: Annotated[list[str] | None, Option(help="encoders, camera; may be repeated.")] = None,
+    plant: Annotated[list[str] | None, Option(help="Plant preset; may be repeated.")] = None,
     gripper: Annotated[
-        list[str] | None, typer.Option(help="Gripper, by name or as a file of kind {gripper}; may be repeated.")
+        list[str] | None, Option(help="Gripper, by name or as a file of kind {gripper}; may be repeated.")
     ] = None,
-    arms: Annotated[int, typer.Option(help="Arms drawn for each plant.", min=1)] = 64,
-    episodes: Annotated[int, typer.Option(help="Fruits per arm.", min=1)] = 32,
-    tolerances: Annotated[str, typer.Option(help="Tolerance class of the arms.")] = "coarse",
-    camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 1.0,
-    fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
-    epochs: Annotated[int, typer.Option(help="Epochs of each arm's network.", min=1)] = 100,
-    seed: Annotated[int, typer.Option(help="Seed of arms, fruit, pictures and calibrations.", min=0)] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
-    table: Annotated[Path | None, typer.Option(help="Write the rows as .csv or .parquet as well.")] = None,
-    figures: Annotated[Path | None, typer.Option(help="Folder for the figures.")] = None,
-    cache: Annotated[Path | None, typer.Option(help="Folder that keeps the arms' calibrations.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
+    arms: Annotated[int, Option(help="Arms drawn for each plant.", min=1)] = 64,
+    episodes: Annotated[int, Option(help="Fruits per arm.", min=1)] = 32,
+    tolerances: Annotated[str, Option(help="Tolerance class of the arms.")] = "coarse",
+    camera_noise: Annotated[float, Option(help="Noise of the camera's view of the gap, mm per axis.")] = 1.0,
+    fruit_noise: Annotated[float, Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
+    epochs: Annotated[int, Option(help="Epochs of each arm's network.", min=1)] = 100,
+    seed: Annotated[int, Option(help="Seed of arms, fruit, pictures and calibrations.", min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json", help="Write the rows to this file.")] = None,
+    table: Annotated[Path | None, Option(help="Write the rows as .csv or .parquet as well.")] = None,
+    figures: Annotated[Path | None, Option(help="Folder for the figures.")] = None,
+    cache: Annotated[Path | None, Option(help="Folder that keeps the arms' calibrations.")] = None,
+    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
+    out: Annotated[Path | None, Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit.
 
@@ -240,16 +235,16 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
 
 
 def datasets(
-    task: Annotated[list[str] | None, typer.Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
+    task: Annotated[list[str] | None, Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
     quality: Annotated[
-        list[str] | None, typer.Option(help="expert, medium, random; may be repeated. All if left out.")
+        list[str] | None, Option(help="expert, medium, random; may be repeated. All if left out.")
     ] = None,
     episodes: Annotated[
-        int | None, typer.Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)
+        int | None, Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the cards to this file.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json", help="Write the cards to this file.")] = None,
+    out: Annotated[Path, Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
 ) -> None:
     """Record Minari data sets of good, middling and random policies; those that are there are kept."""
     from pickenv.agents import datasets as record

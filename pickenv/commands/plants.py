@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from pickenv.base import check_limit, obey, separate, write_json
 from pickenv.commands.showing import command_of, deliver, print_table, progress_bars, with_options
 
-JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
+JsonFile = Annotated[Path | None, Option("--json", help="Write the figures to this file.")]
 
 
 def arms(json_file: JsonFile = None) -> None:
@@ -39,11 +39,11 @@ def arms(json_file: JsonFile = None) -> None:
 
 
 def effects(
-    plant: Annotated[str, typer.Option(help="Plant preset or plant file (.toml).")] = "orchard",
-    reaches: Annotated[int, typer.Option(help="Reaches to average over.", min=2)] = 300,
-    dwell: Annotated[float, typer.Option(help="Waiting time after arrival, s.", min=0.0)] = 0.5,
-    hours: Annotated[float, typer.Option(help="Time since the machine was switched on, h.", min=0.0)] = 2.0,
-    seed: Annotated[int, typer.Option(help="Seed of the reaches.", min=0)] = 0,
+    plant: Annotated[str, Option(help="Plant preset or plant file (.toml).")] = "orchard",
+    reaches: Annotated[int, Option(help="Reaches to average over.", min=2)] = 300,
+    dwell: Annotated[float, Option(help="Waiting time after arrival, s.", min=0.0)] = 0.5,
+    hours: Annotated[float, Option(help="Time since the machine was switched on, h.", min=0.0)] = 2.0,
+    seed: Annotated[int, Option(help="Seed of the reaches.", min=0)] = 0,
     json_file: JsonFile = None,
 ) -> None:
     """Each effect's share of the tip error of a simulated arm, in mm: alone, what is left without it, and all."""
@@ -63,17 +63,17 @@ def effects(
 
 
 def iso9283(
-    plant: Annotated[str, typer.Option(help="Plant preset or plant file (.toml).")] = "orchard",
-    calibration: Annotated[Path | None, typer.Option(help="Fitted calibration (.npz) to test as well.")] = None,
+    plant: Annotated[str, Option(help="Plant preset or plant file (.toml).")] = "orchard",
+    calibration: Annotated[Path | None, Option(help="Fitted calibration (.npz) to test as well.")] = None,
     allow: Annotated[
-        list[str] | None, typer.Option(help="Test the calibration in spite of this: fitted-frames, do-not-use.")
+        list[str] | None, Option(help="Test the calibration in spite of this: fitted-frames, do-not-use.")
     ] = None,
-    cycles: Annotated[int, typer.Option(help="Measurements per pose; 30 by the standard.", min=2)] = 30,
-    speed: Annotated[float, typer.Option(help="Share of the largest speed.", min=0.01, max=1.0)] = 1.0,
-    dwell: Annotated[float, typer.Option(help="Waiting time before each measurement, s.", min=0.0)] = 2.0,
-    seed: Annotated[int, typer.Option(help="Seed of friction and instrument noise.", min=0)] = 0,
+    cycles: Annotated[int, Option(help="Measurements per pose; 30 by the standard.", min=2)] = 30,
+    speed: Annotated[float, Option(help="Share of the largest speed.", min=0.01, max=1.0)] = 1.0,
+    dwell: Annotated[float, Option(help="Waiting time before each measurement, s.", min=0.0)] = 2.0,
+    seed: Annotated[int, Option(help="Seed of friction and instrument noise.", min=0)] = 0,
     json_file: JsonFile = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
+    out: Annotated[Path | None, Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
     """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated."""
     typed = dict(locals())
@@ -115,22 +115,22 @@ WIDE = 170
 
 
 def conditions(
-    subject: Annotated[str, typer.Argument(help="Plant preset or plant file (.toml), or fitted calibration (.npz).")],
-    plant: Annotated[str, typer.Option(help="The simulated arm that a calibration is judged on.")] = "orchard",
-    payload: Annotated[float, typer.Option(help="Largest payload, kg.", min=0.0)] = 0.5,
-    weather: Annotated[float, typer.Option(help="How much cooler or warmer a day may be, K.", min=0.0)] = 10.0,
-    hours: Annotated[float, typer.Option(help="Length of a working day, h.", min=0.0)] = 8.0,
-    arms: Annotated[int, typer.Option(help="Drawn arms; fewer than 10 have no intervals.", min=1)] = 10,
-    tolerances: Annotated[str, typer.Option(help="Tolerance class that arms are drawn from.")] = "medium",
-    sessions: Annotated[int, typer.Option(help="Training sessions, each under other conditions.", min=2)] = 12,
-    poses: Annotated[int, typer.Option(help="Poses of a session.", min=5)] = 25,
-    residual: Annotated[str, typer.Option(help="What learns the rest: {residual}.")] = "rbf",
+    subject: Annotated[str, Argument(help="Plant preset or plant file (.toml), or fitted calibration (.npz).")],
+    plant: Annotated[str, Option(help="The simulated arm that a calibration is judged on.")] = "orchard",
+    payload: Annotated[float, Option(help="Largest payload, kg.", min=0.0)] = 0.5,
+    weather: Annotated[float, Option(help="How much cooler or warmer a day may be, K.", min=0.0)] = 10.0,
+    hours: Annotated[float, Option(help="Length of a working day, h.", min=0.0)] = 8.0,
+    arms: Annotated[int, Option(help="Drawn arms; fewer than 10 have no intervals.", min=1)] = 10,
+    tolerances: Annotated[str, Option(help="Tolerance class that arms are drawn from.")] = "medium",
+    sessions: Annotated[int, Option(help="Training sessions, each under other conditions.", min=2)] = 12,
+    poses: Annotated[int, Option(help="Poses of a session.", min=5)] = 25,
+    residual: Annotated[str, Option(help="What learns the rest: {residual}.")] = "rbf",
     allow: Annotated[
-        list[str] | None, typer.Option(help="Judge the calibration in spite of this: fitted-frames, do-not-use.")
+        list[str] | None, Option(help="Judge the calibration in spite of this: fitted-frames, do-not-use.")
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder with figure and page.")] = None,
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
+    out: Annotated[Path | None, Option(help="Run folder with figure and page.")] = None,
 ) -> None:
     """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves."""
     typed = dict(locals())
