@@ -262,12 +262,7 @@ def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, An
     if not PLAIN.fullmatch(value.dtype.str):
         raise TypeError(f"array {name!r} holds {value.dtype}; only numbers and text can be saved")
     fortran = value.flags.f_contiguous and not value.flags.c_contiguous
-    return {
-        "dtype": value.dtype.str,
-        "shape": list(value.shape),
-        "fortran": bool(fortran),
-        "sha256": _sha256(numbers),
-    }
+    return {"dtype": value.dtype.str, "shape": list(value.shape), "fortran": bool(fortran), "sha256": _sha256(numbers)}
 
 
 def _preamble(entry: Mapping[str, Any]) -> bytes:

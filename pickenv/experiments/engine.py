@@ -377,12 +377,7 @@ class _Record:
 
     def text(self) -> str:
         """The only text that `RECORD` may hold: its own hash stands in it."""
-        content = {
-            "format": 1,
-            "pieces": dict(self.pieces),
-            "last": list(self.last),
-            "versions": dict(self.versions),
-        }
+        content = {"format": 1, "pieces": dict(self.pieces), "last": list(self.last), "versions": dict(self.versions)}
         own = hashlib.sha256(json.dumps(content).encode()).hexdigest()
         return json.dumps(content | {"sha256": own}, indent=2) + "\n"
 

@@ -250,12 +250,7 @@ def _arms(rows: Sequence[Row]) -> str:
 
 
 def _curves(
-    rows: Sequence[Row],
-    along: str,
-    keys: tuple[str, str, str],
-    ylabel: str,
-    factor: float,
-    better: Callable[..., Any],
+    rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, factor: float, better: Callable[..., Any]
 ) -> Figure:
     """Curves with bands: a panel per tolerance class; colour and line style for what varies beside the axis.
 
