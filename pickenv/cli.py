@@ -69,7 +69,7 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     from pickenv.inspect.colours import policy_label
     from pickenv.inspect.reports.report_words import between, percent
 
-    found = summary["identifiability"]
+    identifiability = summary["identifiability"]
     heads = (
         "policy",
         "position, mean (mm)",
@@ -84,8 +84,8 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     for key, row in summary["policies"].items():
         position, interval = row["position_mm"], row["position_mm"]["mean_ci95"]
         numbers = (position["rms"], position["p95"], row["attitude_deg"]["mean"], row["noncompensable_deg"])
-        said = "none" if interval is None else between(interval[0], interval[1], 3)
-        cells = [f"{position['mean']:.3f}", said, *(f"{number:.3f}" for number in numbers)]
+        interval_words = "none" if interval is None else between(interval[0], interval[1], 3)
+        cells = [f"{position['mean']:.3f}", interval_words, *(f"{number:.3f}" for number in numbers)]
         rows.append([policy_label(key), *cells, percent(row["success_rate"], *row["success_ci95"]).replace(" %", "")])
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
     title += "; a quick run, worse than the paper's protocol" if summary["quick"] else ""
@@ -99,8 +99,8 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
         print(*folded(sentence, screen_width(WIDTH)), sep="\n")
     if summary["blocked"]["simulated"]:
         _print_gains(summary["blocked"])
-    dropped = ", ".join(found["dropped"])
-    print(f"identifiable: {found['rank']} of {found['parameters']} parameters; dropped as redundant: {dropped}")
+    dropped, rank = ", ".join(identifiability["dropped"]), identifiability["rank"]
+    print(f"identifiable: {rank} of {identifiability['parameters']} parameters; dropped as redundant: {dropped}")
     print("wrote:", *written, sep="\n  ")
 
 
@@ -111,8 +111,8 @@ def _print_gains(blocked: dict[str, Any]) -> None:
     for kind in ("simulated", "measured"):
         for row in blocked[kind]:
             ends = (row["lowest"], row["highest"])
-            said = "" if ends[0] is None else f" ({between(100 * ends[0], 100 * ends[1], 0)})"
-            rows.append([f"{row['arm']}, {kind}", f"{row['ls_mm']:.2f}", f"{100 * row['removed']:.0f}{said}"])
+            interval = "" if ends[0] is None else f" ({between(100 * ends[0], 100 * ends[1], 0)})"
+            rows.append([f"{row['arm']}, {kind}", f"{row['ls_mm']:.2f}", f"{100 * row['removed']:.0f}{interval}"])
     caption = (
         "rows in blocks held out of all fitting: two tenths of the file, of measured arms each fifth in turn; in"
         " brackets the range over drawn arms, or 95 % over ten blocks of a measured one. qiao2026 is smooth; what is"
@@ -176,8 +176,8 @@ def _run() -> Any:
             error.show()
         else:
             usage: Any = error
-            said = " ".join(str(usage.format_message()).replace("Value error, ", "").split())
-            print(f"error: {said} See `pickenv --help`.", file=sys.stderr)
+            message = " ".join(str(usage.format_message()).replace("Value error, ", "").split())
+            print(f"error: {message} See `pickenv --help`.", file=sys.stderr)
         return error.exit_code
     if code == INTERRUPTED:  # typer turns Ctrl-C into this return value
         raise KeyboardInterrupt

@@ -189,18 +189,18 @@ def read_container(
     Raises:
         InputError: If the file is missing, damaged in any byte, too large, of another kind, or of another version.
     """
-    what = f"a {kind} file" if kind else "a file of pickenv"
-    with refusing_damage(path, what, remake):
+    file_kind = f"a {kind} file" if kind else "a file of pickenv"
+    with refusing_damage(path, file_kind, remake):
         path = Path(path)
         missing = not path.exists()
     if missing:
         raise InputError(f"{path} does not exist; {remake}")
-    with refusing_damage(path, what, remake):
+    with refusing_damage(path, file_kind, remake):
         content = _bounded(path, limit)
         earlier = content[-22:-18] == BARE_END
     if earlier:
         raise InputError(f"{path} was written by an earlier version, or by another program, without a seal; {remake}")
-    with refusing_damage(path, what, remake):
+    with refusing_damage(path, file_kind, remake):
         container = _verified(content, limit)
     if kind is not None and container.kind != kind:
         raise InputError(f"{path} holds a {container.kind}, not a {kind}; {remake}")

@@ -110,8 +110,8 @@ def _sweep(folder: Path) -> None:
         return
     ours = re.compile(rf"\.pickenv-{_machine()}-(\d+)-[0-9a-f]{{8}}(\..*)?")
     for entry in os.scandir(folder):
-        found = ours.fullmatch(entry.name)
-        if found and not _is_running(int(found[1])):
+        match = ours.fullmatch(entry.name)
+        if match and not _is_running(int(match[1])):
             with suppress(OSError):  # another user's, in a folder for all
                 os.unlink(entry.path)
 
@@ -198,13 +198,13 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
         InputError: If an output is an input or another option's output; the message names both options. If an output's
             name is too long for a file, or a folder's.
     """
-    taken = [(f"{name} reads", path) for name, named in inputs.items() for path in _paths(named) if path.exists()]
-    for output, named in outputs.items():
-        paths = list(_paths(named))
+    taken = [(f"{name} reads", path) for name, names in inputs.items() for path in _paths(names) if path.exists()]
+    for output, names in outputs.items():
+        paths = list(_paths(names))
         for path in paths:
             _check_name(path)
-            for use, other in taken:
-                if not _is_device(path) and _same(path, other):
+            for use, written in taken:
+                if not _is_device(path) and _same(path, written):
                     raise InputError(f"{output} would write over {path}, which {use}; give {output} another file")
         taken += [(f"{output} writes too", path) for path in paths]
 
@@ -262,7 +262,7 @@ def locked(folder: str | Path) -> Iterator[None]:
         yield
         return
     path = Path(folder)
-    new = [each for each in (path, *path.parents) if not each.exists()]
+    new = [parent for parent in (path, *path.parents) if not parent.exists()]
     handle = _take(path)
     _held.add(name)
     try:
@@ -271,8 +271,8 @@ def locked(folder: str | Path) -> Iterator[None]:
         _held.discard(name)
         _give_back(path, handle)
         with suppress(OSError):  # the first that is not empty stays, and those above it
-            for each in new:
-                each.rmdir()
+            for parent in new:
+                parent.rmdir()
 
 
 def _take(folder: Path) -> int:

@@ -108,16 +108,16 @@ def folder_findings(folder: Path) -> list[Finding]:
         return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
     runs = {record.parent for name in (RECORD, LIST, EXPERIMENT) for record in folder.rglob(name)}
     runs = {run for run in runs if not runs & set(run.parents)}
-    held = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
-    held = [path for path in held if not runs & set(path.parents)]
-    if not held and not runs:
+    sealed = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
+    sealed = [path for path in sealed if not runs & set(path.parents)]
+    if not sealed and not runs:
         return [Finding(str(folder), "folder", reason="holds neither a complete run nor any file with a seal")]
-    found = [finding for run in sorted(runs) for finding in folder_findings(run)]
-    for path in held:
+    findings = [finding for run in sorted(runs) for finding in folder_findings(run)]
+    for path in sealed:
         lost = path.name in {EPISODES, *PARTS.values()}
         reason = f"its run is not complete: {path.parent / RECORD} is missing; {REMAKE}"
-        found.append(Finding(str(path), "file of a run", reason=reason) if lost else file_finding(path))
-    return found
+        findings.append(Finding(str(path), "file of a run", reason=reason) if lost else file_finding(path))
+    return findings
 
 
 def listed_findings(folder: Path) -> list[Finding]:
@@ -159,13 +159,13 @@ def run_findings(folder: Path) -> list[Finding]:
 
 def file_finding(path: Path) -> Finding:
     """What is found about one file."""
-    what = "file"
+    kind = "file"
     try:
-        what = _kind_of(path)
-        version, about = _READERS[what](path) if what in _READERS else _foreign(path, what)
+        kind = _kind_of(path)
+        version, about = _READERS[kind](path) if kind in _READERS else _foreign(path, kind)
     except InputError as error:
-        return Finding(str(path), what, reason=str(error))
-    return Finding(str(path), what, version, about)
+        return Finding(str(path), kind, reason=str(error))
+    return Finding(str(path), kind, version, about)
 
 
 def _kind_of(path: Path) -> str:
@@ -197,29 +197,29 @@ def _calibration(path: Path) -> tuple[int | None, str]:
     from pickenv.calibration.pipeline.calibration import FORMAT
     from pickenv.experiments.methods import ORIGIN
 
-    found = Calibration.load(path)
-    origin = found.record.get(ORIGIN)
-    named = re.search("-([0-9a-f]{16})$", path.stem)  # as `pickenv evaluate --cache` names them
-    if origin is not None and named is not None and not str(origin).startswith(named[1]):
+    calibration = Calibration.load(path)
+    origin = calibration.record.get(ORIGIN)
+    key = re.search("-([0-9a-f]{16})$", path.stem)  # as `pickenv evaluate --cache` names them
+    if origin is not None and key is not None and not str(origin).startswith(key[1]):
         raise InputError(f"{path} is the calibration of another arm or protocol than its name says; delete it")
-    unit = "" if found.unit is None else f", unit '{found.unit}'"
-    return FORMAT, f"arm '{found.arm_name}'{unit}, geometry {found.arm_fingerprint}"
+    unit = "" if calibration.unit is None else f", unit '{calibration.unit}'"
+    return FORMAT, f"arm '{calibration.arm_name}'{unit}, geometry {calibration.arm_fingerprint}"
 
 
 def _policy(path: Path) -> tuple[int | None, str]:
     from pickenv.agents import load_policy
     from pickenv.agents.policies.learned import FORMAT
 
-    found = load_policy(path)
-    return FORMAT, f"{found.algorithm} on arm '{found.arm}'"
+    policy = load_policy(path)
+    return FORMAT, f"{policy.algorithm} on arm '{policy.arm}'"
 
 
 def _remembering(path: Path) -> tuple[int | None, str]:
     from pickenv.agents import load_remembering
     from pickenv.agents.policies.remembering import REMEMBERING_FORMAT
 
-    found = load_remembering(path)
-    return REMEMBERING_FORMAT, f"{found.algorithm} on arm '{found.arm}'"
+    policy = load_remembering(path)
+    return REMEMBERING_FORMAT, f"{policy.algorithm} on arm '{policy.arm}'"
 
 
 def _checkpoint(path: Path) -> tuple[int | None, str]:

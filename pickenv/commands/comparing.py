@@ -76,9 +76,9 @@ def compare(
 
     read = [word.partition("#")[0] for word in [*policies, *(compensate or [])]]
     separate({"POLICY": read, "--plant": plant}, {"--out": None if out is None else out / RECORD, "--json": json_file})
-    given: dict[str, Any] = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
+    arguments: dict[str, Any] = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
     with progress_bars() as report:
-        found = run(
+        comparison = run(
             policies,
             env,
             compensate=compensate or (),
@@ -89,14 +89,14 @@ def compare(
             grid_step=grid_step,
             allow=allow or (),
             progress=report,
-            **{name: value for name, value in given.items() if value is not None},
+            **{name: value for name, value in arguments.items() if value is not None},
         )
     deliver(
         [
-            (json_file, lambda path: write_json(path, content_of_comparison(found.episodes))),
-            (out, lambda folder: write_comparison(found, folder)),
+            (json_file, lambda path: write_json(path, content_of_comparison(comparison.episodes))),
+            (out, lambda folder: write_comparison(comparison, folder)),
         ],
-        lambda: _print_comparison(found.episodes),
+        lambda: _print_comparison(comparison.episodes),
     )
 
 
@@ -130,13 +130,15 @@ def film(
 
     separate({}, {"--out": out})
     with progress_bars("frames") as report:
-        made = make_film(
+        movie = make_film(
             run, out, policies=policy or (), seconds=seconds, frames_per_second=fps, dark=dark, progress=report
         )
     plain = why_plain()
     if plain is not None:
         print(plain)
-    last = made.plan.frames[-1]
+    last = movie.plan.frames[-1]
     counted = ", ".join(f"{stated.label} picks {stated.picked} of {stated.tried}" for stated in last.stated)
-    size = f"{made.path.stat().st_size / 1e6:.1f} MB"
-    print(f"{made.path}: {len(made.plan.frames)} frames, {size}; {counted}; {made.plan.speed:.1f} x as fast as the arm")
+    size = f"{movie.path.stat().st_size / 1e6:.1f} MB"
+    print(
+        f"{movie.path}: {len(movie.plan.frames)} frames, {size}; {counted}; {movie.plan.speed:.1f} x as fast as the arm"
+    )

@@ -66,7 +66,7 @@ def examples(command: str) -> str:
 def pages_address() -> str:
     """Where the pages stand: the address that the package itself names, or the folder of a checkout."""
     try:
-        named = metadata.metadata("pickenv").get_all("Project-URL") or []
+        addresses = metadata.metadata("pickenv").get_all("Project-URL") or []
     except metadata.PackageNotFoundError:
-        named = []
-    return next((text.partition(", ")[2] for text in named if text.startswith("Documentation, ")), "docs")
+        addresses = []
+    return next((text.partition(", ")[2] for text in addresses if text.startswith("Documentation, ")), "docs")

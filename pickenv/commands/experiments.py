@@ -48,39 +48,39 @@ def experiment(
     folder = out or Path("runs") / file.stem
     separate({"FILE": file}, {"--out": folder / RECORD, "--json": json_file, "--table": table})
     changes = dict(map(_change, change or []))
-    found = load_experiment(file, quick=quick, seed=seed, changes=changes)
-    first = found.experiment.seed
+    definition = load_experiment(file, quick=quick, seed=seed, changes=changes)
+    first = definition.experiment.seed
     others: list[list[dict[str, Any]]] = []
     with progress_bars() as report:
         for further in range(first + seeds - 1, first, -1):  # the first comes last, so that the folder's rows are its
-            other = load_experiment(file, quick=quick, seed=further, changes=changes)
-            others.insert(0, other.estimates(run(other.experiment, folder, backend=executor, workers=workers)))
+            repeat = load_experiment(file, quick=quick, seed=further, changes=changes)
+            others.insert(0, repeat.estimates(run(repeat.experiment, folder, backend=executor, workers=workers)))
             report("seeds", len(others), seeds)
-        rows = run(found.experiment, folder, backend=executor, workers=workers, progress=report)
-    tables = found.estimates(rows)
-    held = held_by_seeds([tables, *others])
+        rows = run(definition.experiment, folder, backend=executor, workers=workers, progress=report)
+    tables = definition.estimates(rows)
+    counts = held_by_seeds([tables, *others])
     content = {
-        "title": found.title,
+        "title": definition.title,
         "experiment": file.stem,
-        "seed": found.experiment.seed,
+        "seed": definition.experiment.seed,
         "quick": quick,
         "rows": len(rows),
         "tables": plain_estimates(tables),
-        "other_seeds": [plain_estimates(other) for other in others],
-        "held": [{"title": title, "held": count, "of": of} for title, count, of in held if of],
+        "other_seeds": [plain_estimates(repeat) for repeat in others],
+        "held": [{"title": title, "held": count, "of": of} for title, count, of in counts if of],
     }
 
     def show() -> None:
-        print(found.title)
-        for number, made in zip(found.numbers, tables, strict=True):
+        print(definition.title)
+        for number, estimates in zip(definition.numbers, tables, strict=True):
             if number.x is not None:  # lines are for the figure
                 continue
-            if not made["rows"]:
-                print(f"{made['title']}: no rows to make it of")
+            if not estimates["rows"]:
+                print(f"{estimates['title']}: no rows to make it of")
                 continue
-            heads, cells = number_table(number, made["rows"])
-            print_table(made["title"], heads, cells, words=number.by)
-        for title, count, of in held:
+            heads, cells = number_table(number, estimates["rows"])
+            print_table(estimates["title"], heads, cells, words=number.by)
+        for title, count, of in counts:
             if of:
                 print(f"{title}: {count} of {of} intervals hold another seed's number; about 83 % are due")
 
@@ -88,14 +88,14 @@ def experiment(
         from pickenv.inspect import save_figure
         from pickenv.inspect.figures.plot_estimates import estimates_figure
 
-        drawn = {name: function(rows) for name, function in found.figures.items()}
-        for number, made in zip(found.numbers, tables, strict=True):
-            if number.figure is not None and made["rows"]:
+        drawings = {name: function(rows) for name, function in definition.figures.items()}
+        for number, estimates in zip(definition.numbers, tables, strict=True):
+            if number.figure is not None and estimates["rows"]:
                 axes: Any = {"x": number.x, "colour": None if number.x else number.across, "panels": number.panels}
-                drawn[number.figure] = estimates_figure(
-                    made["rows"], number.title, number.by, **axes, log=number.log, scale=number.scale
+                drawings[number.figure] = estimates_figure(
+                    estimates["rows"], number.title, number.by, **axes, log=number.log, scale=number.scale
                 )
-        return [save_figure(figure, place / f"{name}.png") for name, figure in drawn.items()]
+        return [save_figure(figure, place / f"{name}.png") for name, figure in drawings.items()]
 
     deliver([(json_file, content), (table, partial(write_rows, rows=rows)), (figures, draw)], show)
 
@@ -136,16 +136,16 @@ def study(
     from pickenv.experiments import load_study, run_study, write_outputs
 
     check_limit("--samples", samples, "samples")
-    chosen = load_study(config)
+    full_study = load_study(config)
     separate(
-        {"CONFIG": [config, chosen.plant, *chosen.tolerances]},
+        {"CONFIG": [config, full_study.plant, *full_study.tolerances]},
         {"--out": [out / name for name in ("summary.json", "report.html", "arms.rrd")], "--json": json_file},
     )
-    asked = chosen.quick() if quick else chosen
+    settings = full_study.quick() if quick else full_study
     with locked(out):
         with progress_bars("arms") as report_progress:
             summary = run_study(
-                asked,
+                settings,
                 out,
                 executor=executor,
                 workers=workers,
@@ -158,7 +158,7 @@ def study(
             (json_file, summary),
             (out if report else None, lambda folder: write_outputs(folder, samples if sobol else 0)),
         ]
-        deliver(saves, lambda: _print(asked, summary))
+        deliver(saves, lambda: _print(settings, summary))
 
 
 def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
@@ -214,14 +214,14 @@ def _print_components(summary: dict[str, Any]) -> None:
         low, high = (None if row[end] is None else 100 * row[end] for end in (f"{key}_low", f"{key}_high"))
         return estimated(100 * row[key], low, high, 0)
 
-    found = [setting for setting in summary["components"] if setting["shares"]]
+    divided = [setting for setting in summary["components"] if setting["shares"]]
     lines = [
         (setting["method"], f"{row['arms']}", row["group"], cell(row, "first_order"), cell(row, "total"))
-        for setting in found
+        for setting in divided
         for row in setting["shares"]
     ]
     if lines:
-        grades = sorted({f"{setting['tolerances']}, IT{setting['it_grade']}" for setting in found})
+        grades = sorted({f"{setting['tolerances']}, IT{setting['it_grade']}" for setting in divided})
         print_table(
             f"Where the differences between arms come from ({'; '.join(grades)})",
             ("method", "arms", "drawn anew", "alone (%)", "with interactions (%)"),

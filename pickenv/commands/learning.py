@@ -64,7 +64,7 @@ def train(
             raise InputError(NO_CAMERA)
         if (out / "checkpoint.pt").exists():
             raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
-        given: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "plant": plant,
             "feedback": None if feedback == "encoders" else feedback,
             "camera_noise_mm": camera_noise or None,
@@ -77,7 +77,7 @@ def train(
             env_id=env,
             steps=steps,
             seed=seed,
-            arguments={name: value for name, value in given.items() if value is not None},
+            arguments={name: value for name, value in arguments.items() if value is not None},
             compensate=None if compensate is None else str(compensate),
             allow=allow or [],
             checkpoint_every=checkpoint_every,
@@ -118,10 +118,10 @@ def _refuse_changes(context: typer.Context, begun: Training, out: Path) -> None:
         "evaluate_every": begun.evaluate_every,
     }
     changed = [
-        f"without --{word}" if value is None else f"with --{word} {value}, not {given}"
+        f"without --{word}" if value is None else f"with --{word} {value}, not {value_now}"
         for name, value in options.items()
-        for word, given in [(name.replace("_", "-"), context.params[name])]
-        if _was_given(context, name) and (str(given) if isinstance(given, Path) else given) != value
+        for word, value_now in [(name.replace("_", "-"), context.params[name])]
+        if _was_given(context, name) and (str(value_now) if isinstance(value_now, Path) else value_now) != value
     ]
     if changed:
         raise InputError(
@@ -184,9 +184,14 @@ def evaluate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
         {"--out": written, "--json": json_file, "--table": table},
     )
-    given: dict[str, Any] = {"policies": policy, "compensations": compensation, "feedback": feedback, "plants": plant}
-    given["grippers"] = gripper
-    names: dict[str, Any] = {key: tuple(value) for key, value in given.items() if value}
+    typed: dict[str, Any] = {
+        "policies": policy,
+        "compensations": compensation,
+        "feedback": feedback,
+        "plants": plant,
+    }
+    typed["grippers"] = gripper
+    names: dict[str, Any] = {key: tuple(value) for key, value in typed.items() if value}
     settings = PolicySettings(
         arms=arms,
         episodes=episodes,
@@ -198,8 +203,8 @@ def evaluate(
         **names,
     )
 
-    seen = "camera" in settings.feedback and any("camera" in kind_of(name).feedback for name in settings.policies)
-    if _was_given(context, "camera_noise") and not seen:
+    has_camera = "camera" in settings.feedback and any("camera" in kind_of(name).feedback for name in settings.policies)
+    if _was_given(context, "camera_noise") and not has_camera:
         raise InputError(NO_CAMERA)
     require(*([] if out is None else ["pyarrow"]))
     workers = workers or os.cpu_count() or 1
@@ -263,12 +268,12 @@ def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
         "success": "success (%)",
         "collected": "fruit collected",
     }
-    shown = [key for key in numbers if any(key in card for card in cards)]
+    keys = [key for key in numbers if any(key in card for card in cards)]
     rows = []
     for card in cards:
-        found = {key: card.get(key) for key in shown} | {"success": 100.0 * card.get("success", 0.0)}
-        said = ["" if found[key] is None or key not in card else f"{found[key]:.2f}" for key in shown]
-        rows.append([card["name"], str(card["episodes"]), str(card["steps"]), f"{card['mean_return']:.2f}", *said])
-    heads = ("data set", "episodes", "steps", "return, mean", *(numbers[key] for key in shown))
+        values = {key: card.get(key) for key in keys} | {"success": 100.0 * card.get("success", 0.0)}
+        cells = ["" if values[key] is None or key not in card else f"{values[key]:.2f}" for key in keys]
+        rows.append([card["name"], str(card["episodes"]), str(card["steps"]), f"{card['mean_return']:.2f}", *cells])
+    heads = ("data set", "episodes", "steps", "return, mean", *(numbers[key] for key in keys))
     caption = f"simulated; MINARI_DATASETS_PATH={out.resolve()} lets Minari find them by name"
     print_table(f"Recorded with seed {cards[0]['seed']}", heads, rows, words=("data set",), caption=caption)

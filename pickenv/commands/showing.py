@@ -95,7 +95,7 @@ def _option(match: re.Match[str]) -> str:
     if isinstance(content, bool):
         return option.opts[0] if content else next(iter(option.secondary_opts), f"no {option.opts[0]}")
     values = content if isinstance(content, list | tuple) else [content]
-    return " ".join(f"{option.opts[0]} {shlex.quote(str(each))}" for each in values)
+    return " ".join(f"{option.opts[0]} {shlex.quote(str(item))}" for item in values)
 
 
 def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -128,7 +128,7 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
 
 def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     """The values whose names are those of fields of a dataclass."""
-    return {one.name: values[one.name] for one in fields(kind) if one.name in values}
+    return {attribute.name: values[attribute.name] for attribute in fields(kind) if attribute.name in values}
 
 
 Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]] | str | Mapping[str, Any] | list[Any]]
@@ -215,14 +215,14 @@ def print_table(
 
     names, lines, room = list(heads), [list(row) for row in rows], screen_width(width)
     columns = [(name, [row[i] for row in lines]) for i, name in enumerate(names)]
-    whole = [max(map(len, (*name.split("\n"), *cells))) for name, cells in columns]
+    widest = [max(map(len, (*name.split("\n"), *cells))) for name, cells in columns]
     least = [  # heads and words may be broken at spaces, numbers may not
         max(
             map(len, (*name.split(), *(part for cell in cells for part in (cell.split() if name in words else [cell]))))
         )
         for name, cells in columns
     ]
-    sizes = [size + 3 for size in (whole if sum(whole) + 3 * len(whole) + 1 <= room else least)]
+    sizes = [size + 3 for size in (widest if sum(widest) + 3 * len(widest) + 1 <= room else least)]
     leading = next((i for i, name in enumerate(names) if name not in words), len(names))
     parts = side_by_side(sizes, leading, room - 1)
     console = Console(width=room)
@@ -230,7 +230,7 @@ def print_table(
         table = Table(title=escape(title) if number == 0 else None)
         spare = room - 1 - sum(least[i] + 3 for i in part)
         for i in part:
-            size = least[i] + max(0, min(spare, whole[i] - least[i]))
+            size = least[i] + max(0, min(spare, widest[i] - least[i]))
             spare -= size - least[i]
             table.add_column(escape(names[i]), justify="left" if names[i] in words else "right", width=size)
         for row in lines:

@@ -260,8 +260,8 @@ def judged_arm(
     """
     if calibration is not None:
         return judged_on(plants, calibration, settings, _stream(settings.seed))
-    own, plant = _stream(settings.seed, 1 + arm), plant_at(plants, arm)
-    return judged_on(plant, calibrated(plant, settings, own), settings, own)
+    rng_of_arm, plant = _stream(settings.seed, 1 + arm), plant_at(plants, arm)
+    return judged_on(plant, calibrated(plant, settings, rng_of_arm), settings, rng_of_arm)
 
 
 def _stream(seed: int, *place: int) -> np.random.Generator:

@@ -153,17 +153,17 @@ def joined(parts: Sequence[Rows]) -> Rows:
 
 
 def _stacked(columns: Sequence[NDArray[Any] | None], lengths: Sequence[int]) -> NDArray[Any]:
-    there = [values for values in columns if values is not None]
-    shape = tuple(map(max, zip(*(values.shape[1:] for values in there), strict=True)))
-    kind: Any = np.result_type(*there)
+    present = [values for values in columns if values is not None]
+    shape = tuple(map(max, zip(*(values.shape[1:] for values in present), strict=True)))
+    kind: Any = np.result_type(*present)
     kind, filler = (kind, "") if kind.kind == "U" else (float, np.nan)
     stacked = []
     for values, length in zip(columns, lengths, strict=True):
         if values is None or values.shape[1:] != shape:
-            whole = np.full((length, *shape), filler, dtype=kind)
+            padded = np.full((length, *shape), filler, dtype=kind)
             if values is not None:
-                whole[tuple(map(slice, values.shape))] = values
-            values = whole
+                padded[tuple(map(slice, values.shape))] = values
+            values = padded
         stacked.append(values)
     return np.concatenate(stacked)
 
@@ -195,14 +195,14 @@ class Experiment:
 
     def pieces(self) -> list[Piece]:
         """The pieces of work: factors vary slowest, in their order."""
-        found = []
+        pieces = []
         for levels in product(*self.factors.values()):
             for places in product(*(range(len(values)) for values in self.units.values())):
                 units = {name: self.units[name][at] for name, at in zip(self.units, places, strict=True)}
                 piece = Piece(dict(zip(self.factors, levels, strict=True)) | units, places)
                 if self.fits is None or self.fits(**piece.levels):
-                    found.append(piece)
-        return found
+                    pieces.append(piece)
+        return pieces
 
     def measured(self, piece: Piece) -> Rows:
         """The rows of one piece, with its levels in front."""
@@ -378,8 +378,8 @@ class _Record:
     def text(self) -> str:
         """The only text that `RECORD` may hold: its own hash stands in it."""
         content = {"format": 1, "pieces": dict(self.pieces), "last": list(self.last), "versions": dict(self.versions)}
-        own = hashlib.sha256(json.dumps(content).encode()).hexdigest()
-        return json.dumps(content | {"sha256": own}, indent=2) + "\n"
+        seal = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+        return json.dumps(content | {"sha256": seal}, indent=2) + "\n"
 
 
 def _write_record(folder: Path, pieces: Mapping[str, str], warn: Callable[[str], None] | None) -> None:
@@ -390,8 +390,8 @@ def _write_record(folder: Path, pieces: Mapping[str, str], warn: Callable[[str],
     except InputError:
         if warn is not None:
             warn(f"{path} is damaged and is made anew")
-    there = {name: key for name, key in before.items() if (folder / name).is_file()}
-    write_text(path, _Record({**there, **pieces}, list(pieces), versions("pyarrow")).text())
+    earlier = {name: key for name, key in before.items() if (folder / name).is_file()}
+    write_text(path, _Record({**earlier, **pieces}, list(pieces), versions("pyarrow")).text())
 
 
 def _read_record(path: Path) -> _Record:
@@ -400,10 +400,10 @@ def _read_record(path: Path) -> _Record:
     with refusing_damage(path, "the record of an experiment", AGAIN):
         text = path.read_text(encoding="utf-8")
         content = json.loads(text)
-        found = _Record(content["pieces"], content["last"], content["versions"])
-        if text != found.text() or not set(found.last) <= set(found.pieces):
+        record = _Record(content["pieces"], content["last"], content["versions"])
+        if text != record.text() or not set(record.last) <= set(record.pieces):
             raise ValueError("it was edited: its own hash is another")
-    return found
+    return record
 
 
 def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
@@ -438,9 +438,9 @@ def _piece_table(path: Path, key: str) -> pa.Table:
         raise InputError(f"{path} is missing; {AGAIN}") from error
     check_sealed_parquet(content, path, AGAIN)
     table = pq.read_table(pa.BufferReader(content))
-    said = (table.schema.metadata or {}).get(b"pickenv.key", b"").decode()
-    if said != key:
-        raise InputError(f"{path} holds another piece than its name says (key {said[:12]}); {AGAIN}")
+    key_in_file = (table.schema.metadata or {}).get(b"pickenv.key", b"").decode()
+    if key_in_file != key:
+        raise InputError(f"{path} holds another piece than its name says (key {key_in_file[:12]}); {AGAIN}")
     return table
 
 
@@ -457,9 +457,9 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
         pieces = _read_record(record).pieces
     except InputError as error:
         return [(record, str(error))]
-    found: list[tuple[Path, str | None]] = [(record, None)]
-    there = {path.name for path in folder.iterdir()} - {RECORD, LOCK}
-    for name in sorted({*pieces, *there}):
+    verdicts: list[tuple[Path, str | None]] = [(record, None)]
+    files = {path.name for path in folder.iterdir()} - {RECORD, LOCK}
+    for name in sorted({*pieces, *files}):
         path, reason = folder / name, None
         if name not in pieces:
             reason = f"{path} is no piece of this experiment; take it out of the folder"
@@ -470,8 +470,8 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
                 _piece_table(path, pieces[name])
             except InputError as error:
                 reason = str(error)
-        found.append((path, reason))
-    return found
+        verdicts.append((path, reason))
+    return verdicts
 
 
 def _arrow_of(values: NDArray[Any]) -> Any:
@@ -536,26 +536,26 @@ def spread(
     from joblib import Parallel, delayed
     from joblib.parallel import get_active_backend
 
-    left = list(numbers)
+    todo = list(numbers)
     with _working_on(backend, workers) as deaths:
         for _ in range(ATTEMPTS):
             streams = get_active_backend()[0].supports_return_generator
             parallel = Parallel(
                 n_jobs=workers or -1, return_as="generator_unordered" if streams else "list", batch_size=1
             )
-            together = len(left) if streams else 4 * (workers or parallel._effective_n_jobs())
+            together = len(todo) if streams else 4 * (workers or parallel._effective_n_jobs())
             try:
-                while left:
-                    some = parallel(delayed(_numbered)(work, number, os.getpid()) for number in left[:together])
+                while todo:
+                    some = parallel(delayed(_numbered)(work, number, os.getpid()) for number in todo[:together])
                     with _quietly_closed(some):
                         for number, result in some:
-                            left.remove(number)
+                            todo.remove(number)
                             yield number, result
                 return
             except deaths:
                 continue
     raise InputError(
-        f"the processes that worked on piece {left[0]} died {ATTEMPTS} times ({len(left)} are left); give fewer "
+        f"the processes that worked on piece {todo[0]} died {ATTEMPTS} times ({len(todo)} are left); give fewer "
         "workers or smaller pieces if memory ran out, and run it again to go on"
     )
 

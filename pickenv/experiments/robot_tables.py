@@ -67,12 +67,12 @@ def _best_rows(models: Rows) -> list[dict[str, Any]]:
     for name, nominal, ls, best in _by_row(models):
         spread = SPREAD[name]
         steps = {"LS": (nominal, ls)} | ({f"best: {best['used']}": (ls, best)} if spread.terms != "none" else {})
-        for model, (before, left) in steps.items():
-            values = (nominal["value_mm"], before["value_mm"], left["value_mm"])
+        for model, (before, after) in steps.items():
+            values = (nominal["value_mm"], before["value_mm"], after["value_mm"])
             rows.append(
                 bench_row("best", spread.real.robot, spread.how, model, *values)
-                | {"before": before["model"], "held_out_spread_mm": _ends(left)}
-                | {"published_mm": spread.published, "statistic": spread.statistic, "rows": left["rows"]}
+                | {"before": before["model"], "held_out_spread_mm": _ends(after)}
+                | {"published_mm": spread.published, "statistic": spread.statistic, "rows": after["rows"]}
             )
     return rows
 
@@ -158,8 +158,8 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
 
 
 def _percent(value: float, ends: Ends | None) -> str:
-    said = f"{100.0 * value:.1f} %"
-    return said if ends is None else f"{said} ({100.0 * ends[0]:.1f} to {100.0 * ends[1]:.1f})"
+    text = f"{100.0 * value:.1f} %"
+    return text if ends is None else f"{text} ({100.0 * ends[0]:.1f} to {100.0 * ends[1]:.1f})"
 
 
 def spread_table(models: Rows) -> str:
@@ -167,11 +167,11 @@ def spread_table(models: Rows) -> str:
     table = []
     for name, nominal, ls, best in _by_row(models):
         row = SPREAD[name]
-        judged = f"{row.real.robot}, {HELD[row.how]}, {'RMS' if row.statistic == 'rms' else 'mean'}"
+        label = f"{row.real.robot}, {HELD[row.how]}, {'RMS' if row.statistic == 'rms' else 'mean'}"
         remark = f"; {row.remark}" if row.remark else ""
         used = f"{_millimetres(best)}: {best['used']}{remark}" if row.terms != "none" else ""
         published = "" if row.published is None else f"{row.published:g}"
-        table.append((judged, _millimetres(nominal), _millimetres(ls), used, published))
+        table.append((label, _millimetres(nominal), _millimetres(ls), used, published))
     return _markdown(SPREAD_HEADS, table)
 
 

@@ -157,7 +157,9 @@ class StudyConfig:
     def settings(self) -> tuple[Setting, ...]:
         """All cells: populations first, payloads last; an arm without calibration has neither poses nor tracker."""
         classes = self.load_tolerances().items()
-        populations = [(name, grade) for name, own in classes for grade in (self.it_grades or (own.it_grade,))]
+        populations = [
+            (name, grade) for name, tolerances in classes for grade in (self.it_grades or (tolerances.it_grade,))
+        ]
         calibrations = [
             (method, poses, noise)
             for method in self.methods
@@ -425,7 +427,7 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "joint_stiffness": ("joint_compliance", lambda effect: effect.stiffness),
     "flexural_rigidity": ("boom_bending", lambda effect: (effect.flexural_rigidity,)),
     "torsional_rigidity": ("boom_torsion", lambda effect: (effect.torsional_rigidity,)),
-    "bearing_stiffness": ("slide_compliance", lambda effect: tuple(each.stiffness for each in effect.bearings)),
+    "bearing_stiffness": ("slide_compliance", lambda effect: tuple(bearing.stiffness for bearing in effect.bearings)),
     "lead": ("transmission_error", lambda effect: effect.lead),
     "roller_clearance": ("roller_play", lambda effect: (effect.clearance,)),
     "backlash": ("backlash", lambda effect: effect.width),
@@ -457,20 +459,20 @@ def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
         for i in range(nominal.joints):
             column = f"delta_{next(names)}_{'deg' if angle else 'mm'}"
             columns[column] = np.degrees(difference[:, i]) if angle else 1e3 * difference[:, i]
-    own = {effect.name: (effect.name, type(effect).own_sizes) for effect in design.effects if effect.own_sizes()}
-    for name, (effect, numbers) in {**SIZES, **own}.items():
+    foreign = {effect.name: (effect.name, type(effect).own_sizes) for effect in design.effects if effect.own_sizes()}
+    for name, (effect, numbers) in {**SIZES, **foreign}.items():
         if design.effect(effect) is None:
             continue
         sizes = numbers(design.effect(effect))
-        for i, (size, drawn) in enumerate(zip(sizes, numbers(arms.effect(effect)), strict=True), start=1):
+        for i, (size, values) in enumerate(zip(sizes, numbers(arms.effect(effect)), strict=True), start=1):
             if size:
-                columns[f"size_{name}_{i}" if len(sizes) > 1 else f"size_{name}"] = drawn / size
+                columns[f"size_{name}_{i}" if len(sizes) > 1 else f"size_{name}"] = values / size
     drives, thermal = arms.effect("transmission_error"), arms.effect("thermal_growth")
     if drives is not None:
         pairs = zip(design.effect("transmission_error").harmonics, drives.harmonics, strict=True)
-        for i, (own, term) in enumerate(pairs, start=1):
-            if own.amplitude:
-                size = term.amplitude / own.amplitude
+        for i, (nominal_term, term) in enumerate(pairs, start=1):
+            if nominal_term.amplitude:
+                size = term.amplitude / nominal_term.amplitude
                 columns[f"sine_transmission_error_{i}"] = size * np.sin(term.phase)
                 columns[f"cosine_transmission_error_{i}"] = size * np.cos(term.phase)
     if thermal is not None:

@@ -98,13 +98,13 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
     """
     commands: dict[tuple[Any, ...], ArmCommands] = {}
     outcomes = []
-    wanted = forward(protocol.nominal, around.fruit)
+    targets = forward(protocol.nominal, around.fruit)
     for setting in settings:
         key = (setting.method, setting.poses, setting.noise)
         if key not in commands:  # a payload changes where the arm ends, not what it is told
             commands[key] = arm_commands(protocol, setting, arm, around)
         command = commands[key]
-        error = pose_error(wanted, carrying(arm, setting.payload_kg).tool_pose(command.joints))
+        error = pose_error(targets, carrying(arm, setting.payload_kg).tool_pose(command.joints))
         position, attitude = (np.linalg.norm(part, axis=1)[None] for part in (error[:, :3], error[:, 3:]))
         outcomes.append(Outcomes(setting, [command.status], [command.iterations], position, attitude))
     return outcomes
@@ -135,8 +135,8 @@ def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circu
         return ArmCommands(around.fruit, str(error))
     except np.linalg.LinAlgError as error:
         return ArmCommands(around.fruit, f"the identification broke down: {error}")
-    joints, wanted = compensator(around.fruit), forward(protocol.nominal, around.fruit).position
-    miss = np.linalg.norm(compensator.predict(joints).position - wanted, axis=1)
+    joints, targets = compensator(around.fruit), forward(protocol.nominal, around.fruit).position
+    miss = np.linalg.norm(compensator.predict(joints).position - targets, axis=1)
     missed = int(np.sum(miss > 1e-3 * protocol.config.radius_mm))
     return ArmCommands(joints, reach_status(missed, protocol.config), iterations)
 
@@ -192,9 +192,9 @@ def chunk_rows(protocol: Protocol, arms: range, populations: Sequence[tuple[Plan
         populations: For each population, its true arms and their outcomes in each of its settings.
     """
     parts = [
-        _columns(arms, outcomes, protocol.config.radius_mm) | drawn
+        _columns(arms, outcomes, protocol.config.radius_mm) | columns_of_arms
         for plants, settings in populations
-        for drawn in [deviations(protocol.design, plants)]
+        for columns_of_arms in [deviations(protocol.design, plants)]
         for outcomes in settings
     ]
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -211,8 +211,8 @@ def _columns(arms: range, outcomes: Outcomes, radius_mm: float) -> dict[str, Any
         columns[name] = np.full(count, value, dtype=np.int32 if isinstance(value, int) else None)
     columns |= {"status": status, "iterations": np.asarray(outcomes.iterations, dtype=np.int32)}
     columns |= {name: np.full(count, np.nan) for name in (*FIGURES, "share_within")}
-    judged = status == OK
-    if judged.any():
-        for name, values in figures(outcomes.position[judged], outcomes.attitude[judged], radius_mm).items():
-            columns[name][judged] = values
+    is_ok = status == OK
+    if is_ok.any():
+        for name, values in figures(outcomes.position[is_ok], outcomes.attitude[is_ok], radius_mm).items():
+            columns[name][is_ok] = values
     return columns

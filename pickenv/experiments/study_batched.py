@@ -113,17 +113,17 @@ def _outcomes(
 ) -> list[Outcomes]:
     """Outcomes of all arms of one population in each of its settings."""
     placed, count = plants_on(plants, place), len(around)
-    targets = in_components(torch, np.stack([one.fruit for one in around], axis=1), place)
+    targets = in_components(torch, np.stack([met.fruit for met in around], axis=1), place)
     read = visited_frames(protocol, placed, around, place)
-    wanted = tool_frame(torch, chain_of(protocol.nominal), targets)
+    goals = tool_frame(torch, chain_of(protocol.nominal), targets)
     commands: dict[tuple[Any, ...], _Commands] = {}
     outcomes = []
     for setting in settings:
         key = (setting.method, setting.poses, setting.noise)
         if key not in commands:
-            commands[key] = _commands(protocol, setting, read, around, (targets, wanted), place)
+            commands[key] = _commands(protocol, setting, read, around, (targets, goals), place)
         command = commands[key]
-        error = frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, command.joints))
+        error = frame_error(torch, goals, carrying(placed, setting.payload_kg).tool_frame(torch, command.joints))
         position, attitude = _norms(error[:3], count), _norms(error[3:], count)
         status = [reach_status(int(missed), protocol.config) for missed in command.missed]
         steps = command.steps.tolist()
@@ -144,7 +144,7 @@ def _commands(
     place: Place,
 ) -> _Commands:
     """Calibrate all arms, as they were read, as the setting says; correct their commands for targets, wanted frames."""
-    count, (targets, wanted) = len(around), fruit
+    count, (targets, goals) = len(around), fruit
     if setting.method == RAW:
         none = np.zeros(count, dtype=np.int64)
         return _Commands(targets, none, none, np.ones(count, dtype=bool))
@@ -152,7 +152,7 @@ def _commands(
     chain = tree_map(place, chain_of(identified.geometry, np))
     chains = (chain_of(protocol.nominal), chain)
     joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
-    gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], wanted[9:], strict=True)]
+    gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], goals[9:], strict=True)]
     missed = np.sum(_norms(gap, count) > 1e-3 * protocol.config.radius_mm, axis=1)
     return _Commands(joints, missed, identified.steps, identified.converged)
 
@@ -187,8 +187,8 @@ class BatchIdentification:
 
 def visited_frames(protocol: Protocol, plants: Plant, around: Sequence[Circumstances], place: Place) -> list[Tensor]:
     """True tool frames ``(P, N)`` when the tracker reads them, at all calibration poses that the study has."""
-    visits = np.stack([one.poses for one in around], axis=1)
-    stops = np.stack([one.tracker.stops for one in around], axis=-1)
+    visits = np.stack([met.poses for met in around], axis=1)
+    stops = np.stack([met.tracker.stops for met in around], axis=-1)
     frame = visited(plants, torch, visits, protocol.tracker, stops, place)
     return [torch.as_tensor(value).broadcast_to(visits.shape[:2]) for value in frame]
 
@@ -208,38 +208,38 @@ def identify_batch(
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)
     assert instrument.noise is not None
-    draws = [one.tracker.first(poses) for one in around]
+    draws = [met.tracker.first(poses) for met in around]
     bare = Plant(design.name, design.arm, design.arm.nominal)  # for what the instrument says of itself: weights
     weights = place(measured(protocol, bare, setting, around[0]).row_weights)
-    joints = in_components(torch, np.stack([one.poses[:poses] for one in around], axis=1), place)
-    reading = in_components(torch, np.stack([one.reading for one in draws], axis=1), place)
-    mounting = in_components(torch, np.stack([one.mounting for one in draws]), place)
+    joints = in_components(torch, np.stack([met.poses[:poses] for met in around], axis=1), place)
+    reading = in_components(torch, np.stack([met.reading for met in draws], axis=1), place)
+    mounting = in_components(torch, np.stack([met.mounting for met in draws]), place)
     frame = tuple(value[:poses] for value in read)
-    seen = read_frame(torch, instrument.noise, instrument.stand, frame, reading, mounting)
+    readings = read_frame(torch, instrument.noise, instrument.stand, frame, reading, mounting)
     links, tool = _links(chain_of(nominal), joints)
-    weighted = _residual(weights, tool, seen)
+    weighted = _residual(weights, tool, readings)
     matrix = _jacobian(nominal, protocol.model, weights, links, tool)
-    kept, usual = _usual_parameters(matrix)
-    matrix = matrix[:, :, torch.as_tensor(kept)]
-    names = tuple(protocol.model.names[k] for k in kept)
-    model = ErrorModel(protocol.model.columns[kept], names, protocol.model.tolerance[kept])
-    geometry = _displaced_links(nominal, model, np.zeros((count, len(kept))))
+    parameters, usual = _usual_parameters(matrix)
+    matrix = matrix[:, :, torch.as_tensor(parameters)]
+    names = tuple(protocol.model.names[k] for k in parameters)
+    model = ErrorModel(protocol.model.columns[parameters], names, protocol.model.tolerance[parameters])
+    geometry = _displaced_links(nominal, model, np.zeros((count, len(parameters))))
     history = _rms(weighted)
     running = torch.as_tensor(usual).to(history.device)
     converged, steps = torch.zeros_like(running), torch.zeros_like(history, dtype=torch.int64)
     for _ in range(STEPS):
         step, sound = _solve(matrix, weighted)
-        moved = _displaced_links(geometry, model, step.cpu().numpy() * model.tolerance)
-        links, tool = _links(tree_map(place, chain_of(moved, np)), joints)
-        moved_weighted = _residual(weights, tool, seen)
+        stepped = _displaced_links(geometry, model, step.cpu().numpy() * model.tolerance)
+        links, tool = _links(tree_map(place, chain_of(stepped, np)), joints)
+        moved_weighted = _residual(weights, tool, readings)
         rms = _rms(moved_weighted)
         # From here on as in `least_squares`, arm by arm; what it would shorten is left to it.
         _, negligible, better, finished = judged_step(step, (matrix @ step[:, :, None])[..., 0], weighted, history, rms)
         accepted = running & sound & better
         converged |= running & sound & torch.where(better, finished, negligible)
         steps += accepted
-        chosen = accepted.cpu().numpy()[:, None]
-        geometry = with_links(moved, lambda yes, no, chosen=chosen: np.where(chosen, yes, no), geometry)
+        taken = accepted.cpu().numpy()[:, None]
+        geometry = with_links(stepped, lambda yes, no, taken=taken: np.where(taken, yes, no), geometry)
         history = torch.where(accepted, rms, history)
         running = accepted & ~finished
         if not running.any():
@@ -260,12 +260,12 @@ def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.boo
     basis = torch.zeros_like(r)
     masks: list[Tensor] = []
     for k in range(parameters):
-        rest = r[:, :, k, None]
+        residual = r[:, :, k, None]
         for _ in range(2):
-            rest = rest - basis @ (basis.mT @ rest)
-        size = torch.linalg.vector_norm(rest, dim=1)
+            residual = residual - basis @ (basis.mT @ residual)
+        size = torch.linalg.vector_norm(residual, dim=1)
         mask = (size[:, 0] > threshold) & (sum(masks, torch.zeros_like(threshold)) < r.shape[1])
-        basis[:, :, k] = torch.where(mask[:, None], rest[..., 0] / size, 0.0)
+        basis[:, :, k] = torch.where(mask[:, None], residual[..., 0] / size, 0.0)
         masks.append(mask)
     patterns, which, counts = np.unique(
         torch.stack(masks, dim=1).cpu().numpy(), axis=0, return_inverse=True, return_counts=True
@@ -317,8 +317,8 @@ def _rms(weighted: Tensor) -> Tensor:
 def _displaced_links(geometry: Geometry, model: ErrorModel, change: Array) -> Geometry:
     """Geometries ``(N, n)`` with ``change`` ``(N, K)`` added to the model's link parameters."""
     shape = (len(change), geometry.joints)
-    moved = with_links(geometry, lambda values: np.broadcast_to(values, shape).copy())
+    displaced = with_links(geometry, lambda values: np.broadcast_to(values, shape).copy())
     for k, column in enumerate(model.columns.tolist()):
         kind, joint = divmod(column, geometry.joints)
-        getattr(moved, LINK_PARAMETERS[kind])[:, joint] += change[:, k]
-    return moved
+        getattr(displaced, LINK_PARAMETERS[kind])[:, joint] += change[:, k]
+    return displaced

@@ -57,8 +57,8 @@ LONGEST = 16
 
 def study_drawings(findings: Findings) -> Drawings:
     """The figures of a study."""
-    rows, wanted = findings.yields, specified(findings.protocol.config)
-    judged = any(row["failed"] < row["arms"] for row in rows)
+    rows, specification = findings.yields, specified(findings.protocol.config)
+    has_results = any(row["failed"] < row["arms"] for row in rows)
     drawings: list[Drawing | NotDrawn] = []
 
     def add(name: str, caption: str, figure: Callable[..., Figure], *arguments: Any) -> None:
@@ -68,12 +68,12 @@ def study_drawings(findings: Findings) -> Drawings:
         if along not in varied(rows):
             drawings.append(NotDrawn(f"yield_by_{along}", f"the study does not vary {words}"))
             continue
-        caption = f"Share of arms that pick {wanted}, against {words}, with Wilson 95 % bands."
-        add(f"yield_by_{along}", caption, yield_curves, rows, along, wanted)
-        if judged:
+        caption = f"Share of arms that pick {specification}, against {words}, with Wilson 95 % bands."
+        add(f"yield_by_{along}", caption, yield_curves, rows, along, specification)
+        if has_results:
             caption = f"Mean position error of the median arm against {words}; bands hold the middle 90 % of arms."
             add(f"error_by_{along}", caption, error_curves, findings.quantiles, along)
-    if judged:
+    if has_results:
         caption, radius_mm = "How the arms' mean position errors are distributed.", findings.protocol.config.radius_mm
         add("error_distribution", caption, distributions, findings.dense, radius_mm)
     for setting, shares in findings.sensitivities.items():
@@ -159,13 +159,13 @@ def distributions(quantiles: Sequence[Row], radius_mm: float | None = None) -> F
     settings = {row["setting"]: row for row in rows}
     with new_figure(WIDTH, 3.7) as figure:
         axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
-        look, curves, named = _looks(rows, "it_grade"), dict[str, Array](), dict[str, Row]()
+        look, curves, row_of = _looks(rows, "it_grade"), dict[str, Array](), dict[str, Row]()
         for setting, row in sorted(settings.items(), key=lambda item: item[1]["method"] != RAW):
             label = f"{method_label(row['method'])}, {_valued('it_grade', row)}"
             points = [(r["value"], 100.0 * r["probability"]) for r in rows if r["setting"] == setting]
-            curves[label], named[label] = np.array(sorted(points, key=lambda point: point[1])).T, row
+            curves[label], row_of[label] = np.array(sorted(points, key=lambda point: point[1])).T, row
         for group in alike({name: np.log(curve[0]) for name, curve in curves.items()}, ALIKE):
-            axes.plot(*curves[group[0]], label=_together(group), **look(named[group[0]]) | {"marker": ""})
+            axes.plot(*curves[group[0]], label=_together(group), **look(row_of[group[0]]) | {"marker": ""})
         medians = {name: float(np.median(curve[0])) for name, curve in curves.items()}
         least = min(medians, key=lambda name: medians[name])
         headline(axes, f"Least: {least}, half of the arms below {short(medians[least])} mm", beside=LEGEND)
@@ -190,8 +190,8 @@ def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:
     order = [row["kind"] for row in kinds]
     palette = rgb([*policy_colours(["ls", "raw"]), GREEN, *OTHERS])
     with new_figure(WIDTH, 1.3 + 0.2 * max(len(single), 6)) as figure:
-        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
-        for axes, bars, title in ((left, single, "by parameter"), (right, kinds, "by kind")):
+        by_parameter, by_kind = figure.subplots(1, 2, width_ratios=(3, 2))
+        for axes, bars, title in ((by_parameter, single, "by parameter"), (by_kind, kinds, "by kind")):
             for place, row in enumerate(bars):
                 share, low, high = (100.0 * row[key] for key in ("share", "share_low", "share_high"))
                 axes.barh(place, share, color=palette[order.index(row["kind"]) % len(palette)], height=0.7)
@@ -260,15 +260,15 @@ def _curves(
     if along not in AXES or along not in varied(rows):
         raise InputError(f"the study does not vary '{along}'; draw one of {varied(rows) or 'none'}")
     beside = ("method", "poses") if along == "it_grade" else ("method", "it_grade")
-    shown = ("tolerances", along, *beside)
+    free = ("tolerances", along, *beside)
     classes = list(dict.fromkeys(row["tolerances"] for row in rows))
-    drawn = [r for r in held(rows, shown) if along not in ("poses", "noise_mm") or r["method"] != RAW]
-    look = _looks(drawn, beside[1])
+    lines = [r for r in held(rows, free) if along not in ("poses", "noise_mm") or r["method"] != RAW]
+    look = _looks(lines, beside[1])
     middles: dict[tuple[str, str], Array] = {}
     with new_figure(WIDTH, 3.7) as figure:
         panels: Any = figure.subplots(1, len(classes), squeeze=False, sharey=True)[0]
         for axes, name in zip(panels, classes, strict=True):
-            curves = dict(_series([r for r in drawn if r["tolerances"] == name], along, beside))
+            curves = dict(_series([r for r in lines if r["tolerances"] == name], along, beside))
             values = {
                 label: factor * np.array([[row[key] for row in curve] for key in keys], dtype=float)
                 for label, curve in curves.items()
@@ -284,7 +284,7 @@ def _curves(
                 axes.fill_between(x, low, high, color=style["color"], alpha=0.18, linewidth=0.0)
                 axes.plot(x, middle, label=label, markersize=4.0, **style)
             if along in ("it_grade", "poses"):
-                axes.set_xticks(sorted({row[along] for row in drawn}))
+                axes.set_xticks(sorted({row[along] for row in lines}))
             else:
                 axes.set_xlim(left=0.0)
             axes.set_xlabel(AXES[along][1])
@@ -301,7 +301,7 @@ def _curves(
         for axes in panels:
             for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
                 handles.setdefault(label, handle)
-        legend = _held_words(drawn, shown)
+        legend = _held_words(lines, free)
         figure.legend(handles.values(), handles, loc="outside right upper", fontsize=8, title=legend)
     return figure
 

@@ -66,7 +66,7 @@ def gather(folder: str | Path) -> Findings:
     """
     protocol, rows = prepared_study(study_of(folder)), read_rows(folder)
     design, yields = protocol.design, yields_of(rows, protocol.config.share).to_pylist()
-    shown = [row["setting"] for row in held(yields, ("method",))]
+    settings = [row["setting"] for row in held(yields, ("method",))]
     off = any((getattr(design.geometry, name) != getattr(protocol.nominal, name)).any() for name in ("alpha", "a"))
     name = f"{design.name} itself"
     return Findings(
@@ -75,10 +75,10 @@ def gather(folder: str | Path) -> Findings:
         yields,
         quantiles_of(rows).to_pylist(),
         quantiles_of(rows, [ERROR], DENSE).to_pylist(),
-        {number: _or_why_not(lambda n: sensitivities_of(rows, n).to_pylist(), number) for number in shown},
+        {number: _or_why_not(lambda n: sensitivities_of(rows, n).to_pylist(), number) for number in settings},
         {
             number: _or_why_not(lambda n: place(protocol, rows, protocol.settings[n], design, name), number)
-            for number in (shown if off else ())
+            for number in (settings if off else ())
         },
     )
 
@@ -133,17 +133,17 @@ def place(protocol: Protocol, rows: Dataset, setting: Setting, arm: Plant, name:
     count = min(protocol.config.arms, MOST.get(setting.method, MOST_LEARNT))
     around = (protocol.circumstances(number) for number in range(count))
     outcomes = gathered([evaluate_arm(protocol, [setting], arm, met)[0] for met in around])
-    judged = np.array([text == OK for text in outcomes.status])
-    if not judged.any():
+    is_ok = np.array([text == OK for text in outcomes.status])
+    if not is_ok.any():
         raise InputError(f"{name} has no place in setting {setting.number}: {outcomes.status[0]}")
-    own = np.where(judged, figures(outcomes.position, outcomes.attitude, protocol.config.radius_mm)[ERROR], np.nan)
+    error_mm = np.where(is_ok, figures(outcomes.position, outcomes.attitude, protocol.config.radius_mm)[ERROR], np.nan)
     numbers, errors = _errors(rows, setting.number)
-    errors, own_there = errors[numbers < count], own[numbers[numbers < count]]
+    errors, own_there = errors[numbers < count], error_mm[numbers[numbers < count]]
     compared = np.isfinite(own_there)
     if not compared.any():
         raise InputError(f"no arm of setting {setting.number} has a result; give another setting")
     below, arms = int(np.sum((errors < own_there)[compared])), int(compared.sum())
-    return Placement(name, float(np.mean(own[judged])), arms, below / arms, share_interval(below, arms))
+    return Placement(name, float(np.mean(error_mm[is_ok])), arms, below / arms, share_interval(below, arms))
 
 
 def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
@@ -162,8 +162,8 @@ def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
 
 def _errors(rows: Dataset, setting: int) -> tuple[Any, Any]:
     """Numbers and mean errors, mm, of a setting's arms that have a result."""
-    judged = (pc.field("setting") == setting) & (pc.field("status") == OK)
-    table = rows.to_table(columns=["arm", ERROR], filter=judged, use_threads=False)
+    selection = (pc.field("setting") == setting) & (pc.field("status") == OK)
+    table = rows.to_table(columns=["arm", ERROR], filter=selection, use_threads=False)
     return table["arm"].to_numpy(), table[ERROR].to_numpy()
 
 
@@ -192,16 +192,16 @@ def study_verdict(config: StudyConfig, rows: Sequence[Row]) -> PageVerdict:
     enough = [row for row in ways.values() if row["yield_low"] >= REQUIRED_YIELD]
     perhaps = [row for row in ways.values() if row["yield_high"] >= REQUIRED_YIELD]
     loads = sorted({row["payload_kg"] for row in rows})
-    wanted = f"a yield of {100 * REQUIRED_YIELD:g} %"
+    goal = f"a yield of {100 * REQUIRED_YIELD:g} %"
     if enough:
         tone, best = "good", max(enough, key=_ease)
-        headline = f"{_way(best)} is enough for {wanted}" + (" at every payload" if len(loads) > 1 else "")
+        headline = f"{_way(best)} is enough for {goal}" + (" at every payload" if len(loads) > 1 else "")
     elif perhaps:
         tone, best = "care", max(perhaps, key=lambda row: row["yield"])
-        headline = f"{_way(best)} may be enough for {wanted}{_at(best, loads)}: too few arms to tell"
+        headline = f"{_way(best)} may be enough for {goal}{_at(best, loads)}: too few arms to tell"
     else:
         tone, best = "bad", max(ways.values(), key=lambda row: row["yield"])
-        headline = f"Nothing that was tried gives {wanted}{_at(best, loads)}"
+        headline = f"Nothing that was tried gives {goal}{_at(best, loads)}"
     text = [f"With {_way(best)}, {_share(best)} of arms pick {specified(config)}{_at(best, loads)}."]
     if not enough:
         text += [_best_at(rows, load) for load in loads if load != best["payload_kg"]]

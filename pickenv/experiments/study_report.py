@@ -65,8 +65,8 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
     folder, written = Path(folder), []
     findings = gather(folder)
     if sobol_samples:
-        shown = [number for number in findings.sensitivities if findings.yields[number]["method"] in (RAW, LS)]
-        written.append(write_sobol(folder, shown, sobol_samples))
+        settings = [number for number in findings.sensitivities if findings.yields[number]["method"] in (RAW, LS)]
+        written.append(write_sobol(folder, settings, sobol_samples))
     written += write_drawings(study_drawings(findings), folder / "figures")
     written.append(write_text(folder / "report.html", study_page(folder, findings)))
     best = max(findings.yields, key=lambda row: row["yield_low"])
@@ -97,10 +97,10 @@ def study_page(folder: str | Path, findings: Findings) -> str:
         InputError: If the study is not finished.
     """
     summary, config = read_summary(folder), findings.protocol.config
-    drawn = [d for d in study_drawings(findings) if isinstance(d, Drawing)]
+    drawings = [d for d in study_drawings(findings) if isinstance(d, Drawing)]
 
     def figures(start: str) -> list[Drawing]:
-        return [drawing for drawing in drawn if drawing.name.startswith(start)]
+        return [drawing for drawing in drawings if drawing.name.startswith(start)]
 
     yields = (Pair(figures("yield_")), _yield_table(findings), _failures(findings))
     errors = (Pair(figures("error_")), _error_table(findings), *_placements(findings, figures("placement_")))

@@ -151,10 +151,10 @@ def _claim(folder: Path, config: StudyConfig, arithmetic: str) -> None:
             raise InputError(f"{folder} holds rows but no study.toml that says of what; give another `folder`")
         write_text(described, f'sha256 = "{sha256}"\narithmetic = "{arithmetic}"\n{config.toml()}')
         return
-    other = study_of(folder).sha256()
-    if other != sha256:
+    recorded = study_of(folder).sha256()
+    if recorded != sha256:
         raise InputError(
-            f"{folder} holds the results of another configuration (hash {other[:12]}, this one has {sha256[:12]}); "
+            f"{folder} holds the results of another configuration (hash {recorded[:12]}, this one has {sha256[:12]}); "
             "give another `folder`, or that configuration to go on"
         )
     before = toml_of(described)[0].get("arithmetic")
