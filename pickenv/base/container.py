@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from pickenv.base.errors import InputError
 from pickenv.base.files import write_whole
-from pickenv.base.provenance import code_fingerprint, versions
+from pickenv.base.provenance import made_with
 
 SCHEMA = "pickenv container 1"
 HEADER = "header.json"
@@ -151,7 +151,7 @@ def write_container(
             "schema": SCHEMA,
             "kind": kind,
             "version": version,
-            "made_with": versions() | {"code": code_fingerprint()},
+            "made_with": made_with(),
             "arrays": described,
             "blobs": {name: {"bytes": len(value), "sha256": _sha256(value)} for name, value in blobs.items()},
             "header": dict(header),

@@ -64,6 +64,11 @@ def code_fingerprint() -> str:
     return total.hexdigest()
 
 
+def made_with() -> dict[str, str]:
+    """What makes files: versions, and the fingerprint of the code ("code")."""
+    return versions() | {"code": code_fingerprint()}
+
+
 def file_sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as file:

@@ -215,7 +215,12 @@ class Experiment:
     def key(self, piece: Piece) -> str:
         """The hash of all that a piece's rows depend on."""
         inputs = self.inputs(**piece.levels) if callable(self.inputs) else self.inputs
-        return content_sha256(self.name, self.seed, inputs, dict(piece.levels), piece.place, code_fingerprint())
+        return input_key(self.name, self.seed, inputs, dict(piece.levels), piece.place)
+
+
+def input_key(*inputs: Any) -> str:
+    """The hash of inputs and of the code that makes numbers: what is kept under it is not computed again."""
+    return content_sha256(*inputs, code_fingerprint())
 
 
 @dataclass(frozen=True)
@@ -509,6 +514,22 @@ def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
     table = rows.pandas() if isinstance(rows, Rows) else pd.DataFrame(list(rows), dtype=object)
     write = partial(table.to_csv, index=False) if path.suffix == ".csv" else partial(table.to_parquet, index=False)
     return write_whole(path, write)
+
+
+# Numbers in words.
+
+
+def interval_words(ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
+    """An interval: 0.12 to 0.34; an end that the units cannot bound is open; empty where there is no interval."""
+    return " to ".join("open" if end is None else f"{scale * end:{sign}.{digits}f}" for end in ends or ())
+
+
+def with_interval(
+    value: float, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "", unit: str = ""
+) -> str:
+    """A number with its interval in brackets, if it has one: 0.23 (0.12 to 0.34)."""
+    words = interval_words(ends, digits, scale, sign)
+    return f"{scale * value:{sign}.{digits}f}{unit}" + (f" ({words})" if words else "")
 
 
 # Who computes.

@@ -37,7 +37,7 @@ from pickenv.agents.policies.foreign import faults_in
 from pickenv.base import WHOLE, Check, Estimate, InputError, Unit, estimate, file_sha256, listed, toml_of, toml_table
 from pickenv.base.intervals import LEAST
 from pickenv.base.toml_tables import made
-from pickenv.experiments.engine import Experiment, Rows
+from pickenv.experiments.engine import Experiment, Rows, with_interval
 
 WORD = Check(lambda value: isinstance(value, str) and value != "", "a text")
 NAMES = Check(
@@ -342,15 +342,14 @@ def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
 
 def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Heads and cells of one table of numbers; levels of ``across`` stand side by side."""
-    form = f"{'+' if number.against and number.of != 'removed' else ''}.{number.digits}f"
+    sign = "+" if number.against and number.of != "removed" else ""
+    form = f"{sign}.{number.digits}f"
 
-    def said(found: Estimate) -> str:
-        text = f"{number.scale * found.value:{form}}"
-        if found.ci95 is None:
+    def said(estimate: Estimate) -> str:
+        text = with_interval(estimate.value, estimate.ci95, number.digits, number.scale, sign)
+        if number.margin is None or estimate.ci95 is None:
             return text
-        ends = ("open" if end is None else f"{number.scale * end:{form}}" for end in found.ci95)
-        verdict = "" if number.margin is None else f": {found.verdict(number.margin)}"
-        return f"{text} ({' to '.join(ends)}){verdict}"
+        return f"{text}: {estimate.verdict(number.margin)}"
 
     names = [name for name in number.by if name != number.across]
     if number.across is None:

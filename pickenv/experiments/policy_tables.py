@@ -25,7 +25,7 @@ from pickenv.base import (
     write_json,
 )
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.experiments.engine import Rows, read_piece, write_piece
+from pickenv.experiments.engine import Rows, interval_words, read_piece, with_interval, write_piece
 from pickenv.experiments.methods import CalibrationPlan
 from pickenv.experiments.policies import PolicySettings, population_seed, run_policies
 from pickenv.inspect import Run
@@ -153,19 +153,6 @@ def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
     """A comparison's difference, its interval, and whether it is significant."""
     ends = interval_words(line["ci95"], 3, sign="+") or f"none: {line['no_interval']}"
     return f"{line['difference_mm']:+.3f}", ends, {True: "yes", False: "no", None: "not known"}[line["significant"]]
-
-
-def interval_words(ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """An interval: 0.12 to 0.34; an end that the arms cannot bound is open; empty where there is no interval."""
-    return " to ".join("open" if end is None else f"{scale * end:{sign}.{digits}f}" for end in ends or ())
-
-
-def with_interval(
-    value: float, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, unit: str = ""
-) -> str:
-    """A number with its interval in brackets, if it has one: 0.23 (0.12 to 0.34)."""
-    words = interval_words(ends, digits, scale)
-    return f"{scale * value:.{digits}f}{unit}" + (f" ({words})" if words else "")
 
 
 # Files: CSV, Parquet, run folders.

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.base import Ends
-from pickenv.experiments.engine import Rows
+from pickenv.experiments.engine import Rows, with_interval
 from pickenv.experiments.gains import LEARNT, LS
 from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench, bench_row
 
@@ -152,14 +151,10 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
         names = (gain["robot"], HELD[gain["split"]], gain["model"])
         sizes = (f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}")
-        shares = (_percent(predicted, gain["predicted_ci95"]), _percent(measured, gain["ci95"]))
+        pairs = ((predicted, gain["predicted_ci95"]), (measured, gain["ci95"]))
+        shares = (with_interval(share, ends, 1, 100.0, unit=" %") for share, ends in pairs)
         cells.append((*names, *sizes, *shares, f"{100.0 * (predicted - measured):+.1f}"))
     return cells
-
-
-def _percent(value: float, ends: Ends | None) -> str:
-    text = f"{100.0 * value:.1f} %"
-    return text if ends is None else f"{text} ({100.0 * ends[0]:.1f} to {100.0 * ends[1]:.1f})"
 
 
 def spread_table(models: Rows) -> str:
@@ -177,9 +172,8 @@ def spread_table(models: Rows) -> str:
 
 def _millimetres(model: dict[str, Any]) -> str:
     """A value with its spread in brackets, three digits after the point below 1 mm."""
-    value, (low, high) = model["value_mm"], _ends(model)
-    digits = 3 if value < 1.0 else 2
-    return f"{value:.{digits}f}" + ("" if low is None else f" ({low:.{digits}f} to {high:.{digits}f})")
+    value = model["value_mm"]
+    return with_interval(value, None if np.isnan(model["low_mm"]) else _ends(model), 3 if value < 1.0 else 2)
 
 
 def peer_cells(bench: Bench) -> list[tuple[str, ...]]:

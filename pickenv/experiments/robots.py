@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -25,7 +26,7 @@ import numpy as np
 import pickenv
 from pickenv.arm import Arm, Array, Geometry, Pose, draw_plants, load_arm, load_tolerances, plant_at
 from pickenv.arm.files.urdf import urdf_text
-from pickenv.base import Ends, InputError, file_sha256, statistic_interval
+from pickenv.base import Ends, InputError, command_line, file_sha256, statistic_interval
 from pickenv.calibration import (
     Choices,
     Measurements,
@@ -391,9 +392,11 @@ def peer_python(peer: Peer, folder: Path, install: bool) -> Path:
     if not install:
         how = "python scripts/benchmark_calibration.py installs it there"
         raise InputError(f"{peer.name} {peer.version} is not installed in {folder}; {how}")
-    pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"{peer.name}=={peer.version}"]
-    for command in ([sys.executable, "-m", "venv", "--clear", str(home)], [str(python), *pip]):
-        ended = subprocess.run(command, capture_output=True, text=True)
+    install_line = command_line(
+        python, "-m", "pip", "install", f"{peer.name}=={peer.version}", quiet=True, disable_pip_version_check=True
+    )
+    for command in (command_line(sys.executable, "-m", "venv", home, clear=True), install_line):
+        ended = subprocess.run(shlex.split(command), capture_output=True, text=True)
         if ended.returncode:
             raise InputError(f"cannot be installed: {last_words(ended.stderr or ended.stdout)}")
     done.touch()
