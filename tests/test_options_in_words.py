@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from pickenv.base import InputError
 from pickenv.cli import app as pickenv
-from pickenv.commands.showing import CommandOfNames, command_of, with_options
+from pickenv.commands import showing
 
 SENTENCES = {
     "give `refit` with it": "give --refit with it",
@@ -28,7 +28,7 @@ def printed(act) -> tuple[str, BaseException | None]:
     """All that a command prints that has such options and does this, and how it fails."""
     app = typer.Typer()
 
-    @app.command(cls=CommandOfNames)
+    @app.command(cls=showing.CommandOfNames)
     def command(
         arm: str,
         refit: str | None = None,
@@ -59,12 +59,12 @@ def test_parameters_in_an_error_a_warning_and_a_report_become_options(sentence: 
 
     assert str(printed(refuse)[1]) == words
     assert printed(warn)[0] == f"warning: {words}\n"
-    assert printed(lambda: print(with_options(sentence)))[0] == f"{words}\n"
+    assert printed(lambda: print(showing.with_options(sentence)))[0] == f"{words}\n"
 
 
 def test_without_a_command_a_parameter_loses_its_backticks_alone() -> None:
     printed(lambda: None)
-    assert with_options("give `refit` or `test='blocked'`") == "give refit or test='blocked'"
+    assert showing.with_options("give `refit` or `test='blocked'`") == "give refit or test='blocked'"
 
 
 def test_every_command_speaks_so() -> None:
@@ -72,7 +72,7 @@ def test_every_command_speaks_so() -> None:
         for command in group.commands.values():
             yield from commands(command) if hasattr(command, "commands") else [command]
 
-    assert all(isinstance(command, CommandOfNames) for command in commands(typer.main.get_command(pickenv)))
+    assert all(isinstance(command, showing.CommandOfNames) for command in commands(typer.main.get_command(pickenv)))
 
 
 def test_a_command_is_said_as_it_is_typed_less_what_it_writes() -> None:
@@ -87,7 +87,9 @@ def test_a_command_is_said_as_it_is_typed_less_what_it_writes() -> None:
     ) -> None: ...
 
     values = {"files": ["a b.csv", "c.csv"], "pool": "p.csv", "allow": ["x", "y"], "quick": True, "robust": False}
-    line = command_of(judge, values | {"test_rows": None, "out": "there"})
+    line = showing.command_of(judge, values | {"test_rows": None, "out": "there"})
     assert line == "pickenv judge 'a b.csv' c.csv --from p.csv --allow x --allow y --quick --no-robust"
     plain = values | {"pool": None, "allow": None, "quick": False, "robust": True}
-    assert command_of(judge, plain | {"test_rows": 5, "out": ""}) == "pickenv judge 'a b.csv' c.csv --test-rows 5"
+    assert (
+        showing.command_of(judge, plain | {"test_rows": 5, "out": ""}) == "pickenv judge 'a b.csv' c.csv --test-rows 5"
+    )

@@ -4,6 +4,7 @@ from .container import (
     parquet_is_sealed as parquet_is_sealed,
     read_container as read_container,
     refusing_damage as refusing_damage,
+    seal as seal,
     sealed_parquet as sealed_parquet,
     write_container as write_container,
 )
@@ -24,13 +25,17 @@ from .files import (
     write_whole as write_whole,
 )
 from .intervals import (
+    LEAST as LEAST,
+    LEAST_RUNS as LEAST_RUNS,
     Ends as Ends,
     Estimate as Estimate,
     clustered_share_interval as clustered_share_interval,
+    crossed_interval as crossed_interval,
     estimate as estimate,
     interquartile_estimate as interquartile_estimate,
     mean_interval as mean_interval,
     paired_share_interval as paired_share_interval,
+    quantile_interval as quantile_interval,
     quantile_levels as quantile_levels,
     share_interval as share_interval,
     statistic_interval as statistic_interval,

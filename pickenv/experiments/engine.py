@@ -306,6 +306,8 @@ def keep(
             if file.is_file() and warn is not None:
                 warn(f"{file} is damaged and is made anew")
             todo.append(number)
+        if progress is not None:
+            progress(experiment.name, len(pieces) - len(todo), len(pieces))
         refusals = set(todo)
         for number, rows in _computed(experiment, pieces, todo, backend, workers, progress, refused):
             write_piece(files[number], rows, experiment.name, keys[number])
@@ -327,8 +329,6 @@ def _computed(
 ) -> Iterator[tuple[int, Rows]]:
     """Numbers of pieces to do and their rows, in any order; arguments as of `run`."""
     done = len(pieces) - len(todo)
-    if progress is not None:
-        progress(experiment.name, done, len(pieces))
     for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
         if isinstance(rows, Rows):
             yield number, rows

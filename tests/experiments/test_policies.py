@@ -17,8 +17,14 @@ from typer.testing import CliRunner
 from pickenv.agents import Rollout, load_policy
 from pickenv.agents.evaluation.compared_policies import kind_of
 from pickenv.arm import load_plant
-from pickenv.base import Estimate, InputError, clustered_share_interval, mean_interval
-from pickenv.base.intervals import crossed_interval, quantile_interval
+from pickenv.base import (
+    Estimate,
+    InputError,
+    clustered_share_interval,
+    crossed_interval,
+    mean_interval,
+    quantile_interval,
+)
 from pickenv.commands import learning as commands
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.experiments import (
@@ -26,11 +32,12 @@ from pickenv.experiments import (
     PolicySettings,
     calibrate_arm,
     compensations_compared,
+    compensators,
     evaluation_rows,
     run_policies,
+    write_rows,
 )
-from pickenv.experiments.engine import write_rows
-from pickenv.experiments.methods import METHODS, compensators
+from pickenv.experiments.methods import METHODS
 from pickenv.experiments.policies import reaches_in
 from pickenv.experiments.policy_tables import (
     cells_of,

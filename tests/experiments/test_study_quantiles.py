@@ -4,17 +4,15 @@ import numpy as np
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.base.intervals import quantile_interval
-from pickenv.experiments import quantiles_of
-from pickenv.experiments.study_arms import FIGURES
-from pickenv.experiments.study_rows import PROBABILITIES
+from pickenv.base import quantile_interval
+from pickenv.experiments import quantiles_of, study_arms, study_rows
 
 
 def test_quantiles_are_exact_and_leave_failed_arms_out(written):
     rows = written(3, 70, failed=0.1)
     raw = rows.to_table().to_pandas()
     table = quantiles_of(rows).to_pylist()
-    assert len(table) == 3 * len(FIGURES) * len(PROBABILITIES)
+    assert len(table) == 3 * len(study_arms.FIGURES) * len(study_rows.PROBABILITIES)
     for row in table:
         values = raw[(raw.setting == row["setting"]) & (raw.status == "ok")][row["quantity"]]
         assert row["arms"] == len(values)

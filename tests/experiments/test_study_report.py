@@ -15,10 +15,19 @@ import pytest
 from pickenv.arm import forward, plant_at, pose_error
 from pickenv.arm.plant.tolerances import random_columns
 from pickenv.base import InputError, share_interval
-from pickenv.experiments import load_study, read_rows, record_study, run_study, study_findings, study_of, write_outputs
-from pickenv.experiments.study import prepared_study
+from pickenv.experiments import (
+    gather,
+    load_study,
+    prepared_study,
+    read_rows,
+    record_study,
+    run_study,
+    study_findings,
+    study_of,
+    write_outputs,
+)
 from pickenv.experiments.study_figures import study_drawings
-from pickenv.experiments.study_findings import gather, place, ranked, specified, study_verdict
+from pickenv.experiments.study_findings import place, ranked, specified, study_verdict
 from pickenv.experiments.study_report import _failures, arms_compared, page, study_page
 from pickenv.experiments.study_rows import read_sobol, write_record, write_sobol
 from pickenv.experiments.study_variance import sobol_of, tolerance_groups

@@ -14,8 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pickenv.base import InputError
-from pickenv.experiments import check_experiment, check_folder, load_study, read_rows, run_study, study_of
-from pickenv.experiments.study_rows import table_sha256
+from pickenv.experiments import check_experiment, check_folder, load_study, read_rows, run_study, study_of, table_sha256
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-c", "from pickenv.cli import main; main()", "study"]

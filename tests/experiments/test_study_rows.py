@@ -8,8 +8,8 @@ import pytest
 from pickenv.arm import forward, load_plant, plant_at, pose_error
 from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
 from pickenv.base import InputError
-from pickenv.experiments import load_study
-from pickenv.experiments.study import Noise, carrying, prepared_study
+from pickenv.experiments import Noise, load_study, prepared_study
+from pickenv.experiments.study import carrying
 from pickenv.experiments.study_arms import (
     FIGURES,
     NOT_FINITE,
