@@ -41,16 +41,7 @@ def calibration(
     from datetime import date
 
     from pickenv.base import require
-    from pickenv.experiments.robot_tables import (
-        GAIN_HEADS,
-        agreement_words,
-        bench_json,
-        bench_page,
-        blocked_json,
-        gain_cells,
-        peer_cells,
-        spread_table,
-    )
+    from pickenv.experiments import robot_tables as tables
     from pickenv.experiments.robots import QUICK, ROWS, BenchSettings, run_bench
     from pickenv.inspect.runs.run_folder import listed_files
 
@@ -62,12 +53,12 @@ def calibration(
 
     def show() -> None:
         if result.gains:
-            words = GAIN_HEADS[:3]
-            print_table("Gains predicted and measured", GAIN_HEADS, gain_cells(result), words=words)
-            print(agreement_words(result))
+            words = tables.GAIN_HEADS[:3]
+            print_table("Gains predicted and measured", tables.GAIN_HEADS, tables.gain_cells(result), words=words)
+            print(tables.agreement_words(result))
         if len(result.models):
-            print(spread_table(result.models))
-        for name, held_out, poses, _ in peer_cells(result):
+            print(tables.spread_table(result.models))
+        for name, held_out, poses, _ in tables.peer_cells(result):
             print(f"{name}: {held_out} mm RMS on 200 rows of the UR5, {poses} mm on its 20 random poses")
         for name, reason in result.skipped.items():
             print(f"not made: {name}: {reason}")
@@ -75,8 +66,10 @@ def calibration(
     with locked(out), listed_files(out):
         with progress_bars() as report:
             result = run_bench(names, settings, data, out, peers, workers=workers, progress=report)
-        measured_gains = blocked_json(result, date.today().isoformat())
-        deliver([(page, bench_page(result)), (blocked, measured_gains), (json_file, bench_json(result))], show)
+        measured_gains = tables.blocked_json(result, date.today().isoformat())
+        deliver(
+            [(page, tables.bench_page(result)), (blocked, measured_gains), (json_file, tables.bench_json(result))], show
+        )
 
 
 @bench.command(cls=CommandOfNames)
@@ -109,21 +102,13 @@ def policies(
     from itertools import groupby
 
     from pickenv.base import require
-    from pickenv.experiments.policy_tables import (
-        LEADERBOARD,
-        QUICK,
-        WORDS,
-        leaderboard_cells,
-        leaderboard_heads,
-        leaderboard_tables,
-        run_leaderboard,
-    )
+    from pickenv.experiments import policy_tables
     from pickenv.inspect.runs.run_folder import listed_files
 
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
     require("torch", "pyarrow", *({"joblib": ["joblib"], "ray": ["ray"]}.get(executor, [])))
-    usual = QUICK if quick else LEADERBOARD
+    usual = policy_tables.QUICK if quick else policy_tables.LEADERBOARD
     settings = replace(
         usual,
         policies=(*usual.policies, *dict.fromkeys(policy or [])),
@@ -137,10 +122,15 @@ def policies(
     def show() -> None:
         for task, group in groupby(rows, lambda row: row["task"]):
             table = list(group)
-            print_table(task, leaderboard_heads(table[0]), map(leaderboard_cells, table), words=WORDS)
+            print_table(
+                task,
+                policy_tables.leaderboard_heads(table[0]),
+                map(policy_tables.leaderboard_cells, table),
+                words=policy_tables.WORDS,
+            )
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
             backend = "loky" if executor == "joblib" else executor
-            rows = run_leaderboard(settings, out, backend=backend, workers=workers, progress=report)
-        deliver([(page, leaderboard_tables(rows)), (json_file, {"rows": rows})], show)
+            rows = policy_tables.run_leaderboard(settings, out, backend=backend, workers=workers, progress=report)
+        deliver([(page, policy_tables.leaderboard_tables(rows)), (json_file, {"rows": rows})], show)

@@ -1,6 +1,6 @@
 """Calibrate and judge thousands of arms of a study at once, in torch: the arms are the last axis of every component.
 
-The same physics, least squares and compensation as arm by arm (`pickenv.experiments.study_arms`), so that the rows
+The same physics, least squares and compensation as arm by arm (`pickenv.experiments.study`), so that the rows
 agree. All arms start at the nominal geometry. What is redundant follows from each arm's own poses, and is nearly always
 the same; an arm with others, or one that needs more than undamped steps, is handed over. Components are ``(M, N)`` at
 fruit and ``(P, N)`` at poses, arms last. SI.
@@ -33,9 +33,9 @@ from pickenv.calibration import Compensator
 from pickenv.calibration.compensation.compensator import corrected
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, judged_step
 from pickenv.calibration.model.arm_model import ErrorModel
+from pickenv.experiments import study
 from pickenv.experiments.engine import Rows, joined
-from pickenv.experiments.study import RAW, Circumstances, Protocol, Setting, carrying, measured
-from pickenv.experiments.study_arms import Outcomes, chunk_rows, evaluate_arm, gathered, reach_status
+from pickenv.experiments.study import measured
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
 """Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
@@ -61,7 +61,7 @@ class _Commands:
     converged: NDArray[np.bool_]
 
 
-def evaluate_batch(protocol: Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
+def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
     """The rows of a chunk of arms; what they draw follows from the study's seed and their numbers, not from ``rng``."""
     place = partial(torch.as_tensor, dtype=torch.float64, device=device)
     arms, size = protocol.config.arms_of(chunk), _block_size(protocol, device)
@@ -70,7 +70,9 @@ def evaluate_batch(protocol: Protocol, chunk: int, rng: object = None, device: s
         return joined([_evaluate_block(protocol, block, place) for block in blocks])
 
 
-def judge_batch(protocol: Protocol, setting: Setting, plants: Plant, around: Sequence[Circumstances]) -> Outcomes:
+def judge_batch(
+    protocol: study.Protocol, setting: study.Setting, plants: Plant, around: Sequence[study.Circumstances]
+) -> study.Outcomes:
     """Any batch of arms in one setting, each in its own circumstances, on this processor."""
     place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
     size, parts = _block_size(protocol, "cpu"), []
@@ -78,7 +80,7 @@ def judge_batch(protocol: Protocol, setting: Setting, plants: Plant, around: Seq
         for first in range(0, len(around), size):
             part = slice(first, first + size)
             parts += _outcomes(protocol, [setting], plants_on(plants, itemgetter(part)), around[part], place)
-    return gathered(parts)
+    return study.gathered(parts)
 
 
 def check_device(device: str) -> None:
@@ -93,24 +95,28 @@ def check_device(device: str) -> None:
         raise InputError("torch sees no CUDA device on this machine; give `device='cpu'`")
 
 
-def _block_size(protocol: Protocol, device: str) -> int:
+def _block_size(protocol: study.Protocol, device: str) -> int:
     """Arms worked on together; of arms measured in time more, as each step of each move then is for all of them."""
     poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
     return max(1, poses // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
 
 
-def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> Rows:
+def _evaluate_block(protocol: study.Protocol, arms: range, place: Place) -> Rows:
     around = [protocol.circumstances(arm) for arm in arms]
     populations = []
     for settings in protocol.populations():
         plants = protocol.draw(settings[0], arms)
         populations.append((plants, _outcomes(protocol, settings, plants, around, place)))
-    return chunk_rows(protocol, arms, populations)
+    return study.chunk_rows(protocol, arms, populations)
 
 
 def _outcomes(
-    protocol: Protocol, settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances], place: Place
-) -> list[Outcomes]:
+    protocol: study.Protocol,
+    settings: Sequence[study.Setting],
+    plants: Plant,
+    around: Sequence[study.Circumstances],
+    place: Place,
+) -> list[study.Outcomes]:
     """Outcomes of all arms of one population in each of its settings."""
     placed, count = plants_on(plants, place), len(around)
     targets = in_components(torch, np.stack([met.fruit for met in around], axis=1), place)
@@ -123,29 +129,29 @@ def _outcomes(
         if key not in commands:
             commands[key] = _commands(protocol, setting, read, around, (targets, goals), place)
         command = commands[key]
-        error = frame_error(torch, goals, carrying(placed, setting.payload_kg).tool_frame(torch, command.joints))
+        error = frame_error(torch, goals, study.carrying(placed, setting.payload_kg).tool_frame(torch, command.joints))
         position, attitude = _norms(error[:3], count), _norms(error[3:], count)
-        status = [reach_status(int(missed), protocol.config) for missed in command.missed]
+        status = [study.reach_status(int(missed), protocol.config) for missed in command.missed]
         steps = command.steps.tolist()
         for i in np.flatnonzero(~command.converged).tolist():
-            (alone,) = evaluate_arm(protocol, [setting], plant_at(plants, i), around[i])
+            (alone,) = study.evaluate_arm(protocol, [setting], plant_at(plants, i), around[i])
             status[i], steps[i] = alone.status[0], alone.iterations[0]
             position[i], attitude[i] = alone.position[0], alone.attitude[0]
-        outcomes.append(Outcomes(setting, status, steps, position, attitude))
+        outcomes.append(study.Outcomes(setting, status, steps, position, attitude))
     return outcomes
 
 
 def _commands(
-    protocol: Protocol,
-    setting: Setting,
+    protocol: study.Protocol,
+    setting: study.Setting,
     read: Sequence[Tensor],
-    around: Sequence[Circumstances],
+    around: Sequence[study.Circumstances],
     fruit: tuple[list[Tensor], Frame],
     place: Place,
 ) -> _Commands:
     """Calibrate all arms, as they were read, as the setting says; correct their commands for targets, wanted frames."""
     count, (targets, goals) = len(around), fruit
-    if setting.method == RAW:
+    if setting.method == study.RAW:
         none = np.zeros(count, dtype=np.int64)
         return _Commands(targets, none, none, np.ones(count, dtype=bool))
     identified = identify_batch(protocol, setting, read, around, place)
@@ -185,7 +191,9 @@ class BatchIdentification:
     converged: NDArray[np.bool_]
 
 
-def visited_frames(protocol: Protocol, plants: Plant, around: Sequence[Circumstances], place: Place) -> list[Tensor]:
+def visited_frames(
+    protocol: study.Protocol, plants: Plant, around: Sequence[study.Circumstances], place: Place
+) -> list[Tensor]:
     """True tool frames ``(P, N)`` when the tracker reads them, at all calibration poses that the study has."""
     visits = np.stack([met.poses for met in around], axis=1)
     stops = np.stack([met.tracker.stops for met in around], axis=-1)
@@ -194,7 +202,11 @@ def visited_frames(protocol: Protocol, plants: Plant, around: Sequence[Circumsta
 
 
 def identify_batch(
-    protocol: Protocol, setting: Setting, read: Sequence[Tensor], around: Sequence[Circumstances], place: Place
+    protocol: study.Protocol,
+    setting: study.Setting,
+    read: Sequence[Tensor],
+    around: Sequence[study.Circumstances],
+    place: Place,
 ) -> BatchIdentification:
     """Read and identify many arms.
 

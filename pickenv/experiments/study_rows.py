@@ -22,9 +22,8 @@ import pyarrow.dataset as ds
 
 from pickenv import __version__
 from pickenv.base import InputError, command_line, locked, quantile_levels, share_interval, toml_of, write_text
+from pickenv.experiments import study
 from pickenv.experiments.engine import RECORD, Experiment, Rows, check_experiment, keep, kept_tables
-from pickenv.experiments.study import LS, RAW, Protocol, Setting, StudyConfig, load_study, prepared_study
-from pickenv.experiments.study_arms import FIGURES, OK, evaluate_chunk
 
 Row = Mapping[str, Any]
 
@@ -39,7 +38,7 @@ EXECUTORS = {"serial": "serial", "joblib": "loky", "ray": "ray", BATCHED: "loky"
 
 
 def run_study(
-    config: StudyConfig,
+    config: study.StudyConfig,
     folder: Path,
     *,
     executor: str = "joblib",
@@ -67,8 +66,8 @@ def run_study(
     """
     if executor not in EXECUTORS:
         raise InputError(f"unknown executor '{executor}'; give one of {', '.join(EXECUTORS)}")
-    protocol, backend, arithmetic = prepared_study(config), EXECUTORS[executor], "arm by arm"
-    measure: Callable[..., Any] = partial(evaluate_chunk, protocol)
+    protocol, backend, arithmetic = study.prepared_study(config), EXECUTORS[executor], "arm by arm"
+    measure: Callable[..., Any] = partial(study.evaluate_chunk, protocol)
     if executor == BATCHED:
         measure, arithmetic = _batched(protocol, device), f"batched on {device}"
         backend = "serial" if device != "cpu" or (workers or 1) == 1 else backend
@@ -91,8 +90,8 @@ def run_study(
         return write_record(folder / SUMMARY, _summary(protocol, folder, files, about))
 
 
-def _batched(protocol: Protocol, device: str) -> Callable[..., Any]:
-    learnt = sorted({setting.method for setting in protocol.settings} - {RAW, LS})
+def _batched(protocol: study.Protocol, device: str) -> Callable[..., Any]:
+    learnt = sorted({setting.method for setting in protocol.settings} - {study.RAW, study.LS})
     if learnt:
         raise InputError(f"the batched executor has no {learnt[0]}; give `executor='joblib'`, or leave that method out")
     from pickenv.experiments.study_batched import check_device, evaluate_batch
@@ -101,12 +100,12 @@ def _batched(protocol: Protocol, device: str) -> Callable[..., Any]:
     return partial(evaluate_batch, protocol, device=device)
 
 
-def _name(config: StudyConfig) -> str:
+def _name(config: study.StudyConfig) -> str:
     """Name of a study's experiment, and so the beginning of its files' names."""
     return f"study-{config.sha256()[:16]}"
 
 
-def _summary(protocol: Protocol, folder: Path, files: Sequence[Path], about: Row) -> dict[str, Any]:
+def _summary(protocol: study.Protocol, folder: Path, files: Sequence[Path], about: Row) -> dict[str, Any]:
     config, table, rows = protocol.config, table_sha256(folder), ds.dataset([str(file) for file in files])
     yields = yields_of(rows, config.share).to_pylist()
     quantiles = quantiles_of(rows).to_pylist()
@@ -130,7 +129,7 @@ def _summary(protocol: Protocol, folder: Path, files: Sequence[Path], about: Row
     }
 
 
-def _components(protocol: Protocol, setting: Setting) -> dict[str, Any]:
+def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, Any]:
     """What the differences between arms come from in a setting that stands for its method, or why it is not known."""
     from pickenv.experiments.study_variance import components_of
 
@@ -143,7 +142,7 @@ def _components(protocol: Protocol, setting: Setting) -> dict[str, Any]:
 # The folder.
 
 
-def _claim(folder: Path, config: StudyConfig, arithmetic: str) -> None:
+def _claim(folder: Path, config: study.StudyConfig, arithmetic: str) -> None:
     """Have a folder for a study: write its configuration, or check that it holds the same one."""
     described, sha256 = folder / "study.toml", config.sha256()
     if not described.is_file():
@@ -165,14 +164,14 @@ def _claim(folder: Path, config: StudyConfig, arithmetic: str) -> None:
         )
 
 
-def study_of(folder: str | Path) -> StudyConfig:
+def study_of(folder: str | Path) -> study.StudyConfig:
     """The configuration of a results folder, its hash computed again.
 
     Raises:
         InputError: If the folder holds no study, or another one than its hash says.
     """
     path = Path(folder) / "study.toml"
-    config, (content, _) = load_study(path), toml_of(path)
+    config, (content, _) = study.load_study(path), toml_of(path)
     recorded, sha256 = str(content.get("sha256", "")), config.sha256()
     if not recorded:
         raise InputError(f"{path} is not the record of a results folder; give another folder")
@@ -289,7 +288,7 @@ def write_sobol(folder: str | Path, settings: Sequence[int], samples: int) -> Pa
     from pickenv.experiments.study_variance import sobol_of
 
     config, path = study_of(folder), Path(folder) / SOBOL
-    protocol = prepared_study(config)
+    protocol = study.prepared_study(config)
     indices = {f"{number}": sobol_of(protocol, protocol.settings[number], samples) for number in settings}
     write_record(path, {"config_sha256": config.sha256(), "indices": indices})
     return path
@@ -347,14 +346,14 @@ PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
     """The rows in which everything that is not shown stands at its middle value; raw arms have no poses and noise."""
-    calibrated = [row for row in rows if row["method"] != RAW] or rows
+    calibrated = [row for row in rows if row["method"] != study.RAW] or rows
     middle = {}
     for name in ("tolerances", *VARIED):
         values = list(dict.fromkeys(row[name] for row in calibrated))
         middle[name] = values[(len(values) - 1) // 2]
 
     def fits(row: Row) -> bool:
-        free = ("poses", "noise_mm") if row["method"] == RAW else ()
+        free = ("poses", "noise_mm") if row["method"] == study.RAW else ()
         return all(row[name] == value for name, value in middle.items() if name not in (*shown, *free))
 
     return [row for row in rows if fits(row)]
@@ -378,13 +377,13 @@ def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:
     for setting, arms in _by_setting(rows, ("status", "share_within")):
         within = int(np.sum(arms["share_within"] >= required_share))  # a failed arm's share is NaN: not within
         low, high = share_interval(within, len(arms))
-        counts = {"arms": len(arms), "failed": int(np.sum(arms["status"] != OK)), "within": within}
+        counts = {"arms": len(arms), "failed": int(np.sum(arms["status"] != study.OK)), "within": within}
         table.append(setting | counts | {"yield": within / len(arms), "yield_low": low, "yield_high": high})
     return pa.Table.from_pylist(table)
 
 
 def quantiles_of(
-    rows: ds.Dataset, columns: Sequence[str] = FIGURES, probabilities: Sequence[float] = PROBABILITIES
+    rows: ds.Dataset, columns: Sequence[str] = study.FIGURES, probabilities: Sequence[float] = PROBABILITIES
 ) -> pa.Table:
     """Quantiles of arms' errors in every setting, failed arms left out; mm and degrees.
 
@@ -403,7 +402,7 @@ def quantiles_of(
     """
     quantiles: dict[str, list[dict[str, Any]]] = {column: [] for column in columns}
     for setting, arms in _by_setting(rows, ("status", *columns)):
-        arms = arms.where(status=OK)
+        arms = arms.where(status=study.OK)
         for probability in map(float, probabilities):
             levels = zip(("value", "low", "high"), (probability, *quantile_levels(len(arms), probability)), strict=True)
             names, places = zip(*((name, level) for name, level in levels if level is not None), strict=True)

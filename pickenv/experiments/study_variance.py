@@ -35,8 +35,7 @@ from scipy.stats import qmc
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.tolerances import plants_from, random_columns
 from pickenv.base import InputError, mean_interval, single_threaded, statistic_interval
-from pickenv.experiments.study import LS, RAW, Circumstances, Protocol, Setting
-from pickenv.experiments.study_arms import OK, figures
+from pickenv.experiments.study import LS, OK, RAW, Circumstances, Protocol, Setting, figures
 
 # Which share of a variance each of several independent causes makes: first-order and total indices (Saltelli 2010).
 # Row by row the figure is computed with all causes drawn once (A), all drawn again (B), and for each cause with that

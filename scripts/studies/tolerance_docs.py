@@ -16,8 +16,7 @@ from study_seeds import agreement, in_groups, sentence, sentence_of_groups
 
 from pickenv.base import InputError, write_text
 from pickenv.experiments import load_study, read_summary
-from pickenv.experiments.study_figures import yield_curves
-from pickenv.experiments.study_findings import Findings, gather, setting_label, specified
+from pickenv.experiments.study_findings import Findings, gather, setting_label, specified, yield_curves
 from pickenv.experiments.study_variance import SAMPLES, sobol_of
 from pickenv.inspect import save_figure
 from pickenv.inspect.reports.report_words import percent

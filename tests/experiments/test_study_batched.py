@@ -11,7 +11,7 @@ from pickenv.arm import plant_at
 from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.base import InputError
 from pickenv.experiments import Noise, load_study, prepared_study, run_study, study_batched
-from pickenv.experiments.study_arms import OK, evaluate_arm, evaluate_chunk
+from pickenv.experiments.study import OK, evaluate_arm, evaluate_chunk
 from pickenv.experiments.study_batched import evaluate_batch, judge_batch
 
 AGREEMENT = 1e-9

@@ -5,14 +5,14 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.base import quantile_interval
-from pickenv.experiments import quantiles_of, study_arms, study_rows
+from pickenv.experiments import quantiles_of, study, study_rows
 
 
 def test_quantiles_are_exact_and_leave_failed_arms_out(written):
     rows = written(3, 70, failed=0.1)
     raw = rows.to_table().to_pandas()
     table = quantiles_of(rows).to_pylist()
-    assert len(table) == 3 * len(study_arms.FIGURES) * len(study_rows.PROBABILITIES)
+    assert len(table) == 3 * len(study.FIGURES) * len(study_rows.PROBABILITIES)
     for row in table:
         values = raw[(raw.setting == row["setting"]) & (raw.status == "ok")][row["quantity"]]
         assert row["arms"] == len(values)

@@ -26,8 +26,7 @@ from pickenv.experiments import (
     study_of,
     write_outputs,
 )
-from pickenv.experiments.study_figures import study_drawings
-from pickenv.experiments.study_findings import place, ranked, specified, study_verdict
+from pickenv.experiments.study_findings import place, ranked, specified, study_drawings, study_verdict
 from pickenv.experiments.study_report import _failures, arms_compared, page, study_page
 from pickenv.experiments.study_rows import read_sobol, write_record, write_sobol
 from pickenv.experiments.study_variance import sobol_of, tolerance_groups
