@@ -368,45 +368,43 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
     """
     folder = Path(folder)
     record = _read_record(folder / RECORD)
-    for name in record.last:
-        yield folder / name, _piece_table(folder / name, record.pieces[name])
+    for name in record["last"]:
+        yield folder / name, _piece_table(folder / name, record["pieces"][name])
 
 
-@dataclass(frozen=True)
-class _Record:
-    """What a folder holds: keys of pieces by file name, and the files of the last run in their order."""
+def _record_text(pieces: Mapping[str, str], last: Sequence[str], made_with: Mapping[str, str]) -> str:
+    """The only text that `RECORD` may hold: its own hash stands in it.
 
-    pieces: Mapping[str, str]
-    last: Sequence[str]
-    versions: Mapping[str, str]
-
-    def text(self) -> str:
-        """The only text that `RECORD` may hold: its own hash stands in it."""
-        content = {"format": 1, "pieces": dict(self.pieces), "last": list(self.last), "versions": dict(self.versions)}
-        seal = hashlib.sha256(json.dumps(content).encode()).hexdigest()
-        return json.dumps(content | {"sha256": seal}, indent=2) + "\n"
+    Args:
+        pieces: Keys of pieces by file name.
+        last: Files of the last run in their order.
+        made_with: Versions of what wrote them.
+    """
+    content = {"format": 1, "pieces": dict(pieces), "last": list(last), "versions": dict(made_with)}
+    seal = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    return json.dumps(content | {"sha256": seal}, indent=2) + "\n"
 
 
 def _write_record(folder: Path, pieces: Mapping[str, str], warn: Callable[[str], None] | None) -> None:
     """Say what the folder holds: these pieces, and those of other runs that it held before."""
     path, before = folder / RECORD, dict[str, str]()
     try:
-        before |= _read_record(path).pieces if path.is_file() else {}
+        before |= _read_record(path)["pieces"] if path.is_file() else {}
     except InputError:
         if warn is not None:
             warn(f"{path} is damaged and is made anew")
     earlier = {name: key for name, key in before.items() if (folder / name).is_file()}
-    write_text(path, _Record({**earlier, **pieces}, list(pieces), versions("pyarrow")).text())
+    write_text(path, _record_text({**earlier, **pieces}, list(pieces), versions("pyarrow")))
 
 
-def _read_record(path: Path) -> _Record:
+def _read_record(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path} is missing, so {path.parent} holds no experiment; {AGAIN}")
     with refusing_damage(path, "the record of an experiment", AGAIN):
         text = path.read_text(encoding="utf-8")
-        content = json.loads(text)
-        record = _Record(content["pieces"], content["last"], content["versions"])
-        if text != record.text() or not set(record.last) <= set(record.pieces):
+        record: dict[str, Any] = json.loads(text)
+        pieces, last = record["pieces"], record["last"]
+        if text != _record_text(pieces, last, record["versions"]) or not set(last) <= set(pieces):
             raise ValueError("it was edited: its own hash is another")
     return record
 
@@ -459,7 +457,7 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     folder = Path(folder)
     record = folder / RECORD
     try:
-        pieces = _read_record(record).pieces
+        pieces = _read_record(record)["pieces"]
     except InputError as error:
         return [(record, str(error))]
     verdicts: list[tuple[Path, str | None]] = [(record, None)]
