@@ -212,7 +212,7 @@ def test_a_kept_calibration_is_left_alone_when_code_or_plant_have_changed(tmp_pa
     protocol = CalibrationPlan(30)
     compensators(plant, "ls", protocol, tmp_path)
     if changed == "code":
-        monkeypatch.setattr("pickenv.experiments.methods.code_fingerprint", lambda: "another")
+        monkeypatch.setattr("pickenv.experiments.engine.code_fingerprint", lambda: "another")
     else:
         geometry = replace(plant.geometry, a=plant.geometry.a + 1e-12)
         plant = replace(plant, geometry=geometry)

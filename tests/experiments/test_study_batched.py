@@ -59,7 +59,9 @@ def test_ordinary_arms_are_finished_in_the_batch(study_file, monkeypatch):
     """Handing an arm over mends whatever the batch did wrong, at twenty times its cost; here none may need it."""
     protocol = prepared_study(load_study(study_file()))
     handed: list[object] = []
-    monkeypatch.setattr(study_batched, "evaluate_arm", lambda *given: handed.append(given) or evaluate_arm(*given))
+    monkeypatch.setattr(
+        "pickenv.experiments.study.evaluate_arm", lambda *given: handed.append(given) or evaluate_arm(*given)
+    )
     for setting in protocol.settings:
         if setting.method == "ls":
             given = [protocol.circumstances(number) for number in range(8)]

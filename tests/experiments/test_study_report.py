@@ -223,8 +223,10 @@ def test_an_arm_of_a_method_that_learns_is_placed_among_twenty(monkeypatch):
     for method, most in (("ls+bpnn", 20), ("ls", 1000), ("raw", 1000)):
         asked.clear()
         protocol = SimpleNamespace(config=SimpleNamespace(arms=5000), circumstances=asked.append)
-        monkeypatch.setattr(study_findings, "evaluate_arm", lambda *given: [None])
-        monkeypatch.setattr(study_findings, "gathered", lambda parts: SimpleNamespace(status=["lost"] * len(parts)))
+        monkeypatch.setattr("pickenv.experiments.study.evaluate_arm", lambda *given: [None])
+        monkeypatch.setattr(
+            "pickenv.experiments.study.gathered", lambda parts: SimpleNamespace(status=["lost"] * len(parts))
+        )
         with pytest.raises(InputError, match="it has no place in setting 3: lost"):
             place(protocol, None, SimpleNamespace(method=method, number=3), None, "it")
         assert asked == list(range(most))
