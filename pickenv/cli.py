@@ -9,24 +9,16 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer import Option
 
 import pickenv
 from pickenv.base import absent_extras, command_for, folded, locked, screen_width
-from pickenv.commands import corrections, inspection, learning, plants, reports
+from pickenv.commands import check, comparing, corrections, experiments, inspection, learning, plants
 from pickenv.commands.bench import bench
-from pickenv.commands.board import board
 from pickenv.commands.calibrate import calibrate
-from pickenv.commands.check import check
-from pickenv.commands.comparing import SeveralValues, compare, film
-from pickenv.commands.conditions import conditions
 from pickenv.commands.examples import examples, pages_address
-from pickenv.commands.experiments import experiment
 from pickenv.commands.guard import INTERRUPTED, guarded
-from pickenv.commands.schema import schema
 from pickenv.commands.showing import WIDTH, CommandOfNames, print_table, progress_bars
-from pickenv.commands.studies import study
-from pickenv.commands.twins import twin
-from pickenv.commands.verify import verify
 
 app = typer.Typer(
     name="pickenv",
@@ -46,19 +38,17 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _front(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+        bool, Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
 ) -> None:
     """Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms."""
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/demo"),
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
-    no_network: Annotated[
-        bool, typer.Option("--no-network", help="Least squares alone, as where torch is missing.")
-    ] = False,
+    out: Annotated[Path, Option(help="Run folder to write.")] = Path("runs/demo"),
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    quick: Annotated[bool, Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
+    no_network: Annotated[bool, Option("--no-network", help="Least squares alone, as where torch is missing.")] = False,
 ) -> None:
     """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run
@@ -79,7 +69,7 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     from pickenv.inspect.colours import policy_label
     from pickenv.inspect.reports.report_words import between, percent
 
-    found = summary["identifiability"]
+    identifiability = summary["identifiability"]
     heads = (
         "policy",
         "position, mean (mm)",
@@ -94,8 +84,8 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     for key, row in summary["policies"].items():
         position, interval = row["position_mm"], row["position_mm"]["mean_ci95"]
         numbers = (position["rms"], position["p95"], row["attitude_deg"]["mean"], row["noncompensable_deg"])
-        said = "none" if interval is None else between(interval[0], interval[1], 3)
-        cells = [f"{position['mean']:.3f}", said, *(f"{number:.3f}" for number in numbers)]
+        interval_words = "none" if interval is None else between(interval[0], interval[1], 3)
+        cells = [f"{position['mean']:.3f}", interval_words, *(f"{number:.3f}" for number in numbers)]
         rows.append([policy_label(key), *cells, percent(row["success_rate"], *row["success_ci95"]).replace(" %", "")])
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
     title += "; a quick run, worse than the paper's protocol" if summary["quick"] else ""
@@ -109,8 +99,8 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
         print(*folded(sentence, screen_width(WIDTH)), sep="\n")
     if summary["blocked"]["simulated"]:
         _print_gains(summary["blocked"])
-    dropped = ", ".join(found["dropped"])
-    print(f"identifiable: {found['rank']} of {found['parameters']} parameters; dropped as redundant: {dropped}")
+    dropped, rank = ", ".join(identifiability["dropped"]), identifiability["rank"]
+    print(f"identifiable: {rank} of {identifiability['parameters']} parameters; dropped as redundant: {dropped}")
     print("wrote:", *written, sep="\n  ")
 
 
@@ -121,8 +111,8 @@ def _print_gains(blocked: dict[str, Any]) -> None:
     for kind in ("simulated", "measured"):
         for row in blocked[kind]:
             ends = (row["lowest"], row["highest"])
-            said = "" if ends[0] is None else f" ({between(100 * ends[0], 100 * ends[1], 0)})"
-            rows.append([f"{row['arm']}, {kind}", f"{row['ls_mm']:.2f}", f"{100 * row['removed']:.0f}{said}"])
+            interval = "" if ends[0] is None else f" ({between(100 * ends[0], 100 * ends[1], 0)})"
+            rows.append([f"{row['arm']}, {kind}", f"{row['ls_mm']:.2f}", f"{100 * row['removed']:.0f}{interval}"])
     caption = (
         "rows in blocks held out of all fitting: two tenths of the file, of measured arms each fifth in turn; in"
         " brackets the range over drawn arms, or 95 % over ten blocks of a measured one. qiao2026 is smooth; what is"
@@ -135,35 +125,35 @@ def _print_gains(blocked: dict[str, Any]) -> None:
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     "Measure and correct a robot": (
         calibrate,
-        verify,
+        corrections.verify,
         corrections.plan_poses,
-        board,
+        corrections.board,
         corrections.apply,
         corrections.export,
-        check,
+        check.check,
         plants.arms,
-        schema,
+        check.schema,
     ),
     "Simulate, learn and judge": (
         demo,
-        twin,
+        corrections.twin,
         plants.effects,
         plants.iso9283,
-        conditions,
+        plants.conditions,
         learning.train,
         learning.evaluate,
         learning.datasets,
-        compare,
-        study,
-        experiment,
+        comparing.compare,
+        experiments.study,
+        experiments.experiment,
     ),
-    "Look at what came out": (inspection.inspect, film, reports.figures, reports.report),
+    "Look at what came out": (inspection.inspect, comparing.film, inspection.figures, inspection.report),
 }
 """Commands by what they are for, in the order in which `pickenv --help` shows them."""
 
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
-        cls = SeveralValues if _command is compare else CommandOfNames
+        cls = comparing.SeveralValues if _command is comparing.compare else CommandOfNames
         app.command(rich_help_panel=_purpose, epilog=examples(_command.__name__.replace("_", "-")), cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
@@ -186,8 +176,8 @@ def _run() -> Any:
             error.show()
         else:
             usage: Any = error
-            said = " ".join(str(usage.format_message()).replace("Value error, ", "").split())
-            print(f"error: {said} See `pickenv --help`.", file=sys.stderr)
+            message = " ".join(str(usage.format_message()).replace("Value error, ", "").split())
+            print(f"error: {message} See `pickenv --help`.", file=sys.stderr)
         return error.exit_code
     if code == INTERRUPTED:  # typer turns Ctrl-C into this return value
         raise KeyboardInterrupt

@@ -19,8 +19,7 @@ from pickenv.arm import load_plant
 from pickenv.base import write_container, write_text
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.cli import app
-from pickenv.experiments import CalibrationPlan, PolicySettings, load_study, run_policies, run_study
-from pickenv.experiments.methods import compensators
+from pickenv.experiments import CalibrationPlan, PolicySettings, compensators, load_study, run_policies, run_study
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
 from pickenv.inspect.runs.run_folder import listed_files, recorded_run, save_part
 

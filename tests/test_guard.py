@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pickenv.cli import app
-from pickenv.commands.guard import guarded
+from pickenv.commands import guard
 
 ROOT = Path(__file__).parents[1]
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
@@ -103,7 +103,7 @@ def test_a_name_longer_than_any_file_s_is_bad_input(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert guarded(lambda: app(command.split(), standalone_mode=False)) == 2
+    assert guard.guarded(lambda: app(command.split(), standalone_mode=False)) == 2
     said = capsys.readouterr().err.strip().splitlines()[-1]
     assert said.startswith("error: ")
     assert "File name too long" in said or "unknown" in said or "does not exist" in said or "no folder" in said

@@ -221,7 +221,7 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
 
     Raises:
         InputError: If the file is missing, damaged or of another arm, or if something stands against its calibration
-            that ``allow`` does not name (`pickenv.base.reservations`).
+            that ``allow`` does not name (`pickenv.base.obey`).
     """
     calibration = Calibration.load(path, arm)
     obey(calibration.reservations(), allow)

@@ -44,7 +44,7 @@ class Training:
         seed: Seed of everything random.
         arguments: Arguments of the environment.
         compensate: Calibration file to train behind, or None.
-        allow: Reservations of that calibration to accept, by name (`pickenv.base.reservations`).
+        allow: Reservations of that calibration to accept, by name (`pickenv.base.obey`).
         checkpoint_every: Environment steps between checkpoints.
         evaluate_every: Environment steps between evaluations.
         scaled_actions: Whether actions shrink with the gap (`pickenv.wrappers.GapScaling`).

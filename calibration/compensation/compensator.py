@@ -232,7 +232,7 @@ class Compensator:
             the picking arm with the paper's network one leaves 1.4 um of the predicted error on average, two 0.9 um:
             the residual changes by its own correction. Without a residual one leaves 1 um, two nothing.
         single_precision: Whether many poses at once are corrected in single precision: faster, and another 0.1 um.
-        reservations: What stands against using it, by name (`pickenv.base.reservations`).
+        reservations: What stands against using it, by name (`pickenv.base.obey`).
         within95: What holds 95 of 100 errors of position, m, and attitude, rad, at commands ``(..., n)``, as counted on
             held-out rows; None where nobody knows.
         caution: What its rows do not tell of the workspace, in a sentence; None where they tell it.

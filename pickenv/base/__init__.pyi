@@ -1,7 +1,11 @@
 from .container import (
+    check_sealed_parquet as check_sealed_parquet,
     npz_path as npz_path,
+    parquet_is_sealed as parquet_is_sealed,
     read_container as read_container,
     refusing_damage as refusing_damage,
+    seal as seal,
+    sealed_parquet as sealed_parquet,
     write_container as write_container,
 )
 from .errors import InputError as InputError
@@ -13,21 +17,36 @@ from .extras import (
     is_there as is_there,
     require as require,
 )
-from .files import separate as separate, write_json as write_json, write_text as write_text, write_whole as write_whole
+from .files import (
+    locked as locked,
+    separate as separate,
+    write_json as write_json,
+    write_text as write_text,
+    write_whole as write_whole,
+)
 from .intervals import (
+    LEAST as LEAST,
+    LEAST_RUNS as LEAST_RUNS,
     Ends as Ends,
     Estimate as Estimate,
     clustered_share_interval as clustered_share_interval,
+    crossed_interval as crossed_interval,
     estimate as estimate,
     interquartile_estimate as interquartile_estimate,
     mean_interval as mean_interval,
     paired_share_interval as paired_share_interval,
+    quantile_interval as quantile_interval,
     quantile_levels as quantile_levels,
     share_interval as share_interval,
     statistic_interval as statistic_interval,
 )
-from .limits import LIMITS as LIMITS, check_limit as check_limit
-from .locks import locked as locked
+from .limits import (
+    DO_NOT_USE as DO_NOT_USE,
+    FITTED_FRAMES as FITTED_FRAMES,
+    LIMITS as LIMITS,
+    check_limit as check_limit,
+    obey as obey,
+)
 from .provenance import (
     code_fingerprint as code_fingerprint,
     command_line as command_line,
@@ -35,13 +54,13 @@ from .provenance import (
     versions as versions,
 )
 from .registry import register as register
-from .reservations import DO_NOT_USE as DO_NOT_USE, FITTED_FRAMES as FITTED_FRAMES, obey as obey
-from .sealed import (
-    check_sealed_parquet as check_sealed_parquet,
-    parquet_is_sealed as parquet_is_sealed,
-    sealed_parquet as sealed_parquet,
+from .seeds import (
+    run_seed as run_seed,
+    seed_words as seed_words,
+    single_threaded as single_threaded,
+    stream as stream,
+    torch_on_one_thread as torch_on_one_thread,
 )
-from .seeds import run_seed as run_seed, seed_words as seed_words, stream as stream
 from .texts import (
     decimal_number as decimal_number,
     folded as folded,
@@ -54,7 +73,6 @@ from .texts import (
     side_by_side as side_by_side,
     yaml_content as yaml_content,
 )
-from .threads import single_threaded as single_threaded, torch_on_one_thread as torch_on_one_thread
 from .toml_tables import (
     ARCMIN as ARCMIN,
     ARCSEC as ARCSEC,

@@ -3,6 +3,11 @@
 `header.json` names the kind of file, its version, what made it, and each array's type, shape and SHA-256. The archive's
 comment is a seal over all other bytes. Before anything is unpacked, the seal, the list of members and their sizes are
 checked; arrays are rebuilt from the header's types, never from text that NumPy would evaluate.
+
+A seal is the SHA-256 of all other bytes of a file, kept inside it: one bit changed anywhere, and it does not hold. It
+finds damage and carelessness; whoever wants to deceive can seal a file anew. Two places keep it out of a reader's way:
+the end of a file (a zip archive's comment), and, in Parquet, the gap between the last page and the footer, which
+readers find from the end of the file and whose offsets count from its beginning.
 """
 
 from __future__ import annotations
@@ -25,8 +30,7 @@ from numpy.typing import NDArray
 
 from pickenv.base.errors import InputError
 from pickenv.base.files import write_whole
-from pickenv.base.provenance import code_fingerprint, versions
-from pickenv.base.sealed import ends_sealed, seal
+from pickenv.base.provenance import made_with
 
 SCHEMA = "pickenv container 1"
 HEADER = "header.json"
@@ -147,7 +151,7 @@ def write_container(
             "schema": SCHEMA,
             "kind": kind,
             "version": version,
-            "made_with": versions() | {"code": code_fingerprint()},
+            "made_with": made_with(),
             "arrays": described,
             "blobs": {name: {"bytes": len(value), "sha256": _sha256(value)} for name, value in blobs.items()},
             "header": dict(header),
@@ -185,18 +189,18 @@ def read_container(
     Raises:
         InputError: If the file is missing, damaged in any byte, too large, of another kind, or of another version.
     """
-    what = f"a {kind} file" if kind else "a file of pickenv"
-    with refusing_damage(path, what, remake):
+    file_kind = f"a {kind} file" if kind else "a file of pickenv"
+    with refusing_damage(path, file_kind, remake):
         path = Path(path)
         missing = not path.exists()
     if missing:
         raise InputError(f"{path} does not exist; {remake}")
-    with refusing_damage(path, what, remake):
+    with refusing_damage(path, file_kind, remake):
         content = _bounded(path, limit)
         earlier = content[-22:-18] == BARE_END
     if earlier:
         raise InputError(f"{path} was written by an earlier version, or by another program, without a seal; {remake}")
-    with refusing_damage(path, what, remake):
+    with refusing_damage(path, file_kind, remake):
         container = _verified(content, limit)
     if kind is not None and container.kind != kind:
         raise InputError(f"{path} holds a {container.kind}, not a {kind}; {remake}")
@@ -258,12 +262,7 @@ def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, An
     if not PLAIN.fullmatch(value.dtype.str):
         raise TypeError(f"array {name!r} holds {value.dtype}; only numbers and text can be saved")
     fortran = value.flags.f_contiguous and not value.flags.c_contiguous
-    return {
-        "dtype": value.dtype.str,
-        "shape": list(value.shape),
-        "fortran": bool(fortran),
-        "sha256": _sha256(numbers),
-    }
+    return {"dtype": value.dtype.str, "shape": list(value.shape), "fortran": bool(fortran), "sha256": _sha256(numbers)}
 
 
 def _preamble(entry: Mapping[str, Any]) -> bytes:
@@ -301,3 +300,62 @@ def _same(name: str, content: bytes, entry: Mapping[str, Any]) -> bytes:
 
 def _sha256(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
+
+
+# Seals.
+
+MARK = b"pickenv sha256 "
+"""What stands before the hash."""
+LENGTH = len(MARK) + 64
+"""Bytes of a seal."""
+
+PARQUET = b"PAR1"
+
+
+def seal(*parts: bytes | memoryview) -> bytes:
+    """The seal of a file whose other bytes are ``parts``, one after the other."""
+    total = hashlib.sha256()
+    for part in parts:
+        total.update(part)
+    return MARK + total.hexdigest().encode()
+
+
+def ends_sealed(content: bytes) -> bool:
+    """Whether ``content`` ends with the seal of all that stands before it."""
+    return content[-LENGTH:] == seal(memoryview(content)[:-LENGTH])
+
+
+def sealed_parquet(content: bytes) -> bytes:
+    """A Parquet file's bytes with the seal between its last page and its footer; still a valid Parquet file."""
+    footer = _footer(content)
+    return content[:footer] + seal(content[:footer], content[footer:]) + content[footer:]
+
+
+def parquet_is_sealed(content: bytes) -> bool:
+    """Whether these are the bytes of a Parquet file whose seal holds."""
+    footer = _footer(content)
+    start = footer - LENGTH
+    view = memoryview(content)
+    return start >= len(PARQUET) and content[start:footer] == seal(view[:start], view[footer:])
+
+
+def check_sealed_parquet(content: bytes, path: object, remake: str) -> None:
+    """Refuse the bytes of a Parquet file that `sealed_parquet` did not make, or that have changed since.
+
+    Args:
+        content: The file's bytes.
+        path: Its name, for the message.
+        remake: What to do about it, as the end of a sentence.
+
+    Raises:
+        InputError: If there is no seal, or it does not hold.
+    """
+    if not parquet_is_sealed(content):
+        raise InputError(f"{path} is damaged or was written by something else (its seal does not hold); {remake}")
+
+
+def _footer(content: bytes) -> int:
+    """Where the footer of a Parquet file begins; 0 where there is none."""
+    length = int.from_bytes(content[-8:-4], "little")
+    is_one = content[:4] == content[-4:] == PARQUET and len(content) >= length + 12
+    return len(content) - 8 - length if is_one else 0

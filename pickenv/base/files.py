@@ -1,4 +1,9 @@
-"""Files are written whole or not at all: write beside, then rename, so that an interrupt never leaves half a file."""
+"""Files are written whole or not at all: write beside, then rename, so that an interrupt never leaves half a file.
+
+A run folder belongs to one process at a time: results of two runs are never mixed in it. The lock is the operating
+system's own, on the file `.lock` in the folder, so that it ends with its process however that ends; the file's content
+says whose it is. On a file system without locks, runs go on without.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +17,7 @@ import secrets
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -105,8 +110,8 @@ def _sweep(folder: Path) -> None:
         return
     ours = re.compile(rf"\.pickenv-{_machine()}-(\d+)-[0-9a-f]{{8}}(\..*)?")
     for entry in os.scandir(folder):
-        found = ours.fullmatch(entry.name)
-        if found and not _is_running(int(found[1])):
+        match = ours.fullmatch(entry.name)
+        if match and not _is_running(int(match[1])):
             with suppress(OSError):  # another user's, in a folder for all
                 os.unlink(entry.path)
 
@@ -193,13 +198,13 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
         InputError: If an output is an input or another option's output; the message names both options. If an output's
             name is too long for a file, or a folder's.
     """
-    taken = [(f"{name} reads", path) for name, named in inputs.items() for path in _paths(named) if path.exists()]
-    for output, named in outputs.items():
-        paths = list(_paths(named))
+    taken = [(f"{name} reads", path) for name, names in inputs.items() for path in _paths(names) if path.exists()]
+    for output, names in outputs.items():
+        paths = list(_paths(names))
         for path in paths:
             _check_name(path)
-            for use, other in taken:
-                if not _is_device(path) and _same(path, other):
+            for use, written in taken:
+                if not _is_device(path) and _same(path, written):
                     raise InputError(f"{output} would write over {path}, which {use}; give {output} another file")
         taken += [(f"{output} writes too", path) for path in paths]
 
@@ -232,3 +237,109 @@ def _same(one: Path, other: Path) -> bool:
 def _is_device(path: Path) -> bool:
     """Whether ``path`` leads to something that is neither file nor folder: a device, a pipe."""
     return path.exists() and not path.is_file() and not path.is_dir()
+
+
+# Locks.
+
+LOCK = ".lock"
+
+_held: set[str] = set()
+"""Folders that this process has locked: what it calls may lock them again."""
+
+
+@contextmanager
+def locked(folder: str | Path) -> Iterator[None]:
+    """Have a run folder for this process alone inside the context; child processes may write for it.
+
+    Args:
+        folder: The folder; made where it is missing, with those above it, and taken away again if it stays empty.
+
+    Raises:
+        InputError: If another process is at work in it, or it cannot be written.
+    """
+    name = os.path.realpath(folder)
+    if name in _held:
+        yield
+        return
+    path = Path(folder)
+    new = [parent for parent in (path, *path.parents) if not parent.exists()]
+    handle = _take(path)
+    _held.add(name)
+    try:
+        yield
+    finally:
+        _held.discard(name)
+        _give_back(path, handle)
+        with suppress(OSError):  # the first that is not empty stays, and those above it
+            for parent in new:
+                parent.rmdir()
+
+
+def _take(folder: Path) -> int:
+    """The open lock file of ``folder``, with our process id in it."""
+    path = folder / LOCK
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        while True:
+            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            if not _lock(handle):
+                owner = os.read(handle, 20).decode("ascii", "replace")
+                os.close(handle)
+                raise InputError(
+                    f"another run (process {owner or 'unknown'}) is at work in {folder}; wait for its end, or give "
+                    "another folder"
+                )
+            if _is_still(path, handle):
+                break
+            os.close(handle)  # its owner took the file away as we came
+        os.truncate(handle, 0)
+        os.write(handle, str(os.getpid()).encode())
+    except OSError as error:
+        raise InputError(
+            f"cannot write {folder}: {error.strerror or error}; choose a folder that can be written"
+        ) from error
+    return handle
+
+
+def _is_still(path: Path, handle: int) -> bool:
+    """Whether ``path`` is the file that ``handle`` opened."""
+    try:
+        return os.path.samestat(os.fstat(handle), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+def _give_back(folder: Path, handle: int) -> None:
+    if sys.platform != "win32":  # where an open file cannot be taken away
+        (folder / LOCK).unlink(missing_ok=True)
+    os.close(handle)
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    FAR = 2**30
+    """The byte that is locked: beyond the process id, which others are to read."""
+
+    def _lock(handle: int) -> bool:
+        os.lseek(handle, FAR, os.SEEK_SET)
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            os.lseek(handle, 0, os.SEEK_SET)
+        return True
+
+else:
+    import fcntl
+
+    def _lock(handle: int) -> bool:
+        """Lock an open file for this process; False where another holds it."""
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:  # a file system without locks
+            return True
+        return True

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -81,18 +82,18 @@ def statistic_interval(
         least: Fewest rows.
     """
     pseudo = pseudo_values(np.asarray(table, dtype=float), statistic)
-    found = mean_interval(pseudo, least)
-    if found is None:
+    ends = mean_interval(pseudo, least)
+    if ends is None:
         return None
     shift = float(statistic(np.asarray(table, dtype=float))) - float(pseudo.mean())
-    return found[0] + shift, found[1] + shift
+    return ends[0] + shift, ends[1] + shift
 
 
 def pseudo_values(table: NDArray[np.float64], statistic: Callable[[NDArray[np.float64]], Any]) -> NDArray[np.float64]:
     """What each of n rows adds to a statistic ``(n,)`` (Tukey's jackknife); of a mean, the values themselves."""
     n = len(table)
-    whole = float(statistic(table))
-    return np.array([n * whole - (n - 1) * float(statistic(np.delete(table, i, axis=0))) for i in range(n)])
+    value = float(statistic(table))
+    return np.array([n * value - (n - 1) * float(statistic(np.delete(table, i, axis=0))) for i in range(n)])
 
 
 def share_interval(successes: float, trials: int) -> Ends:
@@ -122,14 +123,14 @@ def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
     Raises:
         ValueError: If there are no trials, or not equally many.
     """
-    one, other = np.asarray(successes, dtype=bool), np.asarray(others, dtype=bool)
-    if one.shape != other.shape or one.ndim != 1 or not len(one):
-        raise ValueError(f"shares are compared trial by trial; got the shapes {one.shape} and {other.shape}")
-    n = len(one)
-    both, neither = int(np.sum(one & other)), int(np.sum(~one & ~other))
-    first, second = int(one.sum()), int(other.sum())
+    first_way, second_way = np.asarray(successes, dtype=bool), np.asarray(others, dtype=bool)
+    if first_way.shape != second_way.shape or first_way.ndim != 1 or not len(first_way):
+        raise ValueError(f"shares are compared trial by trial; got the shapes {first_way.shape} and {second_way.shape}")
+    n = len(first_way)
+    both, neither = int(np.sum(first_way & second_way)), int(np.sum(~first_way & ~second_way))
+    first, second = int(first_way.sum()), int(second_way.sum())
     product = first * (n - first) * second * (n - second)
-    cross = float(both * neither) - int(np.sum(one & ~other)) * int(np.sum(~one & other))
+    cross = float(both * neither) - int(np.sum(first_way & ~second_way)) * int(np.sum(~first_way & second_way))
     cross = max(cross - n / 2.0, 0.0) if cross > 0 else cross
     correlation = cross / np.sqrt(product) if product else 0.0
     (low_1, high_1), (low_2, high_2) = share_interval(first, n), share_interval(second, n)
@@ -209,6 +210,7 @@ def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | No
     return low, high
 
 
+@cache
 def quantile_levels(count: int, probability: float) -> tuple[float | None, float | None]:
     """At which levels of a sample (Hazen's positions, 0..1) the ends of `quantile_interval` stand; None for open ends.
 
@@ -354,23 +356,23 @@ def estimate(
     for number, key in enumerate(keys):
         places.setdefault(key, []).append(number)
     cubes = {key: _cubes({n: v[rows] for n, v in arrays.items()}, names, over) for key, rows in places.items()}
-    drawn = {key: [np.unique(arrays[name][rows]) for name in over] for key, rows in places.items()}
-    found = []
+    units_of = {key: [np.unique(arrays[name][rows]) for name in over] for key, rows in places.items()}
+    numbers = []
     for key, cube in cubes.items():
-        base = key if against is None else tuple(against.get(n, own) for n, own in zip(by, key, strict=True))
+        base = key if against is None else tuple(against.get(n, level) for n, level in zip(by, key, strict=True))
         if against is not None and (base == key or base not in cubes):
             continue
         if against is not None:  # unit by unit, whatever the number of rows of each
-            cube, other = (each.mean(axis=3, keepdims=True) for each in (cube, cubes[base]))
-            once = other.shape[2] == 1  # what was not trained is the same for every training
-            pairs = list(zip(over, drawn[key], drawn[base], strict=True))[: 1 if once else None]
-            if apart := [name for name, one, two in pairs if not np.array_equal(one, two)]:
+            cube, base_cube = (pair_cube.mean(axis=3, keepdims=True) for pair_cube in (cube, cubes[base]))
+            once = base_cube.shape[2] == 1  # what was not trained is the same for every training
+            pairs = list(zip(over, units_of[key], units_of[base], strict=True))[: 1 if once else None]
+            if apart := [name for name, first, two in pairs if not np.array_equal(first, two)]:
                 raise ValueError(f"{key} and {base} were not measured on the same {apart[0]}")
-            both = [np.broadcast_to(other, cube.shape), cube]
-            cube = np.concatenate(both) if of == "removed" else cube - other
+            both = [np.broadcast_to(base_cube, cube.shape), cube]
+            cube = np.concatenate(both) if of == "removed" else cube - base_cube
         units = cube[0].mean(axis=(1, 2)) if len(cube) == 1 else None
-        found.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(cube, of, least), "units": units})
-    return found
+        numbers.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(cube, of, least), "units": units})
+    return numbers
 
 
 def _check_asked(
@@ -437,19 +439,19 @@ def _removed(table: NDArray[np.float64]) -> float:
 
 def mean_estimate(values: NDArray[np.float64], least: int = LEAST) -> Estimate:
     """Mean of values ``(arms, trainings, fruit)``; fewer arms than ``least`` have no interval."""
-    each = values.mean(axis=2)
-    ends = mean_interval(each[:, 0], least) if each.shape[1] == 1 else crossed_interval(each)
-    return _with_reason(float(each.mean()), ends, each, least)
+    means = values.mean(axis=2)
+    ends = mean_interval(means[:, 0], least) if means.shape[1] == 1 else crossed_interval(means)
+    return _with_reason(float(means.mean()), ends, means, least)
 
 
 def quantile_estimate(values: NDArray[np.float64], probability: float) -> Estimate:
     """Quantile over arms of their means, of values ``(arms, trainings, fruit)``; of several trainings their mean."""
-    each = values.mean(axis=2)
-    found = float(np.quantile(each.mean(axis=1), probability, method="hazen"))
-    if each.shape[1] > 1:
-        return Estimate(found, None, "no interval of a quantile counts trainings")
-    ends = quantile_interval(each[:, 0], probability)
-    return Estimate(found, None, "needs more arms") if ends == (None, None) else Estimate(found, ends)
+    means = values.mean(axis=2)
+    value = float(np.quantile(means.mean(axis=1), probability, method="hazen"))
+    if means.shape[1] > 1:
+        return Estimate(value, None, "no interval of a quantile counts trainings")
+    ends = quantile_interval(means[:, 0], probability)
+    return Estimate(value, None, "needs more arms") if ends == (None, None) else Estimate(value, ends)
 
 
 def share_estimate(chances: NDArray[np.float64]) -> Estimate:
@@ -459,16 +461,16 @@ def share_estimate(chances: NDArray[np.float64]) -> Estimate:
     the share is a mean like any other; elsewhere as many tries bound it as there were, which is on the safe side.
     """
     arms, trainings, fruit = chances.shape
-    each = chances.mean(axis=2)
-    if trainings == 1 and arms >= MANY and each.min() > 0.0 and each.max() < 1.0:
-        ends = mean_interval(each[:, 0])
+    means = chances.mean(axis=2)
+    if trainings == 1 and arms >= MANY and means.min() > 0.0 and means.max() < 1.0:
+        ends = mean_interval(means[:, 0])
     elif trainings == 1:
         ends = clustered_share_interval(chances.sum(axis=(1, 2)), fruit)
     else:
-        ends = crossed_interval(each)
+        ends = crossed_interval(means)
     if ends is not None:
         ends = max(ends[0], 0.0), min(ends[1], 1.0)
-    return _with_reason(float(each.mean()), ends, each)
+    return _with_reason(float(means.mean()), ends, means)
 
 
 def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:
@@ -479,12 +481,12 @@ def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:
     """
     from scipy.stats import trim_mean  # late: half of SciPy comes along
 
-    found = float(trim_mean(values, 0.25))
+    value = float(trim_mean(values, 0.25))
     if len(values) < LEAST:
-        return Estimate(found, None, f"needs {LEAST} arms")
-    drawn = np.random.default_rng(stream(0, "leaderboard")).integers(len(values), size=(RESAMPLES, len(values)))
-    low, high = np.quantile(trim_mean(values[drawn], 0.25, axis=1), (0.025, 0.975))
-    return Estimate(found, (float(low), float(high)))
+        return Estimate(value, None, f"needs {LEAST} arms")
+    samples = np.random.default_rng(stream(0, "leaderboard")).integers(len(values), size=(RESAMPLES, len(values)))
+    low, high = np.quantile(trim_mean(values[samples], 0.25, axis=1), (0.025, 0.975))
+    return Estimate(value, (float(low), float(high)))
 
 
 def _with_reason(value: float, ends: Ends | None, each: NDArray[np.float64], least: int = LEAST) -> Estimate:

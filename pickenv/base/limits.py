@@ -1,11 +1,12 @@
 """How large a number may be that a person gives: beyond stands a wrong unit or a slip, or a run that never ends.
 
 One table for command options, study files and environments; `pickenv.arm` has its own for what files say of an arm.
+Reservations are what stands against using something, by name: refused, unless whoever uses it names the reservation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 from pickenv.base.errors import InputError
@@ -68,3 +69,31 @@ def shown(value: Any) -> str:
     except ValueError:
         return "a number of thousands of digits"
     return text if len(text) <= 60 else f"{text[:60]}…"
+
+
+DO_NOT_USE = "do-not-use"
+"""The verdict on a calibration is that it should not be used."""
+
+FITTED_FRAMES = "fitted-frames"
+"""A calibration's base and tool were fitted: what the arm does in its own base frame is not known."""
+
+NAMES = (DO_NOT_USE, FITTED_FRAMES)
+
+
+def obey(reservations: Mapping[str, str], allow: Collection[str], concerns: Collection[str] = NAMES) -> None:
+    """Refuse what has a reservation that concerns this use and was not allowed by name.
+
+    Args:
+        reservations: Sentence that says what is wrong and what to do, by name.
+        allow: Names that the user accepts.
+        concerns: Names that matter for this use.
+
+    Raises:
+        InputError: The sentence; or if a name allowed does not exist.
+    """
+    unknown = [name for name in allow if name not in NAMES]
+    if unknown:
+        raise InputError(f"unknown reservation '{unknown[0]}'; give one of {', '.join(NAMES)}")
+    for name, sentence in reservations.items():
+        if name in concerns and name not in allow:
+            raise InputError(f"{sentence}; allow '{name}' by name to use it all the same")

@@ -19,12 +19,12 @@ from pickenv.base import registry
 
 def versions(*packages: str) -> dict[str, str]:
     """Versions of what computed numbers: pickenv, NumPy, Python, packages that extend it, and named ones if there."""
-    found = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
-    found |= registry.packages()
+    numbers = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
+    numbers |= registry.packages()
     for name in packages:
         with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
+            numbers[name] = version(name)
+    return numbers
 
 
 def command_line(*words: object, **options: object) -> str:
@@ -34,13 +34,13 @@ def command_line(*words: object, **options: object) -> str:
         words: Command and arguments.
         options: Values of options; True is a flag, a list repeats its option, None and False leave it out.
     """
-    said = [str(word) for word in words]
+    line = [str(word) for word in words]
     for name, value in options.items():
         option = f"--{name.replace('_', '-')}"
-        for each in value if isinstance(value, list | tuple) else [value]:
-            if each is not None and each is not False:
-                said += [option] if each is True else [option, str(each)]
-    return shlex.join(said)
+        for part in value if isinstance(value, list | tuple) else [value]:
+            if part is not None and part is not False:
+                line += [option] if part is True else [option, str(part)]
+    return shlex.join(line)
 
 
 SHOWS = ("cli.py", "commands/", "pictures/", *(f"inspect/{shelf}/" for shelf in ("figures", "films", "recordings")))
@@ -62,6 +62,11 @@ def code_fingerprint() -> str:
     for package, number in registry.packages().items():
         total.update(f"{package} {number}\n".encode())
     return total.hexdigest()
+
+
+def made_with() -> dict[str, str]:
+    """What makes files: versions, and the fingerprint of the code ("code")."""
+    return versions() | {"code": code_fingerprint()}
 
 
 def file_sha256(path: Path) -> str:

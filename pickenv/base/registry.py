@@ -126,16 +126,16 @@ def get(kind: str, name: str, *, package: str = "", version: str = "", module: s
     entry = _entries[kind].get(name)
     if entry is None and not (package or module):
         raise InputError(f"there is no {kind} '{name}'; give one of {', '.join(names(kind)) or 'none: there are none'}")
-    wanted = Origin(package, version, module)
+    source = Origin(package, version, module)
     if entry is not None and (not package or package == entry.origin.package):
         return entry.thing
     if entry is not None:
-        raise InputError(f"{kind} '{name}' comes from {wanted}, but here from {entry.origin}; install the former alone")
+        raise InputError(f"{kind} '{name}' comes from {source}, but here from {entry.origin}; install the former alone")
     if not package:
-        raise InputError(f"{kind} '{name}' comes from {wanted}, which is of no package: import it first")
+        raise InputError(f"{kind} '{name}' comes from {source}, which is of no package: import it first")
     way = f"pip install {package}" if _version(package) is None else f"pip install {package}=={version}"
     state = "is not installed" if _version(package) is None else "is installed in another version that lacks it"
-    raise InputError(f"{kind} '{name}' comes from {wanted}, which {state}: {way}")
+    raise InputError(f"{kind} '{name}' comes from {source}, which {state}: {way}")
 
 
 def origin(kind: str, name: str) -> Origin:
@@ -179,7 +179,9 @@ def packages() -> dict[str, str]:
     """Name the packages of others that are installed or in use here, and their versions: results may depend on them."""
     sources = {_origin_of_entry_point(point) for point in _installed(tuple(sys.path))}
     sources |= {entry.origin for entries in _entries.values() for entry in entries.values()}
-    return {one.package: one.version for one in sorted(sources, key=str) if one.package not in ("", "pickenv")}
+    return {
+        source.package: source.version for source in sorted(sources, key=str) if source.package not in ("", "pickenv")
+    }
 
 
 def _check_kind(kind: str) -> None:

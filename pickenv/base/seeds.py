@@ -1,14 +1,19 @@
 """Seeds of everything that a comparison or a training draws: streams that no two seeds, arms or purposes share.
 
 Neighbouring seeds are no trouble to NumPy's `SeedSequence`, but ``seed + i`` is: environment 1 of seed 0 would be
-environment 0 of seed 1.
+environment 0 of seed 1. For small matrices one thread is enough: a pool costs more than it saves, most of all on a busy
+machine.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
 from typing import Literal, get_args
 
 import numpy as np
+from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 from pickenv.base.errors import InputError
 
@@ -53,3 +58,28 @@ def run_seed(run: int) -> int:
     if isinstance(run, bool) or not isinstance(run, int | np.integer) or not 0 <= run < RUN:
         raise InputError(f"run is {run!r}; give a whole number from 0 to {RUN - 1}")
     return int(run) * RUN
+
+
+@lru_cache(maxsize=1)
+def _controller() -> ThreadpoolController:
+    return ThreadpoolController()  # looking the libraries up takes milliseconds, so once
+
+
+@contextmanager
+def single_threaded() -> Iterator[None]:
+    """A context, or a decorator of functions, in which NumPy's linear algebra runs on one thread."""
+    with _controller().limit(limits=1, user_api="blas"):
+        yield
+
+
+@contextmanager
+def torch_on_one_thread() -> Iterator[None]:
+    """Torch on one thread: small networks and blocks lose time to more, and one adds in one order."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -44,7 +44,7 @@ def read_text(path: str | Path, kind: str) -> str:
     Raises:
         InputError: If it is missing, a folder or a device, too large, or no UTF-8 text; names what it is.
     """
-    what, data = "file", b""
+    file_type, data = "file", b""
     try:
         mode = Path(path).stat().st_mode
         if stat.S_ISREG(mode) or stat.S_ISFIFO(mode):
@@ -52,13 +52,13 @@ def read_text(path: str | Path, kind: str) -> str:
                 while len(data) <= LARGEST and (more := file.read(PIECE)):
                     data += more
         else:
-            what = "a folder" if stat.S_ISDIR(mode) else "a device"
+            file_type = "a folder" if stat.S_ISDIR(mode) else "a device"
     except FileNotFoundError as error:
         raise InputError(f"{_name(path)} does not exist; give a path to {kind}") from error
     except (OSError, ValueError) as error:  # a path of 300 characters, or with a zero byte in it
         raise InputError(f"cannot read {_name(path)}: {_reason(error)}; give a path to {kind}") from error
-    if what != "file":
-        raise InputError(f"{_name(path)} is {what}, not a file; give a path to {kind}")
+    if file_type != "file":
+        raise InputError(f"{_name(path)} is {file_type}, not a file; give a path to {kind}")
     if len(data) > LARGEST:
         raise InputError(f"{path} holds more than {LARGEST >> 20} MiB; give a path to {kind}")
     return _decoded(data, path, kind)

@@ -7,6 +7,7 @@ object or one sentence with file, line, key, table, value and what to give. Pyda
 
 from __future__ import annotations
 
+import difflib
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
@@ -16,8 +17,7 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_args, get_origin, get_type_hints
 
 from pickenv.base.errors import InputError
-from pickenv.base.texts import is_file, parsed, read_text, shortened
-from pickenv.base.toml_faults import lacks, sentence
+from pickenv.base.texts import is_file, listed, parsed, read_text, shortened
 
 Thing = TypeVar("Thing")
 Class = TypeVar("Class", bound=type)
@@ -119,8 +119,8 @@ class Unit:
         if get_origin(source) is tuple:
             parts = tuple(part if part is Ellipsis else Annotated[part, self] for part in get_args(source))
             count = 0 if Ellipsis in parts else len(parts)
-            wanted = f"{count} numbers" if count else "a list of numbers"
-            check = Check(lambda value: isinstance(value, list) and len(value) == (count or len(value)), wanted)
+            numbers = f"{count} numbers" if count else "a list of numbers"
+            check = Check(lambda value: isinstance(value, list) and len(value) == (count or len(value)), numbers)
             schema = handler.generate_schema(tuple[parts])  # type: ignore[valid-type]
             return core.no_info_before_validator_function(check.checked, schema)
         number = int if self.whole else float
@@ -221,11 +221,11 @@ FILLED_IN = ("name", "source")
 @dataclass_transform(frozen_default=True)
 def toml_table(kind: Class) -> Class:
     """A frozen dataclass that a TOML table holds: its keys and no others, each that has no default."""
-    made: Any = kind if "__dataclass_fields__" in vars(kind) else dataclass(frozen=True)(kind)
-    made.__pydantic_config__ = {"alias_generator": lambda name: _keys(made)[name][0], "extra": "forbid"}
-    made.__get_pydantic_core_schema__ = staticmethod(_schema)
-    made.__get_pydantic_json_schema__ = staticmethod(partial(_json, made))
-    return cast(Class, made)
+    table: Any = kind if "__dataclass_fields__" in vars(kind) else dataclass(frozen=True)(kind)
+    table.__pydantic_config__ = {"alias_generator": lambda name: _keys(table)[name][0], "extra": "forbid"}
+    table.__get_pydantic_core_schema__ = staticmethod(_schema)
+    table.__get_pydantic_json_schema__ = staticmethod(partial(_json, table))
+    return cast(Class, table)
 
 
 def _schema(kind: Any, handler: Any) -> Any:
@@ -243,11 +243,11 @@ def _schema(kind: Any, handler: Any) -> Any:
         try:
             thing = inner(value)
         except ValidationError as error:
-            if not all(lacks(one) for one in error.errors(include_url=False)):
+            if not all(_lacks(fault_of_key) for fault_of_key in error.errors(include_url=False)):
                 raise
-        for key, wanted in keys.items():
-            if wanted and key not in value:
-                raise fault(wanted, "missing", key=key)
+        for key, advice in keys.items():
+            if advice and key not in value:
+                raise fault(advice, "missing", key=key)
         return thing
 
     return core.no_info_wrap_validator_function(check, handler(kind))
@@ -255,13 +255,13 @@ def _schema(kind: Any, handler: Any) -> Any:
 
 def _json(kind: Any, schema: Any, handler: Any) -> Any:
     """The JSON schema of a table, with the keys that a file must give, and without defaults, which are in SI."""
-    found = handler(schema)
-    own = handler.resolve_ref_schema(found)
-    own["required"] = [key for key, wanted in _keys(kind).values() if wanted]
-    for part in own["properties"].values():
+    reference = handler(schema)
+    table = handler.resolve_ref_schema(reference)
+    table["required"] = [key for key, advice in _keys(kind).values() if advice]
+    for part in table["properties"].values():
         part.pop("default", None)
         part.pop("title", None)
-    return found
+    return reference
 
 
 def _marks(hint: Any) -> Iterator[Any]:
@@ -281,47 +281,51 @@ def units_of(kind: Any) -> dict[str, Unit]:
 @cache
 def _keys(kind: Any) -> dict[str, tuple[str, str]]:
     """By field: its key in the file, and what to give where it is missing, empty where it may be."""
-    found, hints = {}, get_type_hints(kind, include_extras=True)
-    for one in fields(kind):
-        marks = list(_marks(hints[one.name]))
-        unit = units_of(kind).get(one.name, NUMBER).name
-        plain = f"{one.name}_{unit}" if unit else one.name
+    keys, hints = {}, get_type_hints(kind, include_extras=True)
+    for attribute in fields(kind):
+        marks = list(_marks(hints[attribute.name]))
+        unit = units_of(kind).get(attribute.name, NUMBER).name
+        plain = f"{attribute.name}_{unit}" if unit else attribute.name
         key = next((mark.name for mark in marks if isinstance(mark, Key) and mark.name), plain)
-        usual = "this table" if is_dataclass(hints[one.name]) else "it"
-        wanted = next((mark.wanted for mark in marks if isinstance(mark, Unit | Check)), usual)
-        optional = one.name in FILLED_IN or one.default is not MISSING or one.default_factory is not MISSING
-        found[one.name] = (key, "" if optional and REQUIRED not in marks else wanted)
-    return found
+        usual = "this table" if is_dataclass(hints[attribute.name]) else "it"
+        advice = next((mark.wanted for mark in marks if isinstance(mark, Unit | Check)), usual)
+        optional = (
+            attribute.name in FILLED_IN or attribute.default is not MISSING or attribute.default_factory is not MISSING
+        )
+        keys[attribute.name] = (key, "" if optional and REQUIRED not in marks else advice)
+    return keys
 
 
 @cache
 def _file_of(kind: Any) -> Any:
     """The type of a file that holds ``kind``: some of its fields may stand in sections (`Key`)."""
     groups: dict[str, list[Any]] = {}
-    for one in fields(kind) if is_dataclass(kind) else ():
-        hint = get_type_hints(kind, include_extras=True)[one.name]
+    for attribute in fields(kind) if is_dataclass(kind) else ():
+        hint = get_type_hints(kind, include_extras=True)[attribute.name]
         section = next((mark.section for mark in _marks(hint) if isinstance(mark, Key)), "")
-        default = field(default=one.default, default_factory=one.default_factory, kw_only=True)
-        groups.setdefault(section, []).append((one.name, hint, default))
+        default = field(default=attribute.default, default_factory=attribute.default_factory, kw_only=True)
+        groups.setdefault(section, []).append((attribute.name, hint, default))
     if set(groups) <= {""}:
         return kind
-    whole = groups.pop("", [])
+    members_of_file = groups.pop("", [])
     for section, members in groups.items():
         part = toml_table(make_dataclass(section, members, frozen=True))
-        optional = not any(wanted for _, wanted in _keys(part).values())
-        whole.append((section, part, field(default_factory=part, kw_only=True) if optional else field(kw_only=True)))
-
-    named = {one.name for one in fields(kind)}
-    if "source" not in named:  # every file may say where its numbers come from
-        whole.append(("source", str, field(default="", kw_only=True)))
-
-    def flat(found: Any, _context: Any) -> Any:
-        own = {name: value for name, value in vars(found).items() if name in named - groups.keys()}
-        return kind(
-            **own, **{name: value for section in groups for name, value in vars(getattr(found, section)).items()}
+        optional = not any(advice for _, advice in _keys(part).values())
+        members_of_file.append(
+            (section, part, field(default_factory=part, kw_only=True) if optional else field(kw_only=True))
         )
 
-    return Annotated[kind, Then(flat, toml_table(make_dataclass("File", whole, frozen=True)))]
+    names = {attribute.name for attribute in fields(kind)}
+    if "source" not in names:  # every file may say where its numbers come from
+        members_of_file.append(("source", str, field(default="", kw_only=True)))
+
+    def flat(found: Any, _context: Any) -> Any:
+        values = {name: value for name, value in vars(found).items() if name in names - groups.keys()}
+        return kind(
+            **values, **{name: value for section in groups for name, value in vars(getattr(found, section)).items()}
+        )
+
+    return Annotated[kind, Then(flat, toml_table(make_dataclass("File", members_of_file, frozen=True)))]
 
 
 @cache
@@ -371,11 +375,11 @@ def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml"
     Raises:
         InputError: If there is no such file.
     """
-    given = Path(name).suffix == ".toml"
-    path = Path(name) if given else folder / f"{name}.toml"
+    is_path = Path(name).suffix == ".toml"
+    path = Path(name) if is_path else folder / f"{name}.toml"
     if is_file(path):
         return path
-    fault = f"{kind} file {shortened(path, 300)} does not exist" if given else f"unknown {kind} '{shortened(name)}'"
+    fault = f"{kind} file {shortened(path, 300)} does not exist" if is_path else f"unknown {kind} '{shortened(name)}'"
     raise InputError(f"{fault}; give one of {shipped_in(folder)} or a path to a file ({endings})")
 
 
@@ -384,9 +388,9 @@ def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:
     text = read_text(path, "a TOML file")
 
     def content() -> dict[str, Any]:
-        found = tomllib.loads(text)
-        _refuse_huge(found, "")
-        return found
+        tables = tomllib.loads(text)
+        _refuse_huge(tables, "")
+        return tables
 
     return parsed(content, path, "TOML"), text
 
@@ -429,13 +433,124 @@ def made(
     """
     from pydantic import ValidationError
 
-    found = content[section] if section else content
-    if isinstance(found, Mapping):
+    table = content[section] if section else content
+    if isinstance(table, Mapping):
         filled = {"name": name or Path(where).stem, "source": ""}
-        found = {**{key: filled[key] for key in FILLED_IN if key in _keys(cast(Any, kind))}, **found}
+        table = {**{key: filled[key] for key in FILLED_IN if key in _keys(cast(Any, kind))}, **table}
     try:
-        return cast(Thing, _adapter(cast(Any, kind)).validate_python(found, context=context))
+        return cast(Thing, _adapter(cast(Any, kind)).validate_python(table, context=context))
     except ValidationError as error:
-        first: Any = min(error.errors(include_url=False), key=lacks)
+        first: Any = min(error.errors(include_url=False), key=_lacks)
         first["loc"] = [*([section] if section else []), *first["loc"]]
-        raise InputError(sentence(first, content, where, text, name and repr(name))) from error
+        raise InputError(_sentence(first, content, where, text, name and repr(name))) from error
+
+
+# The sentence that says what is wrong: file, line, key, table, value and what to give.
+
+
+def _lacks(error: Any) -> bool:
+    """Whether an error is pydantic's own about a missing key, which we tell better."""
+    return error["type"] == "missing" and "ctx" not in error
+
+
+WORDS = {"literal_error": "give {expected}", "string_type": "give a text", "tuple_type": "give a list"}
+"""What to do about pydantic's own errors."""
+
+
+def _sentence(error: Mapping[str, Any], content: Any, where: str, text: str, owner: str) -> str:
+    """The sentence for one of pydantic's errors.
+
+    Args:
+        error: As pydantic gives it; parts of its place in angle brackets are tags of unions.
+        content: The content of the file.
+        where: The file.
+        text: Its text, where lines are to be named.
+        owner: What the file as a whole is called; empty for nothing.
+    """
+    place = [part for part in error["loc"] if not str(part).startswith("<")]
+    key = error.get("ctx", {}).get("key") if error["type"] == "unknown" else None
+    line = line_of(text, place if key is None else [*place, key])
+    return f"{where}{f', line {line}' if line else ''}: {_fault(error, place, content, owner)}"
+
+
+def _fault(error: Mapping[str, Any], place: list[Any], content: Any, owner: str) -> str:
+    """Key, table, value and what to give."""
+    details, kind = error.get("ctx", {}), error["type"]
+    inside = _table_at(place, content) or owner
+    match kind:
+        case "value_error":  # a dataclass or a reader said it in a sentence of its own
+            return str(details["error"])
+        case "no table":
+            return f"{inside or shortened(place[-1])} must be a table"
+        case "unknown":
+            near = difflib.get_close_matches(details["key"], details["known"], 1, 0.5)
+            perhaps = f"perhaps {near[0]} is meant: " if near else ""
+            quoted = f"'{shortened(details['key'])}'{f' in {inside}' if inside else ''}"
+            return f"unknown key {quoted}; {perhaps}known are {listed(details['known'])}"
+        case "missing":
+            return f"{details['key']}{f' of {inside}' if inside else ''} is missing; {details['wanted']}"
+    depth = max(i for i, part in enumerate(place) if isinstance(part, str))
+    key = str(place[depth]) + "".join(f"[{part}]" for part in place[depth + 1 :])
+    inside, value = _table_at(place[:depth], content) or owner, error["input"]
+    brief = f"{value:g}" if isinstance(value, float) and float(f"{value:g}") == value else repr(value)
+    advice = WORDS[kind].format(**details) if kind in WORDS else error["msg"]
+    return f"{key}{f' of {inside}' if inside else ''} is {shortened(brief)}; {advice}"
+
+
+def _table_at(place: list[Any], content: Any) -> str:
+    """What a message calls a table: [load], joint 3, entry 2 of [backlash.joints]; empty for the file itself."""
+    names = ".".join(part for part in place if isinstance(part, str))
+    if not place or isinstance(place[-1], str):
+        return f"[{names}]" * bool(place)
+    number = _at(content, place).get("number") if isinstance(_at(content, place), Mapping) else None
+    if isinstance(number, int) and len(place) == 2:
+        return f"{names.removesuffix('s')} {number}"
+    return f"entry {place[-1] + 1} of [{names}]"
+
+
+def _at(content: Any, place: list[Any]) -> Any:
+    """What stands at a place; None where nothing does."""
+    for part in place:
+        try:
+            content = content[part]
+        except (LookupError, TypeError):
+            return None
+    return content
+
+
+CLOSING = ("", "]", "]]", "]]]", '"""', "'''")
+"""What may close a value that a file's first lines leave open."""
+
+MOST_READ = 1_000_000
+"""Characters read at most to find a line; a file that would need more has its key named without one."""
+
+
+def line_of(text: str, place: list[Any]) -> int | None:
+    """The line, from 1, in which the value at ``place`` of a valid TOML file begins, or the table around it.
+
+    The file is read up to each line that names the key, what is open there being closed, until it has the place, or
+    `MOST_READ` is reached.
+    """
+    while place and _at(tomllib.loads(text), place) is None:
+        place = place[:-1]
+    depth = max((i for i, part in enumerate(place) if isinstance(part, str)), default=-1)
+    lines, reached, budget = text.split("\n") if place else [], False, MOST_READ
+    for number, line in enumerate(lines, 1):
+        names_key = place[depth] in line and not line.lstrip().startswith("#")
+        reached = reached or names_key
+        if names_key or (reached and depth < len(place) - 1):
+            for closing in CLOSING:
+                read = "\n".join([*lines[:number], closing])
+                budget -= len(read)
+                if budget < 0:
+                    return None
+                if _at(_parsed(read), place) is not None:
+                    return number
+    return None
+
+
+def _parsed(text: str) -> Any:
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return None

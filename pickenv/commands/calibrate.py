@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Argument, Option
 
-from pickenv.base import command_line, npz_path, require, separate, write_json
-from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import progress_bars
+from pickenv.base import npz_path, require, separate, write_json
+from pickenv.commands.showing import command_of, deliver, fields_among, progress_bars
 
 if TYPE_CHECKING:
     from pickenv.calibration import Result
@@ -22,122 +22,98 @@ DO_NOT_USE = 3
 
 def calibrate(
     files: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Files of measurements (CSV or YAML) of one layout, or a folder of pictures.", show_default=False
-        ),
+        list[Path], Argument(help="Files of measurements (CSV or YAML) of one layout, or a folder of pictures.")
     ],
     arm: Annotated[
-        str | None,
-        typer.Option(
-            help="Arm name, or file ({arm_format}; .urdf#link, .xml#body); not for finished poses.",
-            show_default=False,
-        ),
+        str | None, Option(help="Arm name, or file ({arm_format}; .urdf#link, .xml#body); not for finished poses.")
     ] = None,
     columns: Annotated[
         list[str] | None,
-        typer.Option(help="Column description, by name or path; ours if left out. Repeat it, for one per file."),
+        Option(help="Column description, by name or path; ours if left out. Repeat it, for one per file."),
     ] = None,
     stations: Annotated[
         Literal["none", "base", "tool", "base,tool"] | None,
-        typer.Option(
-            help="Each file is a station with these frames of its own; if left out, poses and positions tell.",
-            show_default=False,
-        ),
+        Option(help="Each file is a station with these frames of its own; if left out, poses and positions tell."),
     ] = None,
     frames: Annotated[
         Literal["known", "fitted"] | None,
-        typer.Option(
+        Option(
             help="known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are "
-            "fitted too. As the files say if left out, which is fitted unless they have a column 'frames'.",
-            show_default=False,
+            "fitted too. As the files say if left out, which is fitted unless they have a column 'frames'."
         ),
     ] = None,
-    test_rows: Annotated[
-        int | None, typer.Option(help="Rows to hold out at random; a fifth if left out.", min=1)
-    ] = None,
+    test_rows: Annotated[int | None, Option(help="Rows to hold out at random; a fifth if left out.", min=1)] = None,
     split: Annotated[
         Literal["random", "blocked"],
-        typer.Option(
+        Option(
             help="random: some rows are drawn and held out; blocked: each contiguous tenth of the rows in turn, and "
             "the calibration is fitted to all rows."
         ),
     ] = "random",
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    test: Annotated[list[Path] | None, typer.Option(help="Held-out rows from other files instead.")] = None,
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    test: Annotated[list[Path] | None, Option(help="Held-out rows from other files instead.")] = None,
     refit: Annotated[
-        str | None,
-        typer.Option(help="--test is another station: find its base, tool or base,tool from a few rows of it."),
+        str | None, Option(help="--test is another station: find its base, tool or base,tool from a few rows of it.")
     ] = None,
-    refit_rows: Annotated[int | None, typer.Option(help="Rows to find them from; 6 if left out.", min=3)] = None,
+    refit_rows: Annotated[int | None, Option(help="Rows to find them from; 6 if left out.", min=3)] = None,
     fit: Annotated[
         Literal["auto", "offsets", "full"],
-        typer.Option(
+        Option(
             help="auto: all parameters, each expected within its tolerance class; offsets: the joints' zeros alone; "
             "full: all parameters without expectations, as the papers do."
         ),
     ] = "auto",
     tolerances: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Tolerance class that the arm's parts are made to, by name or file; as the arm's file says, or a "
-            "cobot's, if left out.",
-            show_default=False,
+            "cobot's, if left out."
         ),
     ] = None,
     prior_scale: Annotated[
-        float | None,
-        typer.Option(
-            help="Factor on the class; found from the rows if left out.", min=1e-3, max=1e3, show_default=False
-        ),
+        float | None, Option(help="Factor on the class; found from the rows if left out.", min=1e-3, max=1e3)
     ] = None,
     workspace: Annotated[
         str | None,
-        typer.Option(
+        Option(
             help="Where the arm will work: a file of targets, or ranges such as q1=-90:90,x=300:900 (deg, mm); the "
-            "joint limits if left out.",
-            show_default=False,
+            "joint limits if left out."
         ),
     ] = None,
     terms: Annotated[
         str,
-        typer.Option(
+        Option(
             help="Parametric terms: auto, none, or compliance (of joints whose torques were measured), gravity (the "
             "arm's own weight), periodic (drives' harmonics, of orders that the data show), thermal joined by +."
         ),
     ] = "auto",
     residual: Annotated[
-        str, typer.Option(metavar="NAME", help="Residual model: auto (the best of ours, if it wins), none, {residual}.")
+        str, Option(metavar="NAME", help="Residual model: auto (the best of ours, if it wins), none, {residual}.")
     ] = "auto",
-    force: Annotated[
-        bool, typer.Option("--force", help="Use the named residual model even if it does not win.")
-    ] = False,
+    force: Annotated[bool, Option("--force", help="Use the named residual model even if it does not win.")] = False,
     robust: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--robust/--no-robust", help="Rows far off, held out or not, are listed and left out, or listed and kept."
         ),
     ] = True,
     lens: Annotated[
-        Literal["fixed", "free"] | None,
-        typer.Option(help="Of pictures: take the camera's numbers as they are, or fit them.", show_default=False),
+        Literal["fixed", "free"] | None, Option(help="Of pictures: take the camera's numbers as they are, or fit them.")
     ] = None,
-    lens_out: Annotated[
-        Path | None, typer.Option(help="Write the camera's lens as ROS camera_info (.yaml).", show_default=False)
-    ] = None,
-    unit: Annotated[str | None, typer.Option(help="Serial number of the robot, kept in the calibration.")] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Write the fitted calibration to this file (.npz).")] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a one-page report (.html).")] = None,
+    lens_out: Annotated[Path | None, Option(help="Write the camera's lens as ROS camera_info (.yaml).")] = None,
+    unit: Annotated[str | None, Option(help="Serial number of the robot, kept in the calibration.")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
+    out: Annotated[Path | None, Option(help="Write the fitted calibration to this file (.npz).")] = None,
+    report: Annotated[Path | None, Option(help="Write a one-page report (.html).")] = None,
     run: Annotated[
-        Path | None,
-        typer.Option(help="Run folder: calibration, report, and what `pickenv figures` draws."),
+        Path | None, Option(help="Run folder: calibration, report, and what `pickenv figures` draws.")
     ] = None,
 ) -> None:
     """Identify a real arm from measurements of any kind and judge it on held-out rows.
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
     """
+    typed = dict(locals())
     from pickenv.calibration import Choices, calibrate as calibrated
     from pickenv.calibration.camera.boards import write_lens
     from pickenv.calibration.pipeline.fitting import lens_of
@@ -156,23 +132,9 @@ def calibrate(
     )
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
-    moved, count = frames_and_rows(refit, refit_rows)
-    choices = Choices(
-        fit=fit,
-        tolerances=tolerances,
-        prior_scale=prior_scale,
-        workspace=workspace,
-        terms=terms,
-        residual=residual,
-        force=force,
-        robust=robust,
-        seed=seed,
-        frames=frames,
-        lens=lens,
-        refit=moved,
-        refit_rows=count,
-    )
-    with progress_bars() if sys.stderr.isatty() else nullcontext() as told:
+    frames_moved, count = frames_and_rows(refit, refit_rows)
+    choices = Choices(**fields_among(Choices, typed) | {"refit": frames_moved, "refit_rows": count})
+    with progress_bars() if sys.stderr.isatty() else nullcontext() as progress:
         result = calibrated(
             arm,
             files,
@@ -183,41 +145,19 @@ def calibrate(
             test_rows=test_rows,
             choices=choices,
             unit=unit,
-            progress=told,
+            progress=progress,
         )
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
-    options: dict[str, Any] = {
-        "columns": columns,
-        "stations": stations,
-        "frames": frames,
-        "test_rows": test_rows,
-        "split": split,
-        "seed": seed,
-    }
-    options |= {
-        "fit": fit,
-        "tolerances": tolerances,
-        "prior_scale": prior_scale,
-        "workspace": workspace,
-        "terms": terms,
-        "residual": residual,
-        "force": force,
-        "no_robust": not robust,
-        "lens": lens,
-        "unit": unit,
-        "refit": refit,
-        "refit_rows": refit_rows,
-    }
-    command = command_line("pickenv", "calibrate", *files, arm=arm, test=test, **options)
+    command = command_of(calibrate, typed)
     deliver(
         [
             (out, result.calibration.save),
             (lens_out, lambda path: write_lens(lens_of(result.geometric, result.train), path)),
             (report, lambda path: result.write_page(path, seeds)),
             (run, lambda folder: write_run(folder, command, seed, result, seeds)),
-            (json_file, lambda path: write_json(path, result.as_dict())),
+            (json_file, result.as_dict()),
         ],
-        lambda: print(result.report()),
+        result.report(),
     )
     if result.quality.grade == "do not use":
         raise typer.Exit(DO_NOT_USE)

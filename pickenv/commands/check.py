@@ -1,15 +1,16 @@
-"""`pickenv check`: is this file, or this run, what was written, to the last bit?"""
+"""Commands about files: `pickenv check`, is it what was written, to the bit? `pickenv schema`, what may it hold?"""
 
 from __future__ import annotations
 
+import json
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, make_dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from pickenv.base import InputError, check_sealed_parquet, read_container, refusing_damage, separate, write_json
 
@@ -52,12 +53,9 @@ class Finding:
 
 def check(
     paths: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Calibrations, policies, checkpoints, chunks, traces, or whole folders.", show_default=False
-        ),
+        list[Path], Argument(help="Calibrations, policies, checkpoints, chunks, traces, or whole folders.")
     ],
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write what was found to this file.")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="Write what was found to this file.")] = None,
 ) -> None:
     """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
     separate({}, {"--json": json_file})
@@ -110,16 +108,16 @@ def folder_findings(folder: Path) -> list[Finding]:
         return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
     runs = {record.parent for name in (RECORD, LIST, EXPERIMENT) for record in folder.rglob(name)}
     runs = {run for run in runs if not runs & set(run.parents)}
-    held = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
-    held = [path for path in held if not runs & set(path.parents)]
-    if not held and not runs:
+    sealed = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
+    sealed = [path for path in sealed if not runs & set(path.parents)]
+    if not sealed and not runs:
         return [Finding(str(folder), "folder", reason="holds neither a complete run nor any file with a seal")]
-    found = [finding for run in sorted(runs) for finding in folder_findings(run)]
-    for path in held:
+    findings = [finding for run in sorted(runs) for finding in folder_findings(run)]
+    for path in sealed:
         lost = path.name in {EPISODES, *PARTS.values()}
         reason = f"its run is not complete: {path.parent / RECORD} is missing; {REMAKE}"
-        found.append(Finding(str(path), "file of a run", reason=reason) if lost else file_finding(path))
-    return found
+        findings.append(Finding(str(path), "file of a run", reason=reason) if lost else file_finding(path))
+    return findings
 
 
 def listed_findings(folder: Path) -> list[Finding]:
@@ -161,13 +159,13 @@ def run_findings(folder: Path) -> list[Finding]:
 
 def file_finding(path: Path) -> Finding:
     """What is found about one file."""
-    what = "file"
+    kind = "file"
     try:
-        what = _kind_of(path)
-        version, about = _READERS[what](path) if what in _READERS else _foreign(path, what)
+        kind = _kind_of(path)
+        version, about = _READERS[kind](path) if kind in _READERS else _foreign(path, kind)
     except InputError as error:
-        return Finding(str(path), what, reason=str(error))
-    return Finding(str(path), what, version, about)
+        return Finding(str(path), kind, reason=str(error))
+    return Finding(str(path), kind, version, about)
 
 
 def _kind_of(path: Path) -> str:
@@ -199,29 +197,29 @@ def _calibration(path: Path) -> tuple[int | None, str]:
     from pickenv.calibration.pipeline.calibration import FORMAT
     from pickenv.experiments.methods import ORIGIN
 
-    found = Calibration.load(path)
-    origin = found.record.get(ORIGIN)
-    named = re.search("-([0-9a-f]{16})$", path.stem)  # as `pickenv evaluate --cache` names them
-    if origin is not None and named is not None and not str(origin).startswith(named[1]):
+    calibration = Calibration.load(path)
+    origin = calibration.record.get(ORIGIN)
+    key = re.search("-([0-9a-f]{16})$", path.stem)  # as `pickenv evaluate --cache` names them
+    if origin is not None and key is not None and not str(origin).startswith(key[1]):
         raise InputError(f"{path} is the calibration of another arm or protocol than its name says; delete it")
-    unit = "" if found.unit is None else f", unit '{found.unit}'"
-    return FORMAT, f"arm '{found.arm_name}'{unit}, geometry {found.arm_fingerprint}"
+    unit = "" if calibration.unit is None else f", unit '{calibration.unit}'"
+    return FORMAT, f"arm '{calibration.arm_name}'{unit}, geometry {calibration.arm_fingerprint}"
 
 
 def _policy(path: Path) -> tuple[int | None, str]:
     from pickenv.agents import load_policy
     from pickenv.agents.policies.learned import FORMAT
 
-    found = load_policy(path)
-    return FORMAT, f"{found.algorithm} on arm '{found.arm}'"
+    policy = load_policy(path)
+    return FORMAT, f"{policy.algorithm} on arm '{policy.arm}'"
 
 
 def _remembering(path: Path) -> tuple[int | None, str]:
     from pickenv.agents import load_remembering
     from pickenv.agents.policies.remembering import REMEMBERING_FORMAT
 
-    found = load_remembering(path)
-    return REMEMBERING_FORMAT, f"{found.algorithm} on arm '{found.arm}'"
+    policy = load_remembering(path)
+    return REMEMBERING_FORMAT, f"{policy.algorithm} on arm '{policy.arm}'"
 
 
 def _checkpoint(path: Path) -> tuple[int | None, str]:
@@ -265,3 +263,61 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
     **dict.fromkeys(("CalibrationTrace", "Comparison", "HarvestTrace", "RecordedEpisodes"), _saved),
 }
 """How each kind of file is verified: its version, and a few words about it."""
+
+
+def schema(kind: Annotated[str, Argument(help="arm, plant, description, study, …")]) -> None:
+    """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones."""
+    from pickenv.base import json_schema  # late: it loads pydantic
+
+    classes = kinds()
+    if kind not in classes:
+        raise InputError(f"there is no kind of file '{kind}'; give one of {', '.join(classes)}")
+    print(json.dumps(json_schema(classes[kind]), indent=2))
+
+
+def kinds() -> dict[str, Any]:
+    """The classes of all kinds of files; of orchard presets a file of one's own is meant."""
+    from pickenv import orchard
+    from pickenv.arm import Tolerances
+    from pickenv.arm.files.arm_file import ArmFile
+    from pickenv.arm.plant.plant_file import plant_file
+    from pickenv.base import toml_table
+    from pickenv.base.registry import load_all
+    from pickenv.calibration.camera.boards import Board
+    from pickenv.calibration.reading.description import description_file
+    from pickenv.envs.harvesting.harvest_task import Rules
+    from pickenv.experiments import StudyConfig
+    from pickenv.harvester import Grid, Picking
+    from pickenv.harvester.machine import MachineFile
+    from pickenv.harvester.optimiser import Effort
+    from pickenv.harvester.pick_points import Search
+    from pickenv.harvester.trees import Lab, TreesTable
+    from pickenv.orchard import Station
+    from pickenv.orchard.camera import CameraFile
+    from pickenv.orchard.gripper import gripper_file
+
+    return {
+        "arm": ArmFile,
+        "plant": plant_file(tuple(load_all("effect"))),
+        "tolerances": Tolerances,
+        "description": description_file(),
+        "board": toml_table(make_dataclass("BoardFile", [("board", Board)])),
+        "study": StudyConfig,
+        "branch": orchard.Branch,
+        "camera": CameraFile,
+        "canopy": orchard.Canopy,
+        "detachment": orchard.Detachment,
+        "fruit": orchard.FruitMap,
+        "fruit_size": orchard.FruitSize,
+        "gripper": gripper_file(),
+        "look": orchard.Look,
+        "station": Station,
+        "vision": orchard.StereoCamera,
+        "machine": MachineFile,
+        "strategy": toml_table(
+            make_dataclass("Strategy", [("zones", Grid), ("search", Search), ("optimiser", Effort)])
+        ),
+        "picking": toml_table(
+            make_dataclass("PickingFile", [("pick", Picking), ("task", Rules), ("lab", Lab), ("trees", TreesTable)])
+        ),
+    }

@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Argument, Option
 
 from pickenv.base import separate, write_json
-from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import CommandOfNames, print_table, progress_bars
+from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
 
 if TYPE_CHECKING:
     from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
@@ -37,48 +36,37 @@ class SeveralValues(CommandOfNames):
 def compare(
     policies: Annotated[
         list[str],
-        typer.Argument(
+        Argument(
             metavar="POLICY...",
             help="{policy}, a shipped baseline, a policy file (.npz), a model of "
             "Stable-Baselines3 (.zip), a Python file with make_policy(env, seed), a calibration (the scripted policy "
             "behind it), or the folder of a training or of a comparison.",
-            show_default=False,
         ),
     ],
     compensate: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             metavar="CAL...",
             help="A calibration for each policy, in the same order: none, a file, or a file and #ls for its least "
             "squares alone; one policy is taken with each of several.",
-            show_default=False,
         ),
     ] = None,
-    label: Annotated[
-        list[str] | None, typer.Option(metavar="NAME...", help="A name for each policy.", show_default=False)
-    ] = None,
-    env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
-    episodes: Annotated[int, typer.Option(help="Episodes of each policy.", min=1)] = 20,
-    seed: Annotated[int, typer.Option(help="Seed of fruit, and of policies that draw.", min=0)] = 0,
+    label: Annotated[list[str] | None, Option(metavar="NAME...", help="A name for each policy.")] = None,
+    env: Annotated[str, Option(help="Id of the environment.")] = "pickenv/Reach-v0",
+    episodes: Annotated[int, Option(help="Episodes of each policy.", min=1)] = 20,
+    seed: Annotated[int, Option(help="Seed of fruit, and of policies that draw.", min=0)] = 0,
     gripper: Annotated[
-        str, typer.Option(help="Gripper that says whether a reach picks; a name, or a file of kind {gripper}.")
+        str, Option(help="Gripper that says whether a reach picks; a name, or a file of kind {gripper}.")
     ] = "li_cup",
-    plant: Annotated[
-        str | None, typer.Option(help="Plant preset or file; the environment's if left out.", show_default=False)
-    ] = None,
-    feedback: Annotated[str | None, typer.Option(help="encoders or camera.", show_default=False)] = None,
-    camera_noise: Annotated[
-        float | None, typer.Option(help="Noise of what the camera sees, mm per axis.", show_default=False)
-    ] = None,
-    grid_step: Annotated[float, typer.Option(help="Distance of the error field's goals, m.", min=0.01)] = 0.1,
+    plant: Annotated[str | None, Option(help="Plant preset or file; the environment's if left out.")] = None,
+    feedback: Annotated[str | None, Option(help="encoders or camera.")] = None,
+    camera_noise: Annotated[float | None, Option(help="Noise of what the camera sees, mm per axis.")] = None,
+    grid_step: Annotated[float, Option(help="Distance of the error field's goals, m.", min=0.01)] = 0.1,
     allow: Annotated[
-        list[str] | None,
-        typer.Option(help="Use a calibration in spite of this: fitted-frames, do-not-use.", show_default=False),
+        list[str] | None, Option(help="Use a calibration in spite of this: fitted-frames, do-not-use.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Run folder: recording, page, figures, every episode.", show_default=False)
-    ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the numbers to this file.")] = None,
+    out: Annotated[Path | None, Option(help="Run folder: recording, page, figures, every episode.")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="Write the numbers to this file.")] = None,
 ) -> None:
     """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter."""
     from pickenv.agents import compare as run
@@ -88,9 +76,9 @@ def compare(
 
     read = [word.partition("#")[0] for word in [*policies, *(compensate or [])]]
     separate({"POLICY": read, "--plant": plant}, {"--out": None if out is None else out / RECORD, "--json": json_file})
-    given: dict[str, Any] = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
+    arguments: dict[str, Any] = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
     with progress_bars() as report:
-        found = run(
+        comparison = run(
             policies,
             env,
             compensate=compensate or (),
@@ -101,14 +89,14 @@ def compare(
             grid_step=grid_step,
             allow=allow or (),
             progress=report,
-            **{name: value for name, value in given.items() if value is not None},
+            **{name: value for name, value in arguments.items() if value is not None},
         )
     deliver(
         [
-            (json_file, lambda path: write_json(path, content_of_comparison(found.episodes))),
-            (out, lambda folder: write_comparison(found, folder)),
+            (json_file, lambda path: write_json(path, content_of_comparison(comparison.episodes))),
+            (out, lambda folder: write_comparison(comparison, folder)),
         ],
-        lambda: _print_comparison(found.episodes),
+        lambda: _print_comparison(comparison.episodes),
     )
 
 
@@ -126,15 +114,15 @@ def _print_comparison(episodes: RecordedEpisodes) -> None:
 
 
 def film(
-    run: Annotated[Path, typer.Argument(help="Run folder of `pickenv compare`.", show_default=False)],
-    out: Annotated[Path, typer.Option(help="File to write, .gif or .mp4.")] = Path("film.gif"),
+    run: Annotated[Path, Argument(help="Run folder of `pickenv compare`.")],
+    out: Annotated[Path, Option(help="File to write, .gif or .mp4.")] = Path("film.gif"),
     policy: Annotated[
         list[str] | None,
-        typer.Option(help="Policy to show, as the run names it, left first; its first and last if left out."),
+        Option(help="Policy to show, as the run names it, left first; its first and last if left out."),
     ] = None,
-    seconds: Annotated[float, typer.Option(help="Length of the film, s.")] = 12.0,
-    fps: Annotated[int, typer.Option(help="Frames per second.")] = 10,
-    dark: Annotated[bool, typer.Option("--dark", help="Draw on a dark background.")] = False,
+    seconds: Annotated[float, Option(help="Length of the film, s.")] = 12.0,
+    fps: Annotated[int, Option(help="Frames per second.")] = 10,
+    dark: Annotated[bool, Option("--dark", help="Draw on a dark background.")] = False,
 ) -> None:
     """Make a film of a comparison: two policies side by side at the same fruit, with misses in mm and fruit picked."""
     from pickenv.inspect import film as make_film
@@ -142,13 +130,15 @@ def film(
 
     separate({}, {"--out": out})
     with progress_bars("frames") as report:
-        made = make_film(
+        movie = make_film(
             run, out, policies=policy or (), seconds=seconds, frames_per_second=fps, dark=dark, progress=report
         )
     plain = why_plain()
     if plain is not None:
         print(plain)
-    last = made.plan.frames[-1]
+    last = movie.plan.frames[-1]
     counted = ", ".join(f"{stated.label} picks {stated.picked} of {stated.tried}" for stated in last.stated)
-    size = f"{made.path.stat().st_size / 1e6:.1f} MB"
-    print(f"{made.path}: {len(made.plan.frames)} frames, {size}; {counted}; {made.plan.speed:.1f} x as fast as the arm")
+    size = f"{movie.path.stat().st_size / 1e6:.1f} MB"
+    print(
+        f"{movie.path}: {len(movie.plan.frames)} frames, {size}; {counted}; {movie.plan.speed:.1f} x as fast as the arm"
+    )

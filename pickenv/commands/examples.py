@@ -18,10 +18,7 @@ EXAMPLES: Mapping[str, tuple[str, tuple[str, ...]]] = MappingProxyType(
         "verify": ("calibrating-a-robot.md", ("pickenv verify my_arm.npz new_poses.csv --refit base",)),
         "plan-poses": ("calibrating-a-robot.md", ("pickenv plan-poses --arm ur5e --n 40 --out poses.csv",)),
         "board": ("so101.md", ("pickenv board charuco_a4 --out board.pdf",)),
-        "apply": (
-            "applying-a-calibration.md",
-            ("pickenv apply my_arm.npz targets.csv --arm ur5e --out commands.csv",),
-        ),
+        "apply": ("applying-a-calibration.md", ("pickenv apply my_arm.npz targets.csv --arm ur5e --out commands.csv",)),
         "export": (
             "applying-a-calibration.md",
             ("pickenv export my_arm.npz --onto robot.urdf --out robot_calibrated.urdf",),
@@ -69,7 +66,7 @@ def examples(command: str) -> str:
 def pages_address() -> str:
     """Where the pages stand: the address that the package itself names, or the folder of a checkout."""
     try:
-        named = metadata.metadata("pickenv").get_all("Project-URL") or []
+        addresses = metadata.metadata("pickenv").get_all("Project-URL") or []
     except metadata.PackageNotFoundError:
-        named = []
-    return next((text.partition(", ")[2] for text in named if text.startswith("Documentation, ")), "docs")
+        addresses = []
+    return next((text.partition(", ")[2] for text in addresses if text.startswith("Documentation, ")), "docs")

@@ -1,39 +1,44 @@
-"""`pickenv experiment`: units × factors → rows → numbers with intervals, from a file."""
+"""`pickenv experiment`: units × factors → rows → numbers with intervals; `pickenv study`: the yields of a design."""
 
 from __future__ import annotations
 
+import sys
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from textwrap import fill
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
+from typer import Argument, Option
 
-from pickenv.base import InputError, separate, write_json
-from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import print_table, progress_bars
+from pickenv.base import InputError, check_limit, locked, require, separate
+from pickenv.commands.showing import Save, deliver, print_table, progress_bars, with_options
+
+if TYPE_CHECKING:
+    from pickenv.experiments import StudyConfig
+
+
+TERMINAL = 80
+"""Characters of a line of the usual terminal."""
 
 
 def experiment(
-    file: Annotated[
-        Path, typer.Argument(help="Experiment (.toml); the Python code that it names is executed.", show_default=False)
-    ],
-    quick: Annotated[bool, typer.Option("--quick", help="The file's own small sizes: minutes.")] = False,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random; the file's if left out.", min=0)] = None,
+    file: Annotated[Path, Argument(help="Experiment (.toml); the Python code that it names is executed.")],
+    quick: Annotated[bool, Option("--quick", help="The file's own small sizes: minutes.")] = False,
+    seed: Annotated[int | None, Option(help="Seed of everything random; the file's if left out.", min=0)] = None,
     seeds: Annotated[
-        int,
-        typer.Option(help="Seeds to run at; how often intervals of one hold the numbers of another is said.", min=1),
+        int, Option(help="Seeds to run at; how often intervals of one hold the numbers of another is said.", min=1)
     ] = 1,
     change: Annotated[
-        list[str] | None,
-        typer.Option("--set", help='A unit, factor or setting: arm=20, method=["raw"]; may be repeated.'),
+        list[str] | None, Option("--set", help='A unit, factor or setting: arm=20, method=["raw"]; may be repeated.')
     ] = None,
-    executor: Annotated[str, typer.Option(help="What computes: serial, loky, ray, dask; no number changes.")] = "loky",
-    workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
+    executor: Annotated[str, Option(help="What computes: serial, loky, ray, dask; no number changes.")] = "loky",
+    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for what is done; what was cut off goes on. runs/NAME if left out.")
+        Path | None, Option(help="Folder for what is done; what was cut off goes on. runs/NAME if left out.")
     ] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the numbers to this file.")] = None,
-    table: Annotated[Path | None, typer.Option(help="Write the rows as .csv or .parquet.")] = None,
-    figures: Annotated[Path | None, typer.Option(help="Folder for the file's figures.")] = None,
+    json_file: Annotated[Path | None, Option("--json", help="Write the numbers to this file.")] = None,
+    table: Annotated[Path | None, Option(help="Write the rows as .csv or .parquet.")] = None,
+    figures: Annotated[Path | None, Option(help="Folder for the file's figures.")] = None,
 ) -> None:
     """Measure units at every combination of factors, and print the numbers that the file asks for."""
     from pickenv.experiments import run
@@ -43,39 +48,39 @@ def experiment(
     folder = out or Path("runs") / file.stem
     separate({"FILE": file}, {"--out": folder / RECORD, "--json": json_file, "--table": table})
     changes = dict(map(_change, change or []))
-    found = load_experiment(file, quick=quick, seed=seed, changes=changes)
-    first = found.experiment.seed
+    definition = load_experiment(file, quick=quick, seed=seed, changes=changes)
+    first = definition.experiment.seed
     others: list[list[dict[str, Any]]] = []
     with progress_bars() as report:
         for further in range(first + seeds - 1, first, -1):  # the first comes last, so that the folder's rows are its
-            other = load_experiment(file, quick=quick, seed=further, changes=changes)
-            others.insert(0, other.estimates(run(other.experiment, folder, backend=executor, workers=workers)))
+            repeat = load_experiment(file, quick=quick, seed=further, changes=changes)
+            others.insert(0, repeat.estimates(run(repeat.experiment, folder, backend=executor, workers=workers)))
             report("seeds", len(others), seeds)
-        rows = run(found.experiment, folder, backend=executor, workers=workers, progress=report)
-    tables = found.estimates(rows)
-    held = held_by_seeds([tables, *others])
+        rows = run(definition.experiment, folder, backend=executor, workers=workers, progress=report)
+    tables = definition.estimates(rows)
+    counts = held_by_seeds([tables, *others])
     content = {
-        "title": found.title,
+        "title": definition.title,
         "experiment": file.stem,
-        "seed": found.experiment.seed,
+        "seed": definition.experiment.seed,
         "quick": quick,
         "rows": len(rows),
         "tables": plain_estimates(tables),
-        "other_seeds": [plain_estimates(other) for other in others],
-        "held": [{"title": title, "held": count, "of": of} for title, count, of in held if of],
+        "other_seeds": [plain_estimates(repeat) for repeat in others],
+        "held": [{"title": title, "held": count, "of": of} for title, count, of in counts if of],
     }
 
     def show() -> None:
-        print(found.title)
-        for number, made in zip(found.numbers, tables, strict=True):
+        print(definition.title)
+        for number, estimates in zip(definition.numbers, tables, strict=True):
             if number.x is not None:  # lines are for the figure
                 continue
-            if not made["rows"]:
-                print(f"{made['title']}: no rows to make it of")
+            if not estimates["rows"]:
+                print(f"{estimates['title']}: no rows to make it of")
                 continue
-            heads, cells = number_table(number, made["rows"])
-            print_table(made["title"], heads, cells, words=number.by)
-        for title, count, of in held:
+            heads, cells = number_table(number, estimates["rows"])
+            print_table(estimates["title"], heads, cells, words=number.by)
+        for title, count, of in counts:
             if of:
                 print(f"{title}: {count} of {of} intervals hold another seed's number; about 83 % are due")
 
@@ -83,21 +88,16 @@ def experiment(
         from pickenv.inspect import save_figure
         from pickenv.inspect.figures.plot_estimates import estimates_figure
 
-        drawn = {name: function(rows) for name, function in found.figures.items()}
-        for number, made in zip(found.numbers, tables, strict=True):
-            if number.figure is not None and made["rows"]:
+        drawings = {name: function(rows) for name, function in definition.figures.items()}
+        for number, estimates in zip(definition.numbers, tables, strict=True):
+            if number.figure is not None and estimates["rows"]:
                 axes: Any = {"x": number.x, "colour": None if number.x else number.across, "panels": number.panels}
-                drawn[number.figure] = estimates_figure(
-                    made["rows"], number.title, number.by, **axes, log=number.log, scale=number.scale
+                drawings[number.figure] = estimates_figure(
+                    estimates["rows"], number.title, number.by, **axes, log=number.log, scale=number.scale
                 )
-        return [save_figure(figure, place / f"{name}.png") for name, figure in drawn.items()]
+        return [save_figure(figure, place / f"{name}.png") for name, figure in drawings.items()]
 
-    saves: list[Any] = [
-        (json_file, lambda path: write_json(path, content)),
-        (table, lambda path: write_rows(path, rows)),
-        (figures, draw),
-    ]
-    deliver(saves, show)
+    deliver([(json_file, content), (table, partial(write_rows, rows=rows)), (figures, draw)], show)
 
 
 def _change(text: str) -> tuple[str, Any]:
@@ -111,3 +111,129 @@ def _change(text: str) -> tuple[str, Any]:
         return name, tomllib.loads(f"value = {value}")["value"]
     except tomllib.TOMLDecodeError:
         return name, value
+
+
+def study(
+    config: Annotated[Path, Argument(help="Study (.toml); scripts/tolerance_study.toml shows every key.")],
+    quick: Annotated[bool, Option("--quick", help="40 arms and 20 fruit at most.")] = False,
+    executor: Annotated[
+        Literal["serial", "joblib", "ray", "batched"], Option(help="What computes the arms.")
+    ] = "joblib",
+    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
+    device: Annotated[Literal["cpu", "cuda"], Option(help="Where batched computes.")] = "cpu",
+    out: Annotated[Path, Option(help="Results folder; a study that it holds already goes on.")] = Path("runs/study"),
+    json_file: Annotated[Path | None, Option("--json", help="Write the summary to this file.")] = None,
+    report: Annotated[
+        bool, Option("--report/--no-report", help="Figures, report.html and arms.rrd in the results folder.")
+    ] = True,
+    sobol: Annotated[bool, Option("--sobol", help="Sobol indices of the tolerances, which need further arms.")] = False,
+    samples: Annotated[
+        int, Option(help="Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.", min=0)
+    ] = 2048,
+) -> None:
+    """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
+    require("pyarrow", "joblib")
+    from pickenv.experiments import load_study, run_study, write_outputs
+
+    check_limit("--samples", samples, "samples")
+    full_study = load_study(config)
+    separate(
+        {"CONFIG": [config, full_study.plant, *full_study.tolerances]},
+        {"--out": [out / name for name in ("summary.json", "report.html", "arms.rrd")], "--json": json_file},
+    )
+    settings = full_study.quick() if quick else full_study
+    with locked(out):
+        with progress_bars("arms") as report_progress:
+            summary = run_study(
+                settings,
+                out,
+                executor=executor,
+                workers=workers,
+                device=device,
+                progress=partial(report_progress, "arms"),
+                warn=lambda text: print(f"warning: {with_options(text)}", file=sys.stderr),
+            )
+        saves: list[Save] = [
+            (out / "summary.json", lambda path: path),  # written by the study, as its last file
+            (json_file, summary),
+            (out if report else None, lambda folder: write_outputs(folder, samples if sobol else 0)),
+        ]
+        deliver(saves, lambda: _print(settings, summary))
+
+
+def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
+    """The yields, what their differences come from, and where the rest stands; 80 characters wide."""
+    from pickenv.experiments.study_findings import study_verdict
+    from pickenv.inspect.reports.report_words import between
+
+    rows = summary["yield"]
+    errors = {
+        (row["setting"], row["probability"]): row["value"]
+        for row in summary["quantiles_mm"]
+        if row["quantity"] == "error_mean_mm"
+    }
+    cells: dict[str, list[str]] = {
+        "class": [row["tolerances"] for row in rows],
+        "IT": [f"{row['it_grade']}" for row in rows],
+        "method": [row["method"] for row in rows],
+        "poses": [f"{row['poses'] or '-'}" for row in rows],
+        "noise\n(mm)": [f"{row['noise_mm']:g}" if row["poses"] else "-" for row in rows],
+        "load\n(kg)": [f"{row['payload_kg']:g}" for row in rows],
+        "yield\n(%)": [f"{100 * row['yield']:.1f}" for row in rows],
+        "95 %\ninterval": [between(100 * row["yield_low"], 100 * row["yield_high"], 1) for row in rows],
+        "median\n(mm)": [_millimetres(errors[row["setting"], 0.5]) for row in rows],
+        "95 %\n(mm)": [_millimetres(errors[row["setting"], 0.95]) for row in rows],
+        "not\njudged": [f"{row['failed']}" for row in rows],
+    }
+    alike = [name for name in ("class", "IT", "method") if len(rows) > 1 and len(set(cells[name])) == 1]
+    constant = ", ".join(f"{name} {cells[name][0]}" for name in alike)
+    hidden = {*alike, *(["not\njudged"] if not any(row["failed"] for row in rows) else [])}
+    heads = [name for name in cells if name not in hidden]
+    title = (
+        f"{summary['arms']} simulated arms of plant {summary['plant']}, {summary['fruit']} fruit each, "
+        f"seed {summary['seed']}" + (f"; all {constant}" if constant else "")
+    )
+    caption = (
+        f"yield: arms with at least {100 * summary['share']:g} % of their own fruit within {summary['radius_mm']:g} mm,"
+        " over the design's workspace, with Wilson 95 % interval; errors: mean over an arm's fruit, of the median arm "
+        "and what 95 % of arms stay below"
+    )
+    lines = zip(*(cells[name] for name in heads), strict=True)
+    print_table(title, heads, lines, words=("class", "method"), caption=caption, width=TERMINAL)
+    _print_components(summary)
+    verdict = study_verdict(config, rows)
+    print(fill(f"{verdict.headline}.", TERMINAL), fill(verdict.text, TERMINAL), sep="\n")
+    print(f"{summary['executor']}: {summary['seconds']:.1f} s; table {summary['table_sha256']}")
+
+
+def _print_components(summary: dict[str, Any]) -> None:
+    """What the differences between arms come from, in a table for each setting."""
+    from pickenv.inspect.reports.report_words import estimated
+
+    def cell(row: dict[str, Any], key: str) -> str:
+        low, high = (None if row[end] is None else 100 * row[end] for end in (f"{key}_low", f"{key}_high"))
+        return estimated(100 * row[key], low, high, 0)
+
+    divided = [setting for setting in summary["components"] if setting["shares"]]
+    lines = [
+        (setting["method"], f"{row['arms']}", row["group"], cell(row, "first_order"), cell(row, "total"))
+        for setting in divided
+        for row in setting["shares"]
+    ]
+    if lines:
+        grades = sorted({f"{setting['tolerances']}, IT{setting['it_grade']}" for setting in divided})
+        print_table(
+            f"Where the differences between arms come from ({'; '.join(grades)})",
+            ("method", "arms", "drawn anew", "alone (%)", "with interactions (%)"),
+            lines,
+            words=("method", "drawn anew"),
+            caption="share of the variance of the log of the radius that holds the required share of an arm's fruit",
+            width=TERMINAL,
+        )
+    for setting in summary["components"]:
+        if setting["missing"]:
+            print(fill(f"components of variance, {setting['method']}: {setting['missing']}", TERMINAL))
+
+
+def _millimetres(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"

@@ -1,31 +1,30 @@
-"""Looking at runs: `pickenv inspect`."""
+"""Looking at finished runs: `pickenv inspect`, `pickenv figures` and `pickenv report`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
-from pickenv.base import InputError
+from pickenv.base import InputError, separate, write_text
 
 if TYPE_CHECKING:
     from pickenv.inspect import Run
 
 
+MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
+"""Suffixes of pages and pictures, which may be made again."""
+
+RUN = Argument(help="Run folder.")
+
+
 def inspect(
-    run: Annotated[Path, typer.Argument(help="Run folder, or a recording (.rrd).", show_default=False)],
-    web: Annotated[bool, typer.Option("--web", help="Serve it to a browser on this machine.")] = False,
-    connect: Annotated[
-        str | None,
-        typer.Option(help="Send it to the viewer at this address.", show_default=False),
-    ] = None,
-    serve: Annotated[
-        int | None, typer.Option(help="Serve it to viewers that connect to this port.", show_default=False)
-    ] = None,
-    policy: Annotated[
-        str | None, typer.Option(help="Policy of an evaluation to show; its first if left out.", show_default=False)
-    ] = None,
+    run: Annotated[Path, Argument(help="Run folder, or a recording (.rrd).")],
+    web: Annotated[bool, Option("--web", help="Serve it to a browser on this machine.")] = False,
+    connect: Annotated[str | None, Option(help="Send it to the viewer at this address.")] = None,
+    serve: Annotated[int | None, Option(help="Serve it to viewers that connect to this port.")] = None,
+    policy: Annotated[str | None, Option(help="Policy of an evaluation to show; its first if left out.")] = None,
 ) -> None:
     """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet."""
     from pickenv.inspect.recordings import open_recording as opening
@@ -56,12 +55,12 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
 
     if run.is_file() or run.suffix == ".rrd":
         return [run]
-    there = sorted(run.glob("*.rrd"))
-    if there and policy is None:
-        return there
-    found = read_run(run)
-    with added_to(found):
-        return [_record(found, policy)]
+    recordings = sorted(run.glob("*.rrd"))
+    if recordings and policy is None:
+        return recordings
+    record = read_run(run)
+    with added_to(record):
+        return [_record(record, policy)]
 
 
 def _record(run: Run, policy: str | None) -> Path:
@@ -106,3 +105,51 @@ def _record_evaluation(run: Run, policy: str | None) -> Path:
         run.folder / f"{policy_key(name)}.rrd",
         seed=int(rows["seed"][0]),
     )
+
+
+def figures(
+    run: Annotated[Path, RUN],
+    out: Annotated[Path | None, Option(help="Folder for the figures; RUN/figures if left out.")] = None,
+    formats: Annotated[str, Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
+) -> None:
+    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out."""
+    from pickenv.inspect import drawings_of, read_run, write_drawings
+    from pickenv.inspect.figures.run_drawings import NotDrawn
+    from pickenv.inspect.runs.run_folder import added_to
+
+    record, folder = read_run(run), out or run / "figures"
+    drawings, suffixes = drawings_of(record), formats.split(",")
+    separate(
+        {"RUN": _numbers(run)}, {"--out": [folder / f"{d.name}.{suffix}" for d in drawings for suffix in suffixes]}
+    )
+    with added_to(record):
+        written = write_drawings(drawings, folder, suffixes)
+    for path in written:
+        print(f"wrote {path}")
+    for drawing in drawings:
+        if isinstance(drawing, NotDrawn):
+            print(f"left out {drawing.name}: {drawing.reason}")
+
+
+def report(
+    run: Annotated[Path, RUN],
+    out: Annotated[Path | None, Option(help="File to write (.html); RUN/report.html if left out.")] = None,
+    picture: Annotated[
+        bool, Option("--picture/--no-picture", help="Show the recording as its viewer draws it.")
+    ] = True,
+) -> None:
+    """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
+    from pickenv.inspect import page_of, read_run
+    from pickenv.inspect.recordings.open_recording import viewer_picture
+    from pickenv.inspect.runs.run_folder import added_to
+
+    record = read_run(run)
+    path = out or run / "report.html"
+    separate({"RUN": _numbers(run)}, {"--out": path})
+    with added_to(record):
+        print(f"wrote {write_text(path, page_of(record, viewer_picture if picture else None))}")
+
+
+def _numbers(run: Path) -> list[Path]:
+    """Files of a run that figures and pages are made of, and that none of them may replace."""
+    return [path for path in run.rglob("*") if path.is_file() and path.suffix not in MADE_FROM_NUMBERS]

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer import Option
 
-from pickenv.base import InputError, separate, write_json
-from pickenv.commands.handing_over import deliver
-from pickenv.commands.showing import print_table, progress_bars
+from pickenv.base import InputError, separate
+from pickenv.commands.showing import deliver, print_table, progress_bars
 
 if TYPE_CHECKING:
     from pickenv.agents import Training
@@ -26,33 +26,28 @@ def train(
     context: typer.Context,
     algo: Annotated[
         Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"],
-        typer.Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
+        Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
     ] = "ppo",
-    env: Annotated[str, typer.Option(help="Id of the environment.")] = "pickenv/Reach-v0",
-    compensate: Annotated[Path | None, typer.Option(help="Calibration file (.npz) to train behind.")] = None,
+    env: Annotated[str, Option(help="Id of the environment.")] = "pickenv/Reach-v0",
+    compensate: Annotated[Path | None, Option(help="Calibration file (.npz) to train behind.")] = None,
     allow: Annotated[
-        list[str] | None,
-        typer.Option(help="Train behind the calibration in spite of this: fitted-frames, do-not-use."),
+        list[str] | None, Option(help="Train behind the calibration in spite of this: fitted-frames, do-not-use.")
     ] = None,
-    plant: Annotated[
-        str | None, typer.Option(help="Plant preset or plant file; the environment's if left out.")
-    ] = None,
+    plant: Annotated[str | None, Option(help="Plant preset or plant file; the environment's if left out.")] = None,
     feedback: Annotated[
-        Literal["encoders", "camera"], typer.Option(help="What the policy sees beside its joints.")
+        Literal["encoders", "camera"], Option(help="What the policy sees beside its joints.")
     ] = "encoders",
-    camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 0.0,
-    fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
+    camera_noise: Annotated[float, Option(help="Noise of the camera's view of the gap, mm per axis.")] = 0.0,
+    fruit_noise: Annotated[float, Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
     randomise: Annotated[
-        str | None, typer.Option(help="Tolerance class: a new arm of it in every episode (domain randomisation).")
+        str | None, Option(help="Tolerance class: a new arm of it in every episode (domain randomisation).")
     ] = None,
-    steps: Annotated[int | None, typer.Option(help="Environment steps; the tuned number if left out.", min=1)] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    checkpoint_every: Annotated[int, typer.Option(help="Steps between checkpoints.", min=1)] = 50_000,
-    evaluate_every: Annotated[int, typer.Option(help="Steps between evaluations.", min=1)] = 50_000,
-    out: Annotated[Path, typer.Option(help="Run folder to write.")] = Path("runs/train"),
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")
-    ] = False,
+    steps: Annotated[int | None, Option(help="Environment steps; the tuned number if left out.", min=1)] = None,
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    checkpoint_every: Annotated[int, Option(help="Steps between checkpoints.", min=1)] = 50_000,
+    evaluate_every: Annotated[int, Option(help="Steps between evaluations.", min=1)] = 50_000,
+    out: Annotated[Path, Option(help="Run folder to write.")] = Path("runs/train"),
+    resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")] = False,
 ) -> None:
     """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs."""
     from pickenv.agents import Training, train as run
@@ -69,7 +64,7 @@ def train(
             raise InputError(NO_CAMERA)
         if (out / "checkpoint.pt").exists():
             raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
-        given: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             "plant": plant,
             "feedback": None if feedback == "encoders" else feedback,
             "camera_noise_mm": camera_noise or None,
@@ -82,7 +77,7 @@ def train(
             env_id=env,
             steps=steps,
             seed=seed,
-            arguments={name: value for name, value in given.items() if value is not None},
+            arguments={name: value for name, value in arguments.items() if value is not None},
             compensate=None if compensate is None else str(compensate),
             allow=allow or [],
             checkpoint_every=checkpoint_every,
@@ -123,10 +118,10 @@ def _refuse_changes(context: typer.Context, begun: Training, out: Path) -> None:
         "evaluate_every": begun.evaluate_every,
     }
     changed = [
-        f"without --{word}" if value is None else f"with --{word} {value}, not {given}"
+        f"without --{word}" if value is None else f"with --{word} {value}, not {value_now}"
         for name, value in options.items()
-        for word, given in [(name.replace("_", "-"), context.params[name])]
-        if _was_given(context, name) and (str(given) if isinstance(given, Path) else given) != value
+        for word, value_now in [(name.replace("_", "-"), context.params[name])]
+        if _was_given(context, name) and (str(value_now) if isinstance(value_now, Path) else value_now) != value
     ]
     if changed:
         raise InputError(
@@ -145,32 +140,31 @@ def evaluate(
     context: typer.Context,
     policy: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="{policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated."
         ),
     ] = None,
     compensation: Annotated[
-        list[str] | None,
-        typer.Option(help="raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated."),
+        list[str] | None, Option(help="raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated.")
     ] = None,
-    feedback: Annotated[list[str] | None, typer.Option(help="encoders, camera; may be repeated.")] = None,
-    plant: Annotated[list[str] | None, typer.Option(help="Plant preset; may be repeated.")] = None,
+    feedback: Annotated[list[str] | None, Option(help="encoders, camera; may be repeated.")] = None,
+    plant: Annotated[list[str] | None, Option(help="Plant preset; may be repeated.")] = None,
     gripper: Annotated[
-        list[str] | None, typer.Option(help="Gripper, by name or as a file of kind {gripper}; may be repeated.")
+        list[str] | None, Option(help="Gripper, by name or as a file of kind {gripper}; may be repeated.")
     ] = None,
-    arms: Annotated[int, typer.Option(help="Arms drawn for each plant.", min=1)] = 64,
-    episodes: Annotated[int, typer.Option(help="Fruits per arm.", min=1)] = 32,
-    tolerances: Annotated[str, typer.Option(help="Tolerance class of the arms.")] = "coarse",
-    camera_noise: Annotated[float, typer.Option(help="Noise of the camera's view of the gap, mm per axis.")] = 1.0,
-    fruit_noise: Annotated[float, typer.Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
-    epochs: Annotated[int, typer.Option(help="Epochs of each arm's network.", min=1)] = 100,
-    seed: Annotated[int, typer.Option(help="Seed of arms, fruit, pictures and calibrations.", min=0)] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the rows to this file.")] = None,
-    table: Annotated[Path | None, typer.Option(help="Write the rows as .csv or .parquet as well.")] = None,
-    figures: Annotated[Path | None, typer.Option(help="Folder for the figures.")] = None,
-    cache: Annotated[Path | None, typer.Option(help="Folder that keeps the arms' calibrations.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; one per core if left out.", min=1)] = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
+    arms: Annotated[int, Option(help="Arms drawn for each plant.", min=1)] = 64,
+    episodes: Annotated[int, Option(help="Fruits per arm.", min=1)] = 32,
+    tolerances: Annotated[str, Option(help="Tolerance class of the arms.")] = "coarse",
+    camera_noise: Annotated[float, Option(help="Noise of the camera's view of the gap, mm per axis.")] = 1.0,
+    fruit_noise: Annotated[float, Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
+    epochs: Annotated[int, Option(help="Epochs of each arm's network.", min=1)] = 100,
+    seed: Annotated[int, Option(help="Seed of arms, fruit, pictures and calibrations.", min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json", help="Write the rows to this file.")] = None,
+    table: Annotated[Path | None, Option(help="Write the rows as .csv or .parquet as well.")] = None,
+    figures: Annotated[Path | None, Option(help="Folder for the figures.")] = None,
+    cache: Annotated[Path | None, Option(help="Folder that keeps the arms' calibrations.")] = None,
+    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
+    out: Annotated[Path | None, Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit.
 
@@ -190,9 +184,14 @@ def evaluate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
         {"--out": written, "--json": json_file, "--table": table},
     )
-    given: dict[str, Any] = {"policies": policy, "compensations": compensation, "feedback": feedback, "plants": plant}
-    given["grippers"] = gripper
-    names: dict[str, Any] = {key: tuple(value) for key, value in given.items() if value}
+    typed: dict[str, Any] = {
+        "policies": policy,
+        "compensations": compensation,
+        "feedback": feedback,
+        "plants": plant,
+    }
+    typed["grippers"] = gripper
+    names: dict[str, Any] = {key: tuple(value) for key, value in typed.items() if value}
     settings = PolicySettings(
         arms=arms,
         episodes=episodes,
@@ -204,8 +203,8 @@ def evaluate(
         **names,
     )
 
-    seen = "camera" in settings.feedback and any("camera" in kind_of(name).feedback for name in settings.policies)
-    if _was_given(context, "camera_noise") and not seen:
+    has_camera = "camera" in settings.feedback and any("camera" in kind_of(name).feedback for name in settings.policies)
+    if _was_given(context, "camera_noise") and not has_camera:
         raise InputError(NO_CAMERA)
     require(*([] if out is None else ["pyarrow"]))
     workers = workers or os.cpu_count() or 1
@@ -215,7 +214,7 @@ def evaluate(
     content = tables.evaluation_content(settings, rows)
     deliver(
         [
-            (json_file, lambda path: write_json(path, content)),
+            (json_file, content),
             (table, lambda path: write_rows(path, tables.flat_rows(content["rows"]))),
             (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
             (figures, lambda folder: write_drawings(tables.evaluation_drawings(rows), folder)),
@@ -241,16 +240,16 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
 
 
 def datasets(
-    task: Annotated[list[str] | None, typer.Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
+    task: Annotated[list[str] | None, Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
     quality: Annotated[
-        list[str] | None, typer.Option(help="expert, medium, random; may be repeated. All if left out.")
+        list[str] | None, Option(help="expert, medium, random; may be repeated. All if left out.")
     ] = None,
     episodes: Annotated[
-        int | None, typer.Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)
+        int | None, Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of everything random.", min=0)] = 0,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write the cards to this file.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json", help="Write the cards to this file.")] = None,
+    out: Annotated[Path, Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
 ) -> None:
     """Record Minari data sets of good, middling and random policies; those that are there are kept."""
     from pickenv.agents import datasets as record
@@ -259,7 +258,7 @@ def datasets(
     separate({}, {"--json": json_file})
     with progress_bars() as report:
         cards = record(out, task or ("reach",), quality or QUALITIES, episodes=episodes, seed=seed, progress=report)
-    deliver([(json_file, lambda path: write_json(path, cards))], lambda: _print_cards(cards, out))
+    deliver([(json_file, cards)], lambda: _print_cards(cards, out))
 
 
 def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
@@ -269,12 +268,12 @@ def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
         "success": "success (%)",
         "collected": "fruit collected",
     }
-    shown = [key for key in numbers if any(key in card for card in cards)]
+    keys = [key for key in numbers if any(key in card for card in cards)]
     rows = []
     for card in cards:
-        found = {key: card.get(key) for key in shown} | {"success": 100.0 * card.get("success", 0.0)}
-        said = ["" if found[key] is None or key not in card else f"{found[key]:.2f}" for key in shown]
-        rows.append([card["name"], str(card["episodes"]), str(card["steps"]), f"{card['mean_return']:.2f}", *said])
-    heads = ("data set", "episodes", "steps", "return, mean", *(numbers[key] for key in shown))
+        values = {key: card.get(key) for key in keys} | {"success": 100.0 * card.get("success", 0.0)}
+        cells = ["" if values[key] is None or key not in card else f"{values[key]:.2f}" for key in keys]
+        rows.append([card["name"], str(card["episodes"]), str(card["steps"]), f"{card['mean_return']:.2f}", *cells])
+    heads = ("data set", "episodes", "steps", "return, mean", *(numbers[key] for key in keys))
     caption = f"simulated; MINARI_DATASETS_PATH={out.resolve()} lets Minari find them by name"
     print_table(f"Recorded with seed {cards[0]['seed']}", heads, rows, words=("data set",), caption=caption)

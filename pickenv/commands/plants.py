@@ -1,34 +1,33 @@
-"""Commands about arms and the simulated true arm: `pickenv arms`, `pickenv effects` and `pickenv iso9283`."""
+"""Commands about arms and the simulated true arm: `pickenv arms`, `effects`, `iso9283` and `conditions`."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
-import typer
+from typer import Argument, Option
 
-from pickenv.base import check_limit, command_line, obey, separate, write_json
-from pickenv.commands.handing_over import deliver
+from pickenv.base import check_limit, obey, separate, write_json
+from pickenv.commands.showing import command_of, deliver, print_table, progress_bars, with_options
 
-JsonFile = Annotated[Path | None, typer.Option("--json", help="Write the figures to this file.")]
+JsonFile = Annotated[Path | None, Option("--json", help="Write the figures to this file.")]
 
 
 def arms(json_file: JsonFile = None) -> None:
     """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from."""
     from pickenv.arm import load_arm, shipped_arms
     from pickenv.arm.kinematics.inverse import farthest
-    from pickenv.commands.showing import print_table
 
     separate({}, {"--json": json_file})
-    found = []
+    table: list[dict[str, Any]] = []
     for name in shipped_arms():
         arm = load_arm(name)
         kinds = "".join("P" if slides else "R" for slides in arm.nominal.prismatic)
         reach = round(1e3 * farthest(arm.nominal), 1)
-        found.append({"name": name, "joints": kinds, "reach_mm": reach, "source": arm.source})
-    rows = [[str(cell) for cell in row.values()] for row in found]
+        table.append({"name": name, "joints": kinds, "reach_mm": reach, "source": arm.source})
+    rows = [[str(cell) for cell in row.values()] for row in table]
     deliver(
-        [(json_file, lambda path: write_json(path, {"arms": found}))],
+        [(json_file, {"arms": table})],
         lambda: print_table(
             "arms that come with pickenv",
             ("name", "joints", "reach (mm)", "source"),
@@ -40,11 +39,11 @@ def arms(json_file: JsonFile = None) -> None:
 
 
 def effects(
-    plant: Annotated[str, typer.Option(help="Plant preset or plant file (.toml).")] = "orchard",
-    reaches: Annotated[int, typer.Option(help="Reaches to average over.", min=2)] = 300,
-    dwell: Annotated[float, typer.Option(help="Waiting time after arrival, s.", min=0.0)] = 0.5,
-    hours: Annotated[float, typer.Option(help="Time since the machine was switched on, h.", min=0.0)] = 2.0,
-    seed: Annotated[int, typer.Option(help="Seed of the reaches.", min=0)] = 0,
+    plant: Annotated[str, Option(help="Plant preset or plant file (.toml).")] = "orchard",
+    reaches: Annotated[int, Option(help="Reaches to average over.", min=2)] = 300,
+    dwell: Annotated[float, Option(help="Waiting time after arrival, s.", min=0.0)] = 0.5,
+    hours: Annotated[float, Option(help="Time since the machine was switched on, h.", min=0.0)] = 2.0,
+    seed: Annotated[int, Option(help="Seed of the reaches.", min=0)] = 0,
     json_file: JsonFile = None,
 ) -> None:
     """Each effect's share of the tip error of a simulated arm, in mm: alone, what is left without it, and all."""
@@ -57,26 +56,27 @@ def effects(
     check_limit("--dwell", dwell, "dwell_s")
     check_limit("--hours", hours, "hours")
     separate({"--plant": plant}, {"--json": json_file})
-    chosen = load_plant(plant)
-    joints = draw_reaches(chosen, reaches, np.random.default_rng(seed))
-    shares = effect_shares(chosen, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
-    deliver([(json_file, lambda path: write_json(path, shares.as_dict()))], lambda: print(shares.report()))
+    machine = load_plant(plant)
+    joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
+    shares = effect_shares(machine, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
+    deliver([(json_file, shares.as_dict())], shares.report())
 
 
 def iso9283(
-    plant: Annotated[str, typer.Option(help="Plant preset or plant file (.toml).")] = "orchard",
-    calibration: Annotated[Path | None, typer.Option(help="Fitted calibration (.npz) to test as well.")] = None,
+    plant: Annotated[str, Option(help="Plant preset or plant file (.toml).")] = "orchard",
+    calibration: Annotated[Path | None, Option(help="Fitted calibration (.npz) to test as well.")] = None,
     allow: Annotated[
-        list[str] | None, typer.Option(help="Test the calibration in spite of this: fitted-frames, do-not-use.")
+        list[str] | None, Option(help="Test the calibration in spite of this: fitted-frames, do-not-use.")
     ] = None,
-    cycles: Annotated[int, typer.Option(help="Measurements per pose; 30 by the standard.", min=2)] = 30,
-    speed: Annotated[float, typer.Option(help="Share of the largest speed.", min=0.01, max=1.0)] = 1.0,
-    dwell: Annotated[float, typer.Option(help="Waiting time before each measurement, s.", min=0.0)] = 2.0,
-    seed: Annotated[int, typer.Option(help="Seed of friction and instrument noise.", min=0)] = 0,
+    cycles: Annotated[int, Option(help="Measurements per pose; 30 by the standard.", min=2)] = 30,
+    speed: Annotated[float, Option(help="Share of the largest speed.", min=0.01, max=1.0)] = 1.0,
+    dwell: Annotated[float, Option(help="Waiting time before each measurement, s.", min=0.0)] = 2.0,
+    seed: Annotated[int, Option(help="Seed of friction and instrument noise.", min=0)] = 0,
     json_file: JsonFile = None,
-    out: Annotated[Path | None, typer.Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
+    out: Annotated[Path | None, Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
     """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated."""
+    typed = dict(locals())
     import numpy as np
 
     from pickenv.arm import load_plant
@@ -91,25 +91,85 @@ def iso9283(
         {"--plant": plant, "--calibration": [] if calibration is None else [calibration, f"{calibration}.npz"]},
         {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},
     )
-    chosen = load_plant(plant)
-    fitted = Calibration.load(calibration, chosen.arm) if calibration is not None else None
+    machine = load_plant(plant)
+    fitted = Calibration.load(calibration, machine.arm) if calibration is not None else None
     if fitted is not None:
         obey(fitted.reservations(), allow or ())
     result = test(
-        chosen,
+        machine,
         fitted.compensator() if fitted is not None else None,
         rng=np.random.default_rng(seed),
         settings=Iso9283Settings(cycles=cycles, pace=Pace(speed=speed, dwell=dwell)),
         reference=fitted.nominal if fitted is not None else None,
     )
-    settings = {"cycles": cycles, "speed": speed, "dwell": dwell, "seed": seed}
-    command = command_line("pickenv", "iso9283", plant=plant, calibration=calibration, **settings)
 
     def write_run(folder: Path) -> Path:
-        with recorded_run(folder, "iso9283", command, seed):
+        with recorded_run(folder, "iso9283", command_of(iso9283, typed), seed):
             return write_json(folder / ISO9283, result.as_dict())
 
-    deliver(
-        [(json_file, lambda path: write_json(path, result.as_dict())), (out, write_run)],
-        lambda: print(result.report()),
-    )
+    deliver([(json_file, result.as_dict()), (out, write_run)], result.report())
+
+
+WIDE = 170
+"""Characters of a table of five levels with their intervals."""
+
+
+def conditions(
+    subject: Annotated[str, Argument(help="Plant preset or plant file (.toml), or fitted calibration (.npz).")],
+    plant: Annotated[str, Option(help="The simulated arm that a calibration is judged on.")] = "orchard",
+    payload: Annotated[float, Option(help="Largest payload, kg.", min=0.0)] = 0.5,
+    weather: Annotated[float, Option(help="How much cooler or warmer a day may be, K.", min=0.0)] = 10.0,
+    hours: Annotated[float, Option(help="Length of a working day, h.", min=0.0)] = 8.0,
+    arms: Annotated[int, Option(help="Drawn arms; fewer than 10 have no intervals.", min=1)] = 10,
+    tolerances: Annotated[str, Option(help="Tolerance class that arms are drawn from.")] = "medium",
+    sessions: Annotated[int, Option(help="Training sessions, each under other conditions.", min=2)] = 12,
+    poses: Annotated[int, Option(help="Poses of a session.", min=5)] = 25,
+    residual: Annotated[str, Option(help="What learns the rest: {residual}.")] = "rbf",
+    allow: Annotated[
+        list[str] | None, Option(help="Judge the calibration in spite of this: fitted-frames, do-not-use.")
+    ] = None,
+    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
+    out: Annotated[Path | None, Option(help="Run folder with figure and page.")] = None,
+) -> None:
+    """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves."""
+    typed = dict(locals())
+    from pickenv.arm import load_plant
+    from pickenv.calibration import Calibration
+    from pickenv.experiments.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
+    from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
+
+    numbers = {"--payload": (payload, "payload_kg"), "--hours": (hours, "hours"), "--arms": (arms, "arms")}
+    numbers |= {"--weather": (weather, "weather_K"), "--poses": (poses, "poses"), "--sessions": (sessions, "poses")}
+    for option, (value, quantity) in (numbers | {"--seed": (seed, "seed")}).items():
+        check_limit(option, value, quantity)
+    is_calibration = subject.endswith(".npz")
+    folder = [] if out is None else [out / RECORD, out / CONDITIONS]
+    separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
+    machine = load_plant(plant if is_calibration else subject)
+    fitted = Calibration.load(subject, machine.arm) if is_calibration else None
+    if fitted is not None:
+        obey(fitted.reservations(), allow or ())
+    ranges = ConditionRanges(payload, weather, hours)
+    settings = ConditionsSettings(ranges, arms, tolerances, sessions, poses, residual, seed)
+    with progress_bars() as report:
+        result = conditions_study(machine, settings, fitted, report)
+
+    def write_run(folder: Path) -> list[Path]:
+        from pickenv.base import write_text
+        from pickenv.inspect import write_drawings
+        from pickenv.inspect.reports.conditions_report import drawings, page
+
+        with recorded_run(folder, "conditions", command_of(conditions, typed), seed) as run:
+            written = [write_json(folder / CONDITIONS, result)]
+            written += write_drawings(drawings(run), folder / "figures")
+            return [*written, write_text(folder / REPORT, page(run))]
+
+    def show() -> None:
+        from pickenv.inspect.reports.conditions_report import condition_tables, conditions_in_words
+
+        for title, heads, rows in condition_tables(result):
+            print_table(title, heads, rows, words=("method",), width=WIDE)
+        print(with_options("\n".join(conditions_in_words(result))))
+
+    deliver([(json_file, result), (out, write_run)], show)

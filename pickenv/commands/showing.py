@@ -1,15 +1,26 @@
-"""What commands show: progress bars on standard error, so that standard output stays clean, tables, names in help."""
+"""The words of commands: progress bars on standard error, so that standard output stays clean, tables, names in help.
+
+The library names its parameters, in backticks; commands print options in their place (`with_options`). Results are
+saved first, then printed, so that a screen that fails costs nothing (`deliver`).
+"""
 
 from __future__ import annotations
 
+import ast
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator
+import shlex
+import sys
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, TypeAlias, get_type_hints
 
 from typer.core import TyperArgument, TyperCommand, TyperOption
+from typer.models import ArgumentInfo
 
-from pickenv.base import screen_width, side_by_side
+from pickenv.base import InputError, command_line, screen_width, side_by_side, write_json, write_text
 from pickenv.base.registry import names
 
 WIDTH = 150
@@ -25,6 +36,126 @@ class CommandOfNames(TyperCommand):
             if isinstance(param, TyperOption | TyperArgument) and param.help:
                 param.help = re.sub(r"\{(\w+)\}", lambda match: ", ".join(names(match[1])), param.help)
         super().format_help(ctx, formatter)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run it; its errors and warnings, and what `with_options` is given meanwhile, name its options."""
+        before = dict(_options)
+        _options.clear()
+        _options.update({str(param.name): param for param in self.params if isinstance(param, TyperOption)})
+        try:
+            with warnings.catch_warnings():
+                warnings.showwarning = _print_warning
+                return super().invoke(ctx)
+        except InputError as error:
+            error.args = (with_options(str(error)),)
+            raise
+        finally:
+            _options.clear()
+            _options.update(before)
+
+
+_options: dict[str, TyperOption] = {}
+"""Options of the running command by the names of their parameters."""
+
+PARAMETERS = {
+    "algorithm": "algo",
+    "camera_noise_mm": "camera_noise",
+    "compensations": "compensation",
+    "env_id": "env",
+    "folder": "out",
+    "fruit_noise_mm": "fruit_noise",
+    "grippers": "gripper",
+    "labels": "label",
+    "plants": "plant",
+    "policies": "policy",
+}
+"""Parameters of the library that have another name in commands."""
+
+
+def with_options(text: str) -> str:
+    """A text of the library for a person at the command line: parameters in backticks become the command's options.
+
+    ``give `refit` with `test='b.csv'` `` reads "give --refit with --test b.csv"; a list repeats its option. What the
+    running command has no option for loses its backticks.
+    """
+    return re.sub(r"`([A-Za-z_]\w*)(?:=([^`]*))?`", _option, text)
+
+
+def _option(match: re.Match[str]) -> str:
+    name, value = match.groups()
+    option = _options.get(PARAMETERS.get(name, name), _options.get(name))
+    if option is None:
+        return match[0].strip("`")
+    if value is None:
+        return option.opts[0]
+    try:
+        content = ast.literal_eval(value)
+    except (SyntaxError, ValueError):  # a word that stands for a value: NAME
+        return f"{option.opts[0]} {value}"
+    if isinstance(content, bool):
+        return option.opts[0] if content else next(iter(option.secondary_opts), f"no {option.opts[0]}")
+    values = content if isinstance(content, list | tuple) else [content]
+    return " ".join(f"{option.opts[0]} {shlex.quote(str(item))}" for item in values)
+
+
+def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"warning: {with_options(str(message))}", file=sys.stderr)
+
+
+WRITTEN = ("json_file", "lens_out", "out", "report", "run")
+"""Parameters of commands that name what is written."""
+
+
+def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
+    """The command with the values of its parameters as a shell reads it, less what it writes.
+
+    Args:
+        command: The function of the command; its annotations name its options.
+        values: Values by parameter.
+    """
+    words, options = ["pickenv", command.__name__.replace("_", "-")], dict[str, Any]()
+    for name, hint in get_type_hints(command, include_extras=True).items():
+        if name in WRITTEN or name == "return":
+            continue
+        declared, value = hint.__metadata__[0], values[name]
+        if isinstance(declared, ArgumentInfo):
+            words += value if isinstance(value, list) else [value]
+            continue
+        option, _, opposite = (declared.default if isinstance(declared.default, str) else name).partition("/")
+        options |= {opposite.strip("-"): not value} if opposite else {option.strip("-"): value}
+    return command_line(*words, **options)
+
+
+def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values whose names are those of fields of a dataclass."""
+    return {attribute.name: values[attribute.name] for attribute in fields(kind) if attribute.name in values}
+
+
+Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]] | str | Mapping[str, Any] | list[Any]]
+"""A file or folder, None where it was not asked for; and its text, its content for JSON, or what writes it."""
+
+
+def deliver(saves: Iterable[Save], show: Callable[[], object] | str) -> None:
+    """Save results, then print them; where saving fails they are printed all the same, before the error is raised.
+
+    Args:
+        saves: The files to write, each with its content, or with what writes it and returns the paths written.
+        show: A text to print (`with_options`), or what prints the results; "wrote …" follows for every file.
+    """
+    written: list[Path] = []
+    try:
+        for path, content in saves:
+            if path is None:
+                continue
+            if callable(content):
+                paths = content(path)
+            else:
+                paths = write_text(path, content) if isinstance(content, str) else write_json(path, content)
+            written += [paths] if isinstance(paths, Path) else paths
+    finally:
+        print(with_options(show)) if isinstance(show, str) else show()
+        for path in written:
+            print(f"wrote {path}")
 
 
 @contextmanager
@@ -84,14 +215,14 @@ def print_table(
 
     names, lines, room = list(heads), [list(row) for row in rows], screen_width(width)
     columns = [(name, [row[i] for row in lines]) for i, name in enumerate(names)]
-    whole = [max(map(len, (*name.split("\n"), *cells))) for name, cells in columns]
+    widest = [max(map(len, (*name.split("\n"), *cells))) for name, cells in columns]
     least = [  # heads and words may be broken at spaces, numbers may not
         max(
             map(len, (*name.split(), *(part for cell in cells for part in (cell.split() if name in words else [cell]))))
         )
         for name, cells in columns
     ]
-    sizes = [size + 3 for size in (whole if sum(whole) + 3 * len(whole) + 1 <= room else least)]
+    sizes = [size + 3 for size in (widest if sum(widest) + 3 * len(widest) + 1 <= room else least)]
     leading = next((i for i, name in enumerate(names) if name not in words), len(names))
     parts = side_by_side(sizes, leading, room - 1)
     console = Console(width=room)
@@ -99,7 +230,7 @@ def print_table(
         table = Table(title=escape(title) if number == 0 else None)
         spare = room - 1 - sum(least[i] + 3 for i in part)
         for i in part:
-            size = least[i] + max(0, min(spare, whole[i] - least[i]))
+            size = least[i] + max(0, min(spare, widest[i] - least[i]))
             spare -= size - least[i]
             table.add_column(escape(names[i]), justify="left" if names[i] in words else "right", width=size)
         for row in lines:

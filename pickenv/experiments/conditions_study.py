@@ -260,8 +260,8 @@ def judged_arm(
     """
     if calibration is not None:
         return judged_on(plants, calibration, settings, _stream(settings.seed))
-    own, plant = _stream(settings.seed, 1 + arm), plant_at(plants, arm)
-    return judged_on(plant, calibrated(plant, settings, own), settings, own)
+    rng_of_arm, plant = _stream(settings.seed, 1 + arm), plant_at(plants, arm)
+    return judged_on(plant, calibrated(plant, settings, rng_of_arm), settings, rng_of_arm)
 
 
 def _stream(seed: int, *place: int) -> np.random.Generator:
@@ -289,7 +289,7 @@ def conditions_study(
     """
     if plant.load is None and settings.ranges.payload > 0.0:
         raise InputError(
-            f"plant '{plant.name}' has no link masses, so a payload changes nothing; give --payload 0, or a plant with "
+            f"plant '{plant.name}' has no link masses, so a payload changes nothing; give `payload=0`, or a plant with "
             "a [load]"
         )
     require_residual(settings.residual)

@@ -39,6 +39,7 @@ from pickenv.base import (
     InputError,
     check_sealed_parquet,
     code_fingerprint,
+    command_line,
     estimate as estimate,
     locked,
     parquet_is_sealed,
@@ -50,7 +51,7 @@ from pickenv.base import (
     write_text,
     write_whole,
 )
-from pickenv.base.locks import FILE
+from pickenv.base.files import LOCK
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -152,17 +153,17 @@ def joined(parts: Sequence[Rows]) -> Rows:
 
 
 def _stacked(columns: Sequence[NDArray[Any] | None], lengths: Sequence[int]) -> NDArray[Any]:
-    there = [values for values in columns if values is not None]
-    shape = tuple(map(max, zip(*(values.shape[1:] for values in there), strict=True)))
-    kind: Any = np.result_type(*there)
+    present = [values for values in columns if values is not None]
+    shape = tuple(map(max, zip(*(values.shape[1:] for values in present), strict=True)))
+    kind: Any = np.result_type(*present)
     kind, filler = (kind, "") if kind.kind == "U" else (float, np.nan)
     stacked = []
     for values, length in zip(columns, lengths, strict=True):
         if values is None or values.shape[1:] != shape:
-            whole = np.full((length, *shape), filler, dtype=kind)
+            padded = np.full((length, *shape), filler, dtype=kind)
             if values is not None:
-                whole[tuple(map(slice, values.shape))] = values
-            values = whole
+                padded[tuple(map(slice, values.shape))] = values
+            values = padded
         stacked.append(values)
     return np.concatenate(stacked)
 
@@ -194,14 +195,14 @@ class Experiment:
 
     def pieces(self) -> list[Piece]:
         """The pieces of work: factors vary slowest, in their order."""
-        found = []
+        pieces = []
         for levels in product(*self.factors.values()):
             for places in product(*(range(len(values)) for values in self.units.values())):
                 units = {name: self.units[name][at] for name, at in zip(self.units, places, strict=True)}
                 piece = Piece(dict(zip(self.factors, levels, strict=True)) | units, places)
                 if self.fits is None or self.fits(**piece.levels):
-                    found.append(piece)
-        return found
+                    pieces.append(piece)
+        return pieces
 
     def measured(self, piece: Piece) -> Rows:
         """The rows of one piece, with its levels in front."""
@@ -214,7 +215,12 @@ class Experiment:
     def key(self, piece: Piece) -> str:
         """The hash of all that a piece's rows depend on."""
         inputs = self.inputs(**piece.levels) if callable(self.inputs) else self.inputs
-        return content_sha256(self.name, self.seed, inputs, dict(piece.levels), piece.place, code_fingerprint())
+        return input_key(self.name, self.seed, inputs, dict(piece.levels), piece.place)
+
+
+def input_key(*inputs: Any) -> str:
+    """The hash of inputs and of the code that makes numbers: what is kept under it is not computed again."""
+    return content_sha256(*inputs, code_fingerprint())
 
 
 @dataclass(frozen=True)
@@ -264,12 +270,9 @@ def run(
     if folder is not None:
         keep(experiment, folder, backend=backend, workers=workers, progress=progress, warn=warn, refused=refused)
         return kept_rows(folder)
-    pieces, parts = experiment.pieces(), {}
-    for number, rows in spread(partial(_measured, experiment, pieces), range(len(pieces)), backend, workers):
-        parts[number] = rows if isinstance(rows, Rows) else _refuse(pieces[number], rows, refused)
-        if progress is not None:
-            progress(experiment.name, len(parts), len(pieces))
-    return joined([parts[number] for number in range(len(pieces))])
+    pieces = experiment.pieces()
+    parts = dict(_computed(experiment, pieces, range(len(pieces)), backend, workers, progress, refused))
+    return joined([parts[number] for number in sorted(parts)])
 
 
 def keep(
@@ -303,22 +306,39 @@ def keep(
             if file.is_file() and warn is not None:
                 warn(f"{file} is damaged and is made anew")
             todo.append(number)
-        done = len(pieces) - len(todo)
+        if progress is not None:
+            progress(experiment.name, len(pieces) - len(todo), len(pieces))
+        refusals = set(todo)
+        for number, rows in _computed(experiment, pieces, todo, backend, workers, progress, refused):
+            write_piece(files[number], rows, experiment.name, keys[number])
+            refusals.remove(number)
+        measured = [number for number in range(len(pieces)) if number not in refusals]
+        if refusals:
+            _write_record(folder, {files[number].name: keys[number] for number in measured}, warn)
+    return [files[number] for number in measured]
+
+
+def _computed(
+    experiment: Experiment,
+    pieces: Sequence[Piece],
+    todo: Sequence[int],
+    backend: str,
+    workers: int | None,
+    progress: Progress | None,
+    refused: Refused | None,
+) -> Iterator[tuple[int, Rows]]:
+    """Numbers of pieces to do and their rows, in any order; arguments as of `run`."""
+    done = len(pieces) - len(todo)
+    for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
+        if isinstance(rows, Rows):
+            yield number, rows
+        elif refused is None:
+            raise rows
+        else:
+            refused(pieces[number].levels, rows)
+        done += 1
         if progress is not None:
             progress(experiment.name, done, len(pieces))
-        kept = dict.fromkeys(range(len(pieces)))
-        for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
-            if isinstance(rows, Rows):
-                write_piece(files[number], rows, experiment.name, keys[number])
-            else:
-                _refuse(pieces[number], rows, refused)
-                kept.pop(number)
-            done += 1
-            if progress is not None:
-                progress(experiment.name, done, len(pieces))
-        if len(kept) < len(pieces):
-            _write_record(folder, {files[number].name: keys[number] for number in kept}, warn)
-    return [files[number] for number in kept]
 
 
 def _measured(experiment: Experiment, pieces: Sequence[Piece], number: int) -> Rows | InputError:
@@ -326,14 +346,6 @@ def _measured(experiment: Experiment, pieces: Sequence[Piece], number: int) -> R
         return experiment.measured(pieces[number])
     except InputError as error:
         return error
-
-
-def _refuse(piece: Piece, error: InputError, refused: Refused | None) -> Rows:
-    """No rows, where somebody wants to be told why; else the error itself."""
-    if refused is None:
-        raise error
-    refused(piece.levels, error)
-    return Rows({})
 
 
 # A folder of pieces.
@@ -356,52 +368,45 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
     """
     folder = Path(folder)
     record = _read_record(folder / RECORD)
-    for name in record.last:
-        yield folder / name, _piece_table(folder / name, record.pieces[name])
+    for name in record["last"]:
+        yield folder / name, _piece_table(folder / name, record["pieces"][name])
 
 
-@dataclass(frozen=True)
-class _Record:
-    """What a folder holds: keys of pieces by file name, and the files of the last run in their order."""
+def _record_text(pieces: Mapping[str, str], last: Sequence[str], made_with: Mapping[str, str]) -> str:
+    """The only text that `RECORD` may hold: its own hash stands in it.
 
-    pieces: Mapping[str, str]
-    last: Sequence[str]
-    versions: Mapping[str, str]
-
-    def text(self) -> str:
-        """The only text that `RECORD` may hold: its own hash stands in it."""
-        content = {
-            "format": 1,
-            "pieces": dict(self.pieces),
-            "last": list(self.last),
-            "versions": dict(self.versions),
-        }
-        own = hashlib.sha256(json.dumps(content).encode()).hexdigest()
-        return json.dumps(content | {"sha256": own}, indent=2) + "\n"
+    Args:
+        pieces: Keys of pieces by file name.
+        last: Files of the last run in their order.
+        made_with: Versions of what wrote them.
+    """
+    content = {"format": 1, "pieces": dict(pieces), "last": list(last), "versions": dict(made_with)}
+    seal = hashlib.sha256(json.dumps(content).encode()).hexdigest()
+    return json.dumps(content | {"sha256": seal}, indent=2) + "\n"
 
 
 def _write_record(folder: Path, pieces: Mapping[str, str], warn: Callable[[str], None] | None) -> None:
     """Say what the folder holds: these pieces, and those of other runs that it held before."""
     path, before = folder / RECORD, dict[str, str]()
     try:
-        before |= _read_record(path).pieces if path.is_file() else {}
+        before |= _read_record(path)["pieces"] if path.is_file() else {}
     except InputError:
         if warn is not None:
             warn(f"{path} is damaged and is made anew")
-    there = {name: key for name, key in before.items() if (folder / name).is_file()}
-    write_text(path, _Record({**there, **pieces}, list(pieces), versions("pyarrow")).text())
+    earlier = {name: key for name, key in before.items() if (folder / name).is_file()}
+    write_text(path, _record_text({**earlier, **pieces}, list(pieces), versions("pyarrow")))
 
 
-def _read_record(path: Path) -> _Record:
+def _read_record(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path} is missing, so {path.parent} holds no experiment; {AGAIN}")
     with refusing_damage(path, "the record of an experiment", AGAIN):
         text = path.read_text(encoding="utf-8")
-        content = json.loads(text)
-        found = _Record(content["pieces"], content["last"], content["versions"])
-        if text != found.text() or not set(found.last) <= set(found.pieces):
+        record: dict[str, Any] = json.loads(text)
+        pieces, last = record["pieces"], record["last"]
+        if text != _record_text(pieces, last, record["versions"]) or not set(last) <= set(pieces):
             raise ValueError("it was edited: its own hash is another")
-    return found
+    return record
 
 
 def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
@@ -436,9 +441,9 @@ def _piece_table(path: Path, key: str) -> pa.Table:
         raise InputError(f"{path} is missing; {AGAIN}") from error
     check_sealed_parquet(content, path, AGAIN)
     table = pq.read_table(pa.BufferReader(content))
-    said = (table.schema.metadata or {}).get(b"pickenv.key", b"").decode()
-    if said != key:
-        raise InputError(f"{path} holds another piece than its name says (key {said[:12]}); {AGAIN}")
+    key_in_file = (table.schema.metadata or {}).get(b"pickenv.key", b"").decode()
+    if key_in_file != key:
+        raise InputError(f"{path} holds another piece than its name says (key {key_in_file[:12]}); {AGAIN}")
     return table
 
 
@@ -452,12 +457,12 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     folder = Path(folder)
     record = folder / RECORD
     try:
-        pieces = _read_record(record).pieces
+        pieces = _read_record(record)["pieces"]
     except InputError as error:
         return [(record, str(error))]
-    found: list[tuple[Path, str | None]] = [(record, None)]
-    there = {path.name for path in folder.iterdir()} - {RECORD, FILE}
-    for name in sorted({*pieces, *there}):
+    verdicts: list[tuple[Path, str | None]] = [(record, None)]
+    files = {path.name for path in folder.iterdir()} - {RECORD, LOCK}
+    for name in sorted({*pieces, *files}):
         path, reason = folder / name, None
         if name not in pieces:
             reason = f"{path} is no piece of this experiment; take it out of the folder"
@@ -468,8 +473,8 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
                 _piece_table(path, pieces[name])
             except InputError as error:
                 reason = str(error)
-        found.append((path, reason))
-    return found
+        verdicts.append((path, reason))
+    return verdicts
 
 
 def _arrow_of(values: NDArray[Any]) -> Any:
@@ -509,6 +514,22 @@ def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
     return write_whole(path, write)
 
 
+# Numbers in words.
+
+
+def interval_words(ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
+    """An interval: 0.12 to 0.34; an end that the units cannot bound is open; empty where there is no interval."""
+    return " to ".join("open" if end is None else f"{scale * end:{sign}.{digits}f}" for end in ends or ())
+
+
+def with_interval(
+    value: float, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "", unit: str = ""
+) -> str:
+    """A number with its interval in brackets, if it has one: 0.23 (0.12 to 0.34)."""
+    words = interval_words(ends, digits, scale, sign)
+    return f"{scale * value:{sign}.{digits}f}{unit}" + (f" ({words})" if words else "")
+
+
 # Who computes.
 
 
@@ -534,26 +555,26 @@ def spread(
     from joblib import Parallel, delayed
     from joblib.parallel import get_active_backend
 
-    left = list(numbers)
+    todo = list(numbers)
     with _working_on(backend, workers) as deaths:
         for _ in range(ATTEMPTS):
             streams = get_active_backend()[0].supports_return_generator
             parallel = Parallel(
                 n_jobs=workers or -1, return_as="generator_unordered" if streams else "list", batch_size=1
             )
-            together = len(left) if streams else 4 * (workers or parallel._effective_n_jobs())
+            together = len(todo) if streams else 4 * (workers or parallel._effective_n_jobs())
             try:
-                while left:
-                    some = parallel(delayed(_numbered)(work, number, os.getpid()) for number in left[:together])
+                while todo:
+                    some = parallel(delayed(_numbered)(work, number, os.getpid()) for number in todo[:together])
                     with _quietly_closed(some):
                         for number, result in some:
-                            left.remove(number)
+                            todo.remove(number)
                             yield number, result
                 return
             except deaths:
                 continue
     raise InputError(
-        f"the processes that worked on piece {left[0]} died {ATTEMPTS} times ({len(left)} are left); give fewer "
+        f"the processes that worked on piece {todo[0]} died {ATTEMPTS} times ({len(todo)} are left); give fewer "
         "workers or smaller pieces if memory ran out, and run it again to go on"
     )
 
@@ -641,8 +662,8 @@ def _check_answers(address: str) -> None:
         socket.create_connection((host.strip("[]"), int(port)), 5.0).close()
     except (OSError, ValueError, OverflowError) as error:
         raise InputError(
-            f"no Ray cluster answers at {address}: {error}; start one with `ray start --head`, or leave RAY_ADDRESS "
-            "out for one on this machine"
+            f"no Ray cluster answers at {address}: {error}; start one with "
+            f"`{command_line('ray', 'start', head=True)}`, or leave RAY_ADDRESS out for one on this machine"
         ) from error
 
 

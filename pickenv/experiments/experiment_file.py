@@ -37,7 +37,7 @@ from pickenv.agents.policies.foreign import faults_in
 from pickenv.base import WHOLE, Check, Estimate, InputError, Unit, estimate, file_sha256, listed, toml_of, toml_table
 from pickenv.base.intervals import LEAST
 from pickenv.base.toml_tables import made
-from pickenv.experiments.engine import Experiment, Rows
+from pickenv.experiments.engine import Experiment, Rows, with_interval
 
 WORD = Check(lambda value: isinstance(value, str) and value != "", "a text")
 NAMES = Check(
@@ -158,7 +158,7 @@ class ExperimentFile:
         Raises:
             InputError: If a table names a column that no row has, or rows that do not pair.
         """
-        found = []
+        tables = []
         for number in self.numbers:
             of = self.functions.get(number.of, number.of) if isinstance(number.of, str) else number.of
             levels = {n: tuple(v) if isinstance(v, list) else v for n, v in (number.where or {}).items()}
@@ -172,8 +172,8 @@ class ExperimentFile:
                 raise InputError(f"{self.path}: '{number.title}': {error}") from error
             if number.exp:
                 made_of = [row | {"estimate": row["estimate"].exponential} for row in made_of]
-            found.append({"title": number.title, "rows": made_of})
-        return found
+            tables.append({"title": number.title, "rows": made_of})
+        return tables
 
 
 def load_experiment(
@@ -194,51 +194,51 @@ def load_experiment(
     if not path.is_file():
         raise InputError(f"experiment {path} does not exist; give a path to a TOML file")
     content, text = toml_of(path)
-    asked = made(_File, content, str(path), text=text)
-    parts = {"units": asked.units, "factors": asked.factors or {}, "settings": asked.settings or {}}
-    for name, value in {**((asked.quick or {}) if quick else {}), **(changes or {})}.items():
+    keys = made(_File, content, str(path), text=text)
+    parts = {"units": keys.units, "factors": keys.factors or {}, "settings": keys.settings or {}}
+    for name, value in {**((keys.quick or {}) if quick else {}), **(changes or {})}.items():
         part = next((part for part in parts.values() if name in part), None)
         if part is None:
-            known = listed(name for part in parts.values() for name in part)
-            raise InputError(f"{path} has no unit, factor or setting '{name}'; known are {known}")
+            names = listed(name for part in parts.values() for name in part)
+            raise InputError(f"{path} has no unit, factor or setting '{name}'; known are {names}")
         if part is not parts["settings"] and not _are_levels(value):
             raise InputError(f"{path}: {name} is {value!r}; give {ONE_LEVEL}")
         part[name] = value
     if twice := [name for name in parts["units"] if name in parts["factors"] or name in parts["settings"]]:
         raise InputError(f"{path}: '{twice[0]}' is a unit and something else as well; give one of them another name")
-    for number in asked.estimate:
+    for number in keys.estimate:
         for key in ("across", "x", "panels"):
             if getattr(number, key) not in (None, *number.by):
-                column, known = getattr(number, key), listed(number.by)
-                raise InputError(f"{path}: {key} of '{number.title}' is '{column}'; give one of its by: {known}")
-    named = [asked.measure, asked.fits, *(asked.figures or {}).values()]
-    named += [number.of for number in asked.estimate if _is_named(number.of)]
-    functions = {word: _function(path, word) for word in named if word is not None}
-    measure = functions[asked.measure]
+                column, names = getattr(number, key), listed(number.by)
+                raise InputError(f"{path}: {key} of '{number.title}' is '{column}'; give one of its by: {names}")
+    words = [keys.measure, keys.fits, *(keys.figures or {}).values()]
+    words += [number.of for number in keys.estimate if _is_named(number.of)]
+    functions = {word: _function(path, word) for word in words if word is not None}
+    measure = functions[keys.measure]
     taken = inspect.signature(measure).parameters
-    seed = asked.seed if seed is None else seed
+    seed = keys.seed if seed is None else seed
     if "seed" in taken and not any("seed" in part for part in parts.values()):
         parts["settings"]["seed"] = seed
     for name in ("rng", *parts["units"], *parts["factors"], *parts["settings"]):
-        if name not in taken and not any(each.kind is each.VAR_KEYWORD for each in taken.values()):
-            raise InputError(f"{path}: {asked.measure} takes no argument '{name}'; it takes {listed(taken)}")
+        if name not in taken and not any(parameter.kind is parameter.VAR_KEYWORD for parameter in taken.values()):
+            raise InputError(f"{path}: {keys.measure} takes no argument '{name}'; it takes {listed(taken)}")
     experiment = Experiment(
         path.stem,
         {name: _levels(value) for name, value in parts["units"].items()},
         {name: _levels(value) for name, value in parts["factors"].items()},
-        partial(_measured, asked.measure, measure, parts["settings"]),
+        partial(_measured, keys.measure, measure, parts["settings"]),
         seed,
-        (asked.measure, parts["settings"], [_origin(functions[word]) for word in sorted(functions)]),
-        None if asked.fits is None else functions[asked.fits],
+        (keys.measure, parts["settings"], [_origin(functions[word]) for word in sorted(functions)]),
+        None if keys.fits is None else functions[keys.fits],
     )
-    figures = {name: functions[word] for name, word in (asked.figures or {}).items()}
-    return ExperimentFile(path, asked.title, experiment, asked.estimate, functions, figures)
+    figures = {name: functions[word] for name, word in (keys.figures or {}).items()}
+    return ExperimentFile(path, keys.title, experiment, keys.estimate, functions, figures)
 
 
 def _measured(word: str, measure: Callable[..., Any], settings: Mapping[str, Any], **levels: Any) -> Rows:
     """The rows that a function of somebody's own gives; what its lines raise is said with the line and the levels."""
-    shown = ", ".join(f"{name}={level!r}" for name, level in levels.items() if name != "rng")
-    with faults_in(Path(inspect.getsourcefile(measure) or word), f"function, or leave out {shown}"):
+    levels_in_words = ", ".join(f"{name}={level!r}" for name, level in levels.items() if name != "rng")
+    with faults_in(Path(inspect.getsourcefile(measure) or word), f"function, or leave out {levels_in_words}"):
         return Rows.of(measure(**levels, **settings))
 
 
@@ -269,11 +269,11 @@ def _beside(file: Path) -> Any:
     if folder not in sys.path:
         sys.path.insert(0, folder)
         os.environ["PYTHONPATH"] = os.pathsep.join([folder, *filter(None, [os.environ.get("PYTHONPATH")])])
-    known = sys.modules.get(file.stem)
-    if known is not None:
-        if Path(str(known.__file__)).resolve() != file.resolve():
+    loaded = sys.modules.get(file.stem)
+    if loaded is not None:
+        if Path(str(loaded.__file__)).resolve() != file.resolve():
             raise ImportError(f"a module of the name {file.stem} is loaded from elsewhere; rename {file.name}")
-        return known
+        return loaded
     spec = spec_from_file_location(file.stem, file)
     assert spec is not None and spec.loader is not None
     module = module_from_spec(spec)
@@ -324,15 +324,15 @@ def held_by_seeds(by_seed: Sequence[Sequence[Mapping[str, Any]]]) -> list[tuple[
     """
     counts = []
     for tables in zip(*by_seed, strict=True):
-        held = tried = 0
-        for one, other in permutations(tables, 2):
-            numbers = {_levels_of(row): row["estimate"].value for row in other["rows"]}
-            for row in one["rows"]:
+        holding = tried = 0
+        for first, second in permutations(tables, 2):
+            numbers = {_levels_of(row): row["estimate"].value for row in second["rows"]}
+            for row in first["rows"]:
                 ends, value = row["estimate"].ci95, numbers.get(_levels_of(row))
                 if ends is not None and value is not None:
                     low, high = (-math.inf if ends[0] is None else ends[0], math.inf if ends[1] is None else ends[1])
-                    held, tried = held + (low <= value <= high), tried + 1
-        counts.append((tables[0]["title"], held, tried))
+                    holding, tried = holding + (low <= value <= high), tried + 1
+        counts.append((tables[0]["title"], holding, tried))
     return counts
 
 
@@ -342,15 +342,14 @@ def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
 
 def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Heads and cells of one table of numbers; levels of ``across`` stand side by side."""
-    form = f"{'+' if number.against and number.of != 'removed' else ''}.{number.digits}f"
+    sign = "+" if number.against and number.of != "removed" else ""
+    form = f"{sign}.{number.digits}f"
 
-    def said(found: Estimate) -> str:
-        text = f"{number.scale * found.value:{form}}"
-        if found.ci95 is None:
+    def said(estimate: Estimate) -> str:
+        text = with_interval(estimate.value, estimate.ci95, number.digits, number.scale, sign)
+        if number.margin is None or estimate.ci95 is None:
             return text
-        ends = ("open" if end is None else f"{number.scale * end:{form}}" for end in found.ci95)
-        verdict = "" if number.margin is None else f": {found.verdict(number.margin)}"
-        return f"{text} ({' to '.join(ends)}){verdict}"
+        return f"{text}: {estimate.verdict(number.margin)}"
 
     names = [name for name in number.by if name != number.across]
     if number.across is None:
@@ -366,5 +365,5 @@ def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[lis
     lines: dict[tuple[str, ...], dict[Any, str]] = {}
     for row in rows:
         lines.setdefault(tuple(str(row[name]) for name in names), {})[row[number.across]] = said(row["estimate"])
-    cells = [[*key, *(found.get(column, "") for column in columns)] for key, found in lines.items()]
+    cells = [[*key, *(line.get(column, "") for column in columns)] for key, line in lines.items()]
     return [*names, *(str(column) for column in columns)], cells

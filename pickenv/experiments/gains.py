@@ -221,6 +221,6 @@ def _left_on_design(
 ) -> list[dict[str, float]]:
     """What is left on each of some arms, one stream of random numbers after the other."""
     plant, rng = load_plant(design), np.random.default_rng(designs[design])
-    drawn = draw_plants(plant, load_tolerances("medium"), arms, rng)
-    sets = ((number, simulated_tracker(plant_at(drawn, number), joints, rng)) for number in range(arms))
+    population = draw_plants(plant, load_tolerances("medium"), arms, rng)
+    sets = ((number, simulated_tracker(plant_at(population, number), joints, rng)) for number in range(arms))
     return [left_of_blocks(plant.arm, rows, number, BLOCKS // 2, rng, **NETWORK) for number, rows in sets]

@@ -19,13 +19,13 @@ from numpy.typing import ArrayLike
 
 from pickenv.agents import episode_seeds
 from pickenv.arm import Plant, load_instrument, plant_at
-from pickenv.arm.files.arm import content_sha256
 from pickenv.arm.plant.campaign import TRACKER
 from pickenv.arm.plant.plant_batch import plant_count
-from pickenv.base import InputError, code_fingerprint, stream
+from pickenv.base import InputError, stream
 from pickenv.base.registry import names, origin
 from pickenv.calibration import BpnnSettings, Calibration, fit
 from pickenv.envs.shared.task import check_count
+from pickenv.experiments.engine import input_key
 from pickenv.experiments.gains import random_sets
 from pickenv.inspect.runs.recorded_episodes import Reaches, reaches_of
 from pickenv.wrappers import Compensate, CompensationVectorWrapper
@@ -125,7 +125,7 @@ def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationP
     Raises:
         InputError: If the kept file is damaged, or of another arm or plan than its name says.
     """
-    key = content_sha256(plant, method, sources_of(method, plan), plan, number, code_fingerprint())
+    key = input_key(plant, method, sources_of(method, plan), plan, number)
     path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', plant.name)}-{method}-{key[:16]}.npz"
     if not path.is_file():
         calibration = calibrate_arm(plant, method, plan, number)
@@ -136,7 +136,7 @@ def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationP
     if calibration.record.get(ORIGIN) != key:
         raise InputError(
             f"{path} is the calibration of another arm or protocol than its name says; delete it, or give another "
-            "--cache"
+            "`cache`"
         )
     return calibration
 

@@ -163,13 +163,13 @@ def run_policies(
 
 def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) -> Experiment:
     """The arms that an experiment is to be run with, calibrated and kept one by one."""
-    wanted = {tuple(piece.levels[name] for name in BEHIND) for piece in experiment.pieces()}
+    populations = {tuple(piece.levels[name] for name in BEHIND) for piece in experiment.pieces()}
     return Experiment(
         f"calibrations, {experiment.name}",
         {"seed": settings.levels("seeds"), "arm": range(settings.arms)},
         {name: tuple(dict.fromkeys(experiment.factors[name])) for name in BEHIND[:2]},
         partial(_calibrated, settings, kept),
-        fits=lambda arm, **levels: levels["compensation"] != "raw" and tuple(map(levels.get, BEHIND)) in wanted,
+        fits=lambda arm, **levels: levels["compensation"] != "raw" and tuple(map(levels.get, BEHIND)) in populations,
     )
 
 
@@ -224,8 +224,8 @@ def _reaching(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -
     def able(**levels: Any) -> bool:
         kind = kinds[levels["policy"]]
         behind = levels["compensation"] == "raw" or not kind.raw_only
-        there = levels["feedback"] in kind.feedback and levels["training"] < (len(kind.files) or 1)
-        return behind and there and fits(**levels)
+        has_file = levels["feedback"] in kind.feedback and levels["training"] < (len(kind.files) or 1)
+        return behind and has_file and fits(**levels)
 
     experiment = Experiment(
         "reaching",
@@ -299,13 +299,13 @@ def _reaches(
         "cycle_steps": rollout.cycle_steps(CYCLE_MM),
         "way_mm": rollout.error_mm.T,
         **chances,
-        **{each.name: np.asarray(getattr(reaches, each.name)) for each in fields(Reaches)},
+        **{attribute.name: np.asarray(getattr(reaches, attribute.name)) for attribute in fields(Reaches)},
     }
 
 
 def reaches_in(rows: Rows) -> Reaches:
     """The ends of the episodes of rows of one plant."""
-    columns: dict[str, Any] = {each.name: rows[each.name] for each in fields(Reaches)}
+    columns: dict[str, Any] = {attribute.name: rows[attribute.name] for attribute in fields(Reaches)}
     commands = rows["joint_command"]
     return Reaches(**columns | {"joint_command": commands[:, np.isfinite(commands).all(axis=0)]})
 

@@ -25,7 +25,7 @@ from pickenv.base import (
     write_json,
 )
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.experiments.engine import Rows, read_piece, write_piece
+from pickenv.experiments.engine import Rows, interval_words, read_piece, with_interval, write_piece
 from pickenv.experiments.methods import CalibrationPlan
 from pickenv.experiments.policies import PolicySettings, population_seed, run_policies
 from pickenv.inspect import Run
@@ -119,17 +119,17 @@ def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
     """Every compensation against each before it, pair by pair."""
     steps, names = [behind for (behind,) in rows.levels("compensation")], ("policy", "feedback", "plant")
     pairs = {}
-    for number, one in enumerate(steps):
+    for number, base in enumerate(steps):
         later = rows.where(compensation=tuple(steps[number:])).columns
-        for line in estimate(later, "error_mm", CELL, ("arm", "training"), against={"compensation": one}):
-            pairs[*(line[name] for name in names), one, line["compensation"]] = line["estimate"]
+        for line in estimate(later, "error_mm", CELL, ("arm", "training"), against={"compensation": base}):
+            pairs[*(line[name] for name in names), base, line["compensation"]] = line["estimate"]
     return [
-        dict(zip((*names, "from", "to"), (*key, one, other), strict=True))
+        dict(zip((*names, "from", "to"), (*key, base, later), strict=True))
         | {"difference_mm": difference.value, "ci95": difference.ends}
         | {"significant": difference.significant, "no_interval": difference.missing}
         for key in rows.levels(*names)
-        for one, other in combinations(steps, 2)
-        if (difference := pairs.get((*key, one, other))) is not None
+        for base, later in combinations(steps, 2)
+        if (difference := pairs.get((*key, base, later))) is not None
     ]
 
 
@@ -152,19 +152,6 @@ def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
     """A comparison's difference, its interval, and whether it is significant."""
     ends = interval_words(line["ci95"], 3, sign="+") or f"none: {line['no_interval']}"
     return f"{line['difference_mm']:+.3f}", ends, {True: "yes", False: "no", None: "not known"}[line["significant"]]
-
-
-def interval_words(ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """An interval: 0.12 to 0.34; an end that the arms cannot bound is open; empty where there is no interval."""
-    return " to ".join("open" if end is None else f"{scale * end:{sign}.{digits}f}" for end in ends or ())
-
-
-def with_interval(
-    value: float, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, unit: str = ""
-) -> str:
-    """A number with its interval in brackets, if it has one: 0.23 (0.12 to 0.34)."""
-    words = interval_words(ends, digits, scale)
-    return f"{scale * value:.{digits}f}{unit}" + (f" ({words})" if words else "")
 
 
 # Files: CSV, Parquet, run folders.
@@ -251,25 +238,25 @@ def drawings(run: Run) -> Drawings:
 
 def evaluation_drawings(rows: Rows) -> Drawings:
     """Every figure of an evaluation."""
-    what = "Final position errors of every policy over arms, with 95 % intervals; an arrow is an open end."
-    figures = [Drawing("aggregates", what, partial(aggregate_figure, rows))]
+    caption = "Final position errors of every policy over arms, with 95 % intervals; an arrow is an open end."
+    figures = [Drawing("aggregates", caption, partial(aggregate_figure, rows))]
     for (plant,) in rows.levels("plant"):
         name, scripted = Path(plant).stem, rows.where(plant=plant, policy="scripted")
-        what = f"Mean position error on {plant} if the pick were made after each step."
-        figures.append(Drawing(f"accuracy_against_cycle_time_{name}", what, partial(cycle_figure, rows, plant)))
+        caption = f"Mean position error on {plant} if the pick were made after each step."
+        figures.append(Drawing(f"accuracy_against_cycle_time_{name}", caption, partial(cycle_figure, rows, plant)))
         if errors := {
             policy_label(behind): scripted.where(compensation=behind)["error_mm"]
             for (behind,) in scripted.levels("compensation")
         }:
-            what = f"What each gripper forgives, and where the scripted policy on {plant} lies on its curve."
+            caption = f"What each gripper forgives, and where the scripted policy on {plant} lies on its curve."
             curves = partial(success_curves, rows, plant)
-            figures.append(Drawing(f"success_against_misalignment_{name}", what, curves))
-            what = f"Final position errors of the scripted policy on {plant}."
-            each = partial(error_by_method, errors, counted="reaches")
-            figures.append(Drawing(f"error_by_compensation_{name}", what, each))
-            what = f"Share of the scripted policy's reaches on {plant} whose error is at most x."
+            figures.append(Drawing(f"success_against_misalignment_{name}", caption, curves))
+            caption = f"Final position errors of the scripted policy on {plant}."
+            by_method = partial(error_by_method, errors, counted="reaches")
+            figures.append(Drawing(f"error_by_compensation_{name}", caption, by_method))
+            caption = f"Share of the scripted policy's reaches on {plant} whose error is at most x."
             shares = partial(error_cumulative, errors, counted="reaches")
-            figures.append(Drawing(f"error_cumulative_{name}", what, shares))
+            figures.append(Drawing(f"error_cumulative_{name}", caption, shares))
     return figures
 
 
@@ -364,8 +351,8 @@ def picking_rows(rows: Rows) -> list[dict[str, Any]]:
         errors: NDArray[np.float64] = sums[grasps > 0.0] / grasps[grasps > 0.0]
         success, per_hour = {}, {}
         for (name,) in cell.levels("gripper"):
-            own, per_hour[name] = cell.where(gripper=name), rates[*key, name]
-            success[name] = float(own["collected"].sum() / max(1, own["attempted"].sum()))
+            with_gripper, per_hour[name] = cell.where(gripper=name), rates[*key, name]
+            success[name] = float(with_gripper["collected"].sum() / max(1, with_gripper["attempted"].sum()))
         hourly: dict[str, Any] = {"picks_per_hour": {name: rate.value for name, rate in per_hour.items()}}
         hourly["picks_per_hour_ci95"] = {name: rate.ends for name, rate in per_hour.items()}
         tilt, attempts = float(cell["tilt_sum_deg"].sum() / grasps.sum()), {"attempts": int(grasps.sum())}
@@ -382,8 +369,8 @@ def _board_row(
     words = {name: str(cell[name][0]) if name in cell.columns else "encoders" for name in WORDS}
     numbers = {"mean_mm": mean, "iqm_mm": middle.value, "attitude_deg": attitude}
     shares = {"success": next(iter(success.values())), "success_by_gripper": success, "ci95_mm": middle.ends}
-    drawn = {"seeds": sorted(seed for (seed,) in cell.levels("seed")), "arms": len(cell.levels("arm"))}
-    return {"task": f"pickenv/{task}, {cell['plant'][0]}", **words, **numbers, **shares, **hourly, **drawn, **counted}
+    sample = {"seeds": sorted(seed for (seed,) in cell.levels("seed")), "arms": len(cell.levels("arm"))}
+    return {"task": f"pickenv/{task}, {cell['plant'][0]}", **words, **numbers, **shares, **hourly, **sample, **counted}
 
 
 def leaderboard_heads(row: Mapping[str, Any]) -> list[str]:

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.base import Ends
-from pickenv.experiments.engine import Rows
+from pickenv.experiments.engine import Rows, with_interval
 from pickenv.experiments.gains import LEARNT, LS
 from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench, bench_row
 
@@ -67,12 +66,12 @@ def _best_rows(models: Rows) -> list[dict[str, Any]]:
     for name, nominal, ls, best in _by_row(models):
         spread = SPREAD[name]
         steps = {"LS": (nominal, ls)} | ({f"best: {best['used']}": (ls, best)} if spread.terms != "none" else {})
-        for model, (before, left) in steps.items():
-            values = (nominal["value_mm"], before["value_mm"], left["value_mm"])
+        for model, (before, after) in steps.items():
+            values = (nominal["value_mm"], before["value_mm"], after["value_mm"])
             rows.append(
                 bench_row("best", spread.real.robot, spread.how, model, *values)
-                | {"before": before["model"], "held_out_spread_mm": _ends(left)}
-                | {"published_mm": spread.published, "statistic": spread.statistic, "rows": left["rows"]}
+                | {"before": before["model"], "held_out_spread_mm": _ends(after)}
+                | {"published_mm": spread.published, "statistic": spread.statistic, "rows": after["rows"]}
             )
     return rows
 
@@ -152,14 +151,10 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
         names = (gain["robot"], HELD[gain["split"]], gain["model"])
         sizes = (f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}")
-        shares = (_percent(predicted, gain["predicted_ci95"]), _percent(measured, gain["ci95"]))
+        pairs = ((predicted, gain["predicted_ci95"]), (measured, gain["ci95"]))
+        shares = (with_interval(share, ends, 1, 100.0, unit=" %") for share, ends in pairs)
         cells.append((*names, *sizes, *shares, f"{100.0 * (predicted - measured):+.1f}"))
     return cells
-
-
-def _percent(value: float, ends: Ends | None) -> str:
-    said = f"{100.0 * value:.1f} %"
-    return said if ends is None else f"{said} ({100.0 * ends[0]:.1f} to {100.0 * ends[1]:.1f})"
 
 
 def spread_table(models: Rows) -> str:
@@ -167,19 +162,18 @@ def spread_table(models: Rows) -> str:
     table = []
     for name, nominal, ls, best in _by_row(models):
         row = SPREAD[name]
-        judged = f"{row.real.robot}, {HELD[row.how]}, {'RMS' if row.statistic == 'rms' else 'mean'}"
+        label = f"{row.real.robot}, {HELD[row.how]}, {'RMS' if row.statistic == 'rms' else 'mean'}"
         remark = f"; {row.remark}" if row.remark else ""
         used = f"{_millimetres(best)}: {best['used']}{remark}" if row.terms != "none" else ""
         published = "" if row.published is None else f"{row.published:g}"
-        table.append((judged, _millimetres(nominal), _millimetres(ls), used, published))
+        table.append((label, _millimetres(nominal), _millimetres(ls), used, published))
     return _markdown(SPREAD_HEADS, table)
 
 
 def _millimetres(model: dict[str, Any]) -> str:
     """A value with its spread in brackets, three digits after the point below 1 mm."""
-    value, (low, high) = model["value_mm"], _ends(model)
-    digits = 3 if value < 1.0 else 2
-    return f"{value:.{digits}f}" + ("" if low is None else f" ({low:.{digits}f} to {high:.{digits}f})")
+    value = model["value_mm"]
+    return with_interval(value, None if np.isnan(model["low_mm"]) else _ends(model), 3 if value < 1.0 else 2)
 
 
 def peer_cells(bench: Bench) -> list[tuple[str, ...]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -25,7 +26,7 @@ import numpy as np
 import pickenv
 from pickenv.arm import Arm, Array, Geometry, Pose, draw_plants, load_arm, load_tolerances, plant_at
 from pickenv.arm.files.urdf import urdf_text
-from pickenv.base import Ends, InputError, file_sha256, statistic_interval
+from pickenv.base import Ends, InputError, command_line, file_sha256, statistic_interval
 from pickenv.calibration import (
     Choices,
     Measurements,
@@ -201,10 +202,10 @@ def judged_fold(
     measured, result = left_by_models(arm, fitted, held_out, np.random.default_rng(first))
     plant, refused, arms = result.plant(), 0, [measured]
     for _ in range(BATCHES):
-        drawn = draw_plants(plant, load_tolerances("medium"), draws, np.random.default_rng(drawing))
-        for number, other in enumerate(others[: draws + 1 - len(arms)]):
-            rng = np.random.default_rng(other)
-            train, test = (as_measured(plant_at(drawn, number), part, rng) for part in (fitted, held_out))
+        population = draw_plants(plant, load_tolerances("medium"), draws, np.random.default_rng(drawing))
+        for number, seed_of_arm in enumerate(others[: draws + 1 - len(arms)]):
+            rng = np.random.default_rng(seed_of_arm)
+            train, test = (as_measured(plant_at(population, number), part, rng) for part in (fitted, held_out))
             try:
                 arms.append(left_by_models(arm, train, test, rng)[0])
             except InputError:
@@ -391,9 +392,11 @@ def peer_python(peer: Peer, folder: Path, install: bool) -> Path:
     if not install:
         how = "python scripts/benchmark_calibration.py installs it there"
         raise InputError(f"{peer.name} {peer.version} is not installed in {folder}; {how}")
-    pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", f"{peer.name}=={peer.version}"]
-    for command in ([sys.executable, "-m", "venv", "--clear", str(home)], [str(python), *pip]):
-        ended = subprocess.run(command, capture_output=True, text=True)
+    install_line = command_line(
+        python, "-m", "pip", "install", f"{peer.name}=={peer.version}", quiet=True, disable_pip_version_check=True
+    )
+    for command in (command_line(sys.executable, "-m", "venv", home, clear=True), install_line):
+        ended = subprocess.run(shlex.split(command), capture_output=True, text=True)
         if ended.returncode:
             raise InputError(f"cannot be installed: {last_words(ended.stderr or ended.stdout)}")
     done.touch()
@@ -572,10 +575,10 @@ def gains_of(folds: Rows) -> list[dict[str, Any]]:
         folds: Rows of `fold_errors`.
     """
     name, split = GAINS[folds["row"][0]]
-    measured, drawn = folds.where(drawn=0), range(1, int(folds["drawn"].max()) + 1)
+    measured, arm_numbers = folds.where(drawn=0), range(1, int(folds["drawn"].max()) + 1)
     order = np.argsort(measured["at"])
     squares = {model: measured[model][order] for model in (NOMINAL, *BEFORE) if model in measured.columns}
-    parts = [[folds.where(fold=fold, drawn=arm) for arm in drawn] for (fold,) in folds.levels("fold")]
+    parts = [[folds.where(fold=fold, drawn=arm) for arm in arm_numbers] for (fold,) in folds.levels("fold")]
     sums = {model: np.array([[part[model].sum() for part in fold] for fold in parts]) for model in squares}
     rms = {model: float(1e3 * np.sqrt(values.mean())) for model, values in squares.items()}
     counts = {name: int(folds[name][0]) for name in ("rows", "rows_in_file")}
@@ -586,7 +589,7 @@ def gains_of(folds: Rows) -> list[dict[str, Any]]:
         if split != "random":
             pairs = np.array([part.sum(axis=0) for part in np.array_split(pairs, min(BLOCKS, len(pairs)))])
         predicted, ends = predicted_gain(sums[model], sums[before])
-        predicted_mm = float(1e3 * np.sqrt(sums[model].sum() / len(drawn) / len(order)))
+        predicted_mm = float(1e3 * np.sqrt(sums[model].sum() / len(arm_numbers) / len(order)))
         gains.append(
             bench_row("gains", SETS[name].robot, split, model, rms[NOMINAL], rms[before], rms[model])
             | {"before": before, "ci95": _interval(pairs), "statistic": "rms", **counts}

@@ -1,6 +1,6 @@
 """Calibrate and judge thousands of arms of a study at once, in torch: the arms are the last axis of every component.
 
-The same physics, least squares and compensation as arm by arm (`pickenv.experiments.study_arms`), so that the rows
+The same physics, least squares and compensation as arm by arm (`pickenv.experiments.study`), so that the rows
 agree. All arms start at the nominal geometry. What is redundant follows from each arm's own poses, and is nearly always
 the same; an arm with others, or one that needs more than undamped steps, is handed over. Components are ``(M, N)`` at
 fruit and ``(P, N)`` at poses, arms last. SI.
@@ -32,9 +32,9 @@ from pickenv.calibration import Compensator
 from pickenv.calibration.compensation.compensator import corrected
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, judged_step
 from pickenv.calibration.model.arm_model import ErrorModel
+from pickenv.experiments import study
 from pickenv.experiments.engine import Rows, joined
-from pickenv.experiments.study import RAW, Circumstances, Protocol, Setting, carrying, measured
-from pickenv.experiments.study_arms import Outcomes, chunk_rows, evaluate_arm, gathered, reach_status
+from pickenv.experiments.study import measured
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
 """Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
@@ -60,7 +60,7 @@ class _Commands:
     converged: NDArray[np.bool_]
 
 
-def evaluate_batch(protocol: Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
+def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
     """The rows of a chunk of arms; what they draw follows from the study's seed and their numbers, not from ``rng``."""
     place = partial(torch.as_tensor, dtype=torch.float64, device=device)
     arms, size = protocol.config.arms_of(chunk), _block_size(protocol, device)
@@ -69,7 +69,9 @@ def evaluate_batch(protocol: Protocol, chunk: int, rng: object = None, device: s
         return joined([_evaluate_block(protocol, block, place) for block in blocks])
 
 
-def judge_batch(protocol: Protocol, setting: Setting, plants: Plant, around: Sequence[Circumstances]) -> Outcomes:
+def judge_batch(
+    protocol: study.Protocol, setting: study.Setting, plants: Plant, around: Sequence[study.Circumstances]
+) -> study.Outcomes:
     """Any batch of arms in one setting, each in its own circumstances, on this processor."""
     place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
     size, parts = _block_size(protocol, "cpu"), []
@@ -77,7 +79,7 @@ def judge_batch(protocol: Protocol, setting: Setting, plants: Plant, around: Seq
         for first in range(0, len(around), size):
             part = slice(first, first + size)
             parts += _outcomes(protocol, [setting], plants_on(plants, itemgetter(part)), around[part], place)
-    return gathered(parts)
+    return study.gathered(parts)
 
 
 def check_device(device: str) -> None:
@@ -89,69 +91,73 @@ def check_device(device: str) -> None:
     if device not in BLOCKS:
         raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
     if device == "cuda" and not torch.cuda.is_available():
-        raise InputError("torch sees no CUDA device on this machine; give --device cpu")
+        raise InputError("torch sees no CUDA device on this machine; give `device='cpu'`")
 
 
-def _block_size(protocol: Protocol, device: str) -> int:
+def _block_size(protocol: study.Protocol, device: str) -> int:
     """Arms worked on together; of arms measured in time more, as each step of each move then is for all of them."""
     poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
     return max(1, poses // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
 
 
-def _evaluate_block(protocol: Protocol, arms: range, place: Place) -> Rows:
+def _evaluate_block(protocol: study.Protocol, arms: range, place: Place) -> Rows:
     around = [protocol.circumstances(arm) for arm in arms]
     populations = []
     for settings in protocol.populations():
         plants = protocol.draw(settings[0], arms)
         populations.append((plants, _outcomes(protocol, settings, plants, around, place)))
-    return chunk_rows(protocol, arms, populations)
+    return study.chunk_rows(protocol, arms, populations)
 
 
 def _outcomes(
-    protocol: Protocol, settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances], place: Place
-) -> list[Outcomes]:
+    protocol: study.Protocol,
+    settings: Sequence[study.Setting],
+    plants: Plant,
+    around: Sequence[study.Circumstances],
+    place: Place,
+) -> list[study.Outcomes]:
     """Outcomes of all arms of one population in each of its settings."""
     placed, count = plants_on(plants, place), len(around)
-    targets = in_components(torch, np.stack([one.fruit for one in around], axis=1), place)
+    targets = in_components(torch, np.stack([met.fruit for met in around], axis=1), place)
     read = visited_frames(protocol, placed, around, place)
-    wanted = tool_frame(torch, chain_of(protocol.nominal), targets)
+    goals = tool_frame(torch, chain_of(protocol.nominal), targets)
     commands: dict[tuple[Any, ...], _Commands] = {}
     outcomes = []
     for setting in settings:
         key = (setting.method, setting.poses, setting.noise)
         if key not in commands:
-            commands[key] = _commands(protocol, setting, read, around, (targets, wanted), place)
+            commands[key] = _commands(protocol, setting, read, around, (targets, goals), place)
         command = commands[key]
-        error = frame_error(torch, wanted, carrying(placed, setting.payload_kg).tool_frame(torch, command.joints))
+        error = frame_error(torch, goals, study.carrying(placed, setting.payload_kg).tool_frame(torch, command.joints))
         position, attitude = _norms(error[:3], count), _norms(error[3:], count)
-        status = [reach_status(int(missed), protocol.config) for missed in command.missed]
+        status = [study.reach_status(int(missed), protocol.config) for missed in command.missed]
         steps = command.steps.tolist()
         for i in np.flatnonzero(~command.converged).tolist():
-            (alone,) = evaluate_arm(protocol, [setting], plant_at(plants, i), around[i])
+            (alone,) = study.evaluate_arm(protocol, [setting], plant_at(plants, i), around[i])
             status[i], steps[i] = alone.status[0], alone.iterations[0]
             position[i], attitude[i] = alone.position[0], alone.attitude[0]
-        outcomes.append(Outcomes(setting, status, steps, position, attitude))
+        outcomes.append(study.Outcomes(setting, status, steps, position, attitude))
     return outcomes
 
 
 def _commands(
-    protocol: Protocol,
-    setting: Setting,
+    protocol: study.Protocol,
+    setting: study.Setting,
     read: Sequence[Tensor],
-    around: Sequence[Circumstances],
+    around: Sequence[study.Circumstances],
     fruit: tuple[list[Tensor], Frame],
     place: Place,
 ) -> _Commands:
     """Calibrate all arms, as they were read, as the setting says; correct their commands for targets, wanted frames."""
-    count, (targets, wanted) = len(around), fruit
-    if setting.method == RAW:
+    count, (targets, goals) = len(around), fruit
+    if setting.method == study.RAW:
         none = np.zeros(count, dtype=np.int64)
         return _Commands(targets, none, none, np.ones(count, dtype=bool))
     identified = identify_batch(protocol, setting, read, around, place)
     chain = tree_map(place, chain_of(identified.geometry, np))
     chains = (chain_of(protocol.nominal), chain)
     joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
-    gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], wanted[9:], strict=True)]
+    gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], goals[9:], strict=True)]
     missed = np.sum(_norms(gap, count) > 1e-3 * protocol.config.radius_mm, axis=1)
     return _Commands(joints, missed, identified.steps, identified.converged)
 
@@ -184,16 +190,22 @@ class BatchIdentification:
     converged: NDArray[np.bool_]
 
 
-def visited_frames(protocol: Protocol, plants: Plant, around: Sequence[Circumstances], place: Place) -> list[Tensor]:
+def visited_frames(
+    protocol: study.Protocol, plants: Plant, around: Sequence[study.Circumstances], place: Place
+) -> list[Tensor]:
     """True tool frames ``(P, N)`` when the tracker reads them, at all calibration poses that the study has."""
-    visits = np.stack([one.poses for one in around], axis=1)
-    stops = np.stack([one.tracker.stops for one in around], axis=-1)
+    visits = np.stack([met.poses for met in around], axis=1)
+    stops = np.stack([met.tracker.stops for met in around], axis=-1)
     frame = visited(plants, torch, visits, protocol.tracker, stops, place)
     return [torch.as_tensor(value).broadcast_to(visits.shape[:2]) for value in frame]
 
 
 def identify_batch(
-    protocol: Protocol, setting: Setting, read: Sequence[Tensor], around: Sequence[Circumstances], place: Place
+    protocol: study.Protocol,
+    setting: study.Setting,
+    read: Sequence[Tensor],
+    around: Sequence[study.Circumstances],
+    place: Place,
 ) -> BatchIdentification:
     """Read and identify many arms.
 
@@ -207,38 +219,38 @@ def identify_batch(
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)
     assert instrument.noise is not None
-    draws = [one.tracker.first(poses) for one in around]
+    draws = [met.tracker.first(poses) for met in around]
     bare = Plant(design.name, design.arm, design.arm.nominal)  # for what the instrument says of itself: weights
     weights = place(measured(protocol, bare, setting, around[0]).row_weights)
-    joints = in_components(torch, np.stack([one.poses[:poses] for one in around], axis=1), place)
-    reading = in_components(torch, np.stack([one.reading for one in draws], axis=1), place)
-    mounting = in_components(torch, np.stack([one.mounting for one in draws]), place)
+    joints = in_components(torch, np.stack([met.poses[:poses] for met in around], axis=1), place)
+    reading = in_components(torch, np.stack([met.reading for met in draws], axis=1), place)
+    mounting = in_components(torch, np.stack([met.mounting for met in draws]), place)
     frame = tuple(value[:poses] for value in read)
-    seen = read_frame(torch, instrument.noise, instrument.stand, frame, reading, mounting)
+    readings = read_frame(torch, instrument.noise, instrument.stand, frame, reading, mounting)
     links, tool = _links(chain_of(nominal), joints)
-    weighted = _residual(weights, tool, seen)
+    weighted = _residual(weights, tool, readings)
     matrix = _jacobian(nominal, protocol.model, weights, links, tool)
-    kept, usual = _usual_parameters(matrix)
-    matrix = matrix[:, :, torch.as_tensor(kept)]
-    names = tuple(protocol.model.names[k] for k in kept)
-    model = ErrorModel(protocol.model.columns[kept], names, protocol.model.tolerance[kept])
-    geometry = _displaced_links(nominal, model, np.zeros((count, len(kept))))
+    parameters, usual = _usual_parameters(matrix)
+    matrix = matrix[:, :, torch.as_tensor(parameters)]
+    names = tuple(protocol.model.names[k] for k in parameters)
+    model = ErrorModel(protocol.model.columns[parameters], names, protocol.model.tolerance[parameters])
+    geometry = _displaced_links(nominal, model, np.zeros((count, len(parameters))))
     history = _rms(weighted)
     running = torch.as_tensor(usual).to(history.device)
     converged, steps = torch.zeros_like(running), torch.zeros_like(history, dtype=torch.int64)
     for _ in range(STEPS):
         step, sound = _solve(matrix, weighted)
-        moved = _displaced_links(geometry, model, step.cpu().numpy() * model.tolerance)
-        links, tool = _links(tree_map(place, chain_of(moved, np)), joints)
-        moved_weighted = _residual(weights, tool, seen)
+        stepped = _displaced_links(geometry, model, step.cpu().numpy() * model.tolerance)
+        links, tool = _links(tree_map(place, chain_of(stepped, np)), joints)
+        moved_weighted = _residual(weights, tool, readings)
         rms = _rms(moved_weighted)
         # From here on as in `least_squares`, arm by arm; what it would shorten is left to it.
         _, negligible, better, finished = judged_step(step, (matrix @ step[:, :, None])[..., 0], weighted, history, rms)
         accepted = running & sound & better
         converged |= running & sound & torch.where(better, finished, negligible)
         steps += accepted
-        chosen = accepted.cpu().numpy()[:, None]
-        geometry = with_links(moved, lambda yes, no, chosen=chosen: np.where(chosen, yes, no), geometry)
+        taken = accepted.cpu().numpy()[:, None]
+        geometry = with_links(stepped, lambda yes, no, taken=taken: np.where(taken, yes, no), geometry)
         history = torch.where(accepted, rms, history)
         running = accepted & ~finished
         if not running.any():
@@ -259,12 +271,12 @@ def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.boo
     basis = torch.zeros_like(r)
     masks: list[Tensor] = []
     for k in range(parameters):
-        rest = r[:, :, k, None]
+        residual = r[:, :, k, None]
         for _ in range(2):
-            rest = rest - basis @ (basis.mT @ rest)
-        size = torch.linalg.vector_norm(rest, dim=1)
+            residual = residual - basis @ (basis.mT @ residual)
+        size = torch.linalg.vector_norm(residual, dim=1)
         mask = (size[:, 0] > threshold) & (sum(masks, torch.zeros_like(threshold)) < r.shape[1])
-        basis[:, :, k] = torch.where(mask[:, None], rest[..., 0] / size, 0.0)
+        basis[:, :, k] = torch.where(mask[:, None], residual[..., 0] / size, 0.0)
         masks.append(mask)
     patterns, which, counts = np.unique(
         torch.stack(masks, dim=1).cpu().numpy(), axis=0, return_inverse=True, return_counts=True
@@ -316,8 +328,8 @@ def _rms(weighted: Tensor) -> Tensor:
 def _displaced_links(geometry: Geometry, model: ErrorModel, change: Array) -> Geometry:
     """Geometries ``(N, n)`` with ``change`` ``(N, K)`` added to the model's link parameters."""
     shape = (len(change), geometry.joints)
-    moved = with_links(geometry, lambda values: np.broadcast_to(values, shape).copy())
+    displaced = with_links(geometry, lambda values: np.broadcast_to(values, shape).copy())
     for k, column in enumerate(model.columns.tolist()):
         kind, joint = divmod(column, geometry.joints)
-        getattr(moved, LINK_PARAMETERS[kind])[:, joint] += change[:, k]
-    return moved
+        getattr(displaced, LINK_PARAMETERS[kind])[:, joint] += change[:, k]
+    return displaced

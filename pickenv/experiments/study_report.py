@@ -19,11 +19,9 @@ import numpy as np
 import pyarrow.compute as pc
 
 from pickenv.arm import forward, plant_at, pose_error
-from pickenv.base import InputError, write_text
-from pickenv.experiments.study import LS, RAW, StudyConfig, carrying, prepared_study
-from pickenv.experiments.study_arms import OK, arm_commands
-from pickenv.experiments.study_figures import study_drawings
-from pickenv.experiments.study_findings import Findings, gather, ranked, setting_label, specified, study_verdict
+from pickenv.base import InputError, command_line, write_text
+from pickenv.experiments import study_findings
+from pickenv.experiments.study import LS, OK, RAW, StudyConfig, arm_commands, carrying, prepared_study
 from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summary, study_of, write_sobol
 from pickenv.inspect import Comparison, RecordedPolicy, Run, write_drawings
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
@@ -62,11 +60,11 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
         sobol_samples: A power of two, for Sobol indices of the shown settings; none for 0.
     """
     folder, written = Path(folder), []
-    findings = gather(folder)
+    findings = study_findings.gather(folder)
     if sobol_samples:
-        shown = [number for number in findings.sensitivities if findings.yields[number]["method"] in (RAW, LS)]
-        written.append(write_sobol(folder, shown, sobol_samples))
-    written += write_drawings(study_drawings(findings), folder / "figures")
+        settings = [number for number in findings.sensitivities if findings.yields[number]["method"] in (RAW, LS)]
+        written.append(write_sobol(folder, settings, sobol_samples))
+    written += write_drawings(study_findings.study_drawings(findings), folder / "figures")
     written.append(write_text(folder / "report.html", study_page(folder, findings)))
     best = max(findings.yields, key=lambda row: row["yield_low"])
     if best["failed"] < best["arms"]:
@@ -76,7 +74,7 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
 
 def drawings(run: Run) -> Drawings:
     """The figures of a study's folder."""
-    return study_drawings(gather(run.folder))
+    return study_findings.study_drawings(study_findings.gather(run.folder))
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
@@ -86,20 +84,20 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If the folder holds no finished study.
     """
     read_summary(run.folder)  # what is not there is said before anything is computed
-    return study_page(run.folder, gather(run.folder))
+    return study_page(run.folder, study_findings.gather(run.folder))
 
 
-def study_page(folder: str | Path, findings: Findings) -> str:
+def study_page(folder: str | Path, findings: study_findings.Findings) -> str:
     """The report as HTML.
 
     Raises:
         InputError: If the study is not finished.
     """
     summary, config = read_summary(folder), findings.protocol.config
-    drawn = [d for d in study_drawings(findings) if isinstance(d, Drawing)]
+    drawings = [d for d in study_findings.study_drawings(findings) if isinstance(d, Drawing)]
 
     def figures(start: str) -> list[Drawing]:
-        return [drawing for drawing in drawn if drawing.name.startswith(start)]
+        return [drawing for drawing in drawings if drawing.name.startswith(start)]
 
     yields = (Pair(figures("yield_")), _yield_table(findings), _failures(findings))
     errors = (Pair(figures("error_")), _error_table(findings), *_placements(findings, figures("placement_")))
@@ -109,7 +107,7 @@ def study_page(folder: str | Path, findings: Findings) -> str:
             f"Tolerance study of {findings.protocol.design.name}",
             f"{config.arms} simulated arms in each of {len(findings.yields)} settings, {config.fruit} fruit each, seed "
             f"{config.seed}; nothing here was measured",
-            study_verdict(config, findings.yields),
+            study_findings.study_verdict(config, findings.yields),
             (
                 Section("Yields", yields, YIELD_OF),
                 Section("Errors", errors),
@@ -139,15 +137,16 @@ def _tiles(config: StudyConfig, summary: Row) -> dict[str, str]:
     }
 
 
-def _yield_table(findings: Findings) -> PageTable:
+def _yield_table(findings: study_findings.Findings) -> PageTable:
     rows = [
-        (setting_label(row), *_percents(row, "yield"), *(f"{row[key]}" for key in COUNTS)) for row in findings.yields
+        (study_findings.setting_label(row), *_percents(row, "yield"), *(f"{row[key]}" for key in COUNTS))
+        for row in findings.yields
     ]
     heads = ("setting", "yield (%)", "95 % interval", "arms within", "arms", "without a result")
-    return PageTable(f"Arms that pick {specified(findings.protocol.config)}", heads, rows)
+    return PageTable(f"Arms that pick {study_findings.specified(findings.protocol.config)}", heads, rows)
 
 
-def _failures(findings: Findings) -> str | PageTable:
+def _failures(findings: study_findings.Findings) -> str | PageTable:
     """Why arms have no result."""
     reasons: Counter[str] = Counter()
     for batch in findings.rows.to_batches(columns=["status"], filter=pc.field("status") != OK, use_threads=False):
@@ -158,7 +157,7 @@ def _failures(findings: Findings) -> str | PageTable:
     return PageTable("Why arms have no result; they count as not within specification", ("reason", "rows"), rows)
 
 
-def _error_table(findings: Findings) -> PageTable:
+def _error_table(findings: study_findings.Findings) -> PageTable:
     values = {(r["setting"], r["quantity"], r["probability"]): r for r in findings.quantiles}
     columns = {  # with digits
         "mean error, median arm (mm)": ("error_mean_mm", 0.5, 2),
@@ -170,7 +169,10 @@ def _error_table(findings: Findings) -> PageTable:
         return estimated(row["value"], row["low"], row["high"], digits) if row["arms"] else "-"
 
     rows = [
-        (setting_label(row), *(cell(values[row["setting"], *key], digits) for *key, digits in columns.values()))
+        (
+            study_findings.setting_label(row),
+            *(cell(values[row["setting"], *key], digits) for *key, digits in columns.values()),
+        )
         for row in findings.yields
     ]
     return PageTable(
@@ -184,7 +186,7 @@ def _component_tables(summary: Row) -> list[Part]:
     heads = ("drawn anew", "alone (%)", "95 % interval", "with interactions (%)", "95 % interval")
     parts: list[Part] = []
     for setting in summary["components"]:
-        label, rows = setting_label(setting), setting["shares"]
+        label, rows = study_findings.setting_label(setting), setting["shares"]
         if setting["missing"] is not None:
             parts.append(f"{label}: {setting['missing']}.")
         else:
@@ -197,7 +199,7 @@ def _index_table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> Pag
     return PageTable(caption, heads, cells)
 
 
-def _placements(findings: Findings, figures: Sequence[Drawing]) -> tuple[Part, ...]:
+def _placements(findings: study_findings.Findings, figures: Sequence[Drawing]) -> tuple[Part, ...]:
     rows = [
         (findings.label(setting), f"{p.error_mm:.2f}", percent(p.percentile, *p.interval), f"{p.arms}")
         for setting, p in findings.placements.items()
@@ -209,7 +211,7 @@ def _placements(findings: Findings, figures: Sequence[Drawing]) -> tuple[Part, .
     return (Pair(figures), PageTable(caption, heads, rows)) if rows else ()
 
 
-def _sensitivity_tables(findings: Findings) -> list[Part]:
+def _sensitivity_tables(findings: study_findings.Findings) -> list[Part]:
     parts: list[Part] = []
     heads = ("tolerance", "share of variance (%)", "95 % interval", "mean square error (mm²)", "95 % interval")
     for setting, shares in findings.sensitivities.items():
@@ -234,7 +236,7 @@ def _sensitivity_tables(findings: Findings) -> list[Part]:
     return parts
 
 
-def _sobol_tables(folder: str | Path, findings: Findings) -> list[PageTable]:
+def _sobol_tables(folder: str | Path, findings: study_findings.Findings) -> list[PageTable]:
     heads = ("tolerances", "first order (%)", "95 % interval", "total (%)", "95 % interval")
     return [
         _index_table(
@@ -247,7 +249,9 @@ def _sobol_tables(folder: str | Path, findings: Findings) -> list[PageTable]:
 def _origin(folder: Path, config: StudyConfig, summary: Row) -> dict[str, str]:
     packages = {name: version(name) for name in ("numpy", "scipy", "pyarrow", "torch")}
     return {
-        "Made by": f"pickenv study {folder.name}/study.toml --executor {summary['executor']} --out DIR",
+        "Made by": command_line(
+            "pickenv", "study", f"{folder.name}/study.toml", executor=summary["executor"], out="DIR"
+        ),
         "Plant": config.plant,
         "Seed": f"{config.seed}",
         "pickenv": str(summary["pickenv"]),
@@ -286,7 +290,7 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
     if not 0 <= setting < len(protocol.settings):
         raise InputError(f"there is no setting {setting}; give a number from 0 to {len(protocol.settings) - 1}")
     cell, grid = protocol.settings[setting], field_grid(nominal, GRID_STEP, config.seed)
-    places = ranked(read_rows(folder), setting)
+    places = study_findings.ranked(read_rows(folder), setting)
     arms = {name: plant_at(protocol.draw(cell, range(arm, arm + 1)), 0) for name, (arm, _) in places.items()}
     fruit = protocol.circumstances(places["worst"][0]).fruit
 

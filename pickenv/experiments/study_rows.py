@@ -17,21 +17,19 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.acero as acero
 import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from pickenv import __version__
-from pickenv.base import InputError, locked, quantile_levels, share_interval, toml_of, write_text
-from pickenv.experiments.engine import RECORD, Experiment, check_experiment, keep, kept_tables
-from pickenv.experiments.study import LS, RAW, Protocol, Setting, StudyConfig, load_study, prepared_study
-from pickenv.experiments.study_arms import FIGURES, OK, evaluate_chunk
+from pickenv.base import InputError, command_line, locked, quantile_levels, share_interval, toml_of, write_text
+from pickenv.experiments import study
+from pickenv.experiments.engine import RECORD, Experiment, Rows, check_experiment, keep, kept_tables
 
 Row = Mapping[str, Any]
 
 ROWS, SUMMARY, SOBOL = "rows", "summary.json", "sobol.json"
 """Parts of a study's folder."""
-SOBOL_AGAIN = "run `pickenv study` with --sobol again"
+SOBOL_AGAIN = "run `pickenv study` with `sobol` again"
 
 BATCHED = "batched"
 """Works on all arms of a chunk at once; the other executors work arm by arm."""
@@ -40,7 +38,7 @@ EXECUTORS = {"serial": "serial", "joblib": "loky", "ray": "ray", BATCHED: "loky"
 
 
 def run_study(
-    config: StudyConfig,
+    config: study.StudyConfig,
     folder: Path,
     *,
     executor: str = "joblib",
@@ -68,8 +66,8 @@ def run_study(
     """
     if executor not in EXECUTORS:
         raise InputError(f"unknown executor '{executor}'; give one of {', '.join(EXECUTORS)}")
-    protocol, backend, arithmetic = prepared_study(config), EXECUTORS[executor], "arm by arm"
-    measure: Callable[..., Any] = partial(evaluate_chunk, protocol)
+    protocol, backend, arithmetic = study.prepared_study(config), EXECUTORS[executor], "arm by arm"
+    measure: Callable[..., Any] = partial(study.evaluate_chunk, protocol)
     if executor == BATCHED:
         measure, arithmetic = _batched(protocol, device), f"batched on {device}"
         backend = "serial" if device != "cpu" or (workers or 1) == 1 else backend
@@ -92,22 +90,22 @@ def run_study(
         return write_record(folder / SUMMARY, _summary(protocol, folder, files, about))
 
 
-def _batched(protocol: Protocol, device: str) -> Callable[..., Any]:
-    learnt = sorted({setting.method for setting in protocol.settings} - {RAW, LS})
+def _batched(protocol: study.Protocol, device: str) -> Callable[..., Any]:
+    learnt = sorted({setting.method for setting in protocol.settings} - {study.RAW, study.LS})
     if learnt:
-        raise InputError(f"the batched executor has no {learnt[0]}; give --executor joblib, or leave that method out")
+        raise InputError(f"the batched executor has no {learnt[0]}; give `executor='joblib'`, or leave that method out")
     from pickenv.experiments.study_batched import check_device, evaluate_batch
 
     check_device(device)
     return partial(evaluate_batch, protocol, device=device)
 
 
-def _name(config: StudyConfig) -> str:
+def _name(config: study.StudyConfig) -> str:
     """Name of a study's experiment, and so the beginning of its files' names."""
     return f"study-{config.sha256()[:16]}"
 
 
-def _summary(protocol: Protocol, folder: Path, files: Sequence[Path], about: Row) -> dict[str, Any]:
+def _summary(protocol: study.Protocol, folder: Path, files: Sequence[Path], about: Row) -> dict[str, Any]:
     config, table, rows = protocol.config, table_sha256(folder), ds.dataset([str(file) for file in files])
     yields = yields_of(rows, config.share).to_pylist()
     quantiles = quantiles_of(rows).to_pylist()
@@ -131,7 +129,7 @@ def _summary(protocol: Protocol, folder: Path, files: Sequence[Path], about: Row
     }
 
 
-def _components(protocol: Protocol, setting: Setting) -> dict[str, Any]:
+def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, Any]:
     """What the differences between arms come from in a setting that stands for its method, or why it is not known."""
     from pickenv.experiments.study_variance import components_of
 
@@ -144,36 +142,36 @@ def _components(protocol: Protocol, setting: Setting) -> dict[str, Any]:
 # The folder.
 
 
-def _claim(folder: Path, config: StudyConfig, arithmetic: str) -> None:
+def _claim(folder: Path, config: study.StudyConfig, arithmetic: str) -> None:
     """Have a folder for a study: write its configuration, or check that it holds the same one."""
     described, sha256 = folder / "study.toml", config.sha256()
     if not described.is_file():
         if (folder / ROWS).exists():
-            raise InputError(f"{folder} holds rows but no study.toml that says of what; give another --out")
+            raise InputError(f"{folder} holds rows but no study.toml that says of what; give another `folder`")
         write_text(described, f'sha256 = "{sha256}"\narithmetic = "{arithmetic}"\n{config.toml()}')
         return
-    other = study_of(folder).sha256()
-    if other != sha256:
+    recorded = study_of(folder).sha256()
+    if recorded != sha256:
         raise InputError(
-            f"{folder} holds the results of another configuration (hash {other[:12]}, this one has {sha256[:12]}); "
-            "give another --out, or that configuration to go on"
+            f"{folder} holds the results of another configuration (hash {recorded[:12]}, this one has {sha256[:12]}); "
+            "give another `folder`, or that configuration to go on"
         )
     before = toml_of(described)[0].get("arithmetic")
     if before != arithmetic:
         raise InputError(
             f"{folder} holds rows computed {before}, and rows computed {arithmetic} differ from them in the last "
-            "digits; go on with the executor that began it, or give another --out"
+            "digits; go on with the executor that began it, or give another `folder`"
         )
 
 
-def study_of(folder: str | Path) -> StudyConfig:
+def study_of(folder: str | Path) -> study.StudyConfig:
     """The configuration of a results folder, its hash computed again.
 
     Raises:
         InputError: If the folder holds no study, or another one than its hash says.
     """
     path = Path(folder) / "study.toml"
-    config, (content, _) = load_study(path), toml_of(path)
+    config, (content, _) = study.load_study(path), toml_of(path)
     recorded, sha256 = str(content.get("sha256", "")), config.sha256()
     if not recorded:
         raise InputError(f"{path} is not the record of a results folder; give another folder")
@@ -272,7 +270,8 @@ def read_summary(folder: str | Path) -> dict[str, Any]:
     Raises:
         InputError: If it is missing, damaged, edited, or of another study or other rows.
     """
-    path, again = Path(folder) / SUMMARY, f"run `pickenv study CONFIG --out {folder}` again to go on"
+    path, command = Path(folder) / SUMMARY, command_line("pickenv", "study", "CONFIG", out=folder)
+    again = f"run `{command}` again to go on"
     table = table_sha256(folder)
     summary = read_record(path, study_of(folder).sha256(), f"the study is not finished: {again}")
     if summary["table_sha256"] != table:
@@ -289,7 +288,7 @@ def write_sobol(folder: str | Path, settings: Sequence[int], samples: int) -> Pa
     from pickenv.experiments.study_variance import sobol_of
 
     config, path = study_of(folder), Path(folder) / SOBOL
-    protocol = prepared_study(config)
+    protocol = study.prepared_study(config)
     indices = {f"{number}": sobol_of(protocol, protocol.settings[number], samples) for number in settings}
     write_record(path, {"config_sha256": config.sha256(), "indices": indices})
     return path
@@ -335,8 +334,7 @@ def _fault(read: Callable[[Path], Any], folder: Path, path: Path) -> tuple[Path,
     return path, None
 
 
-# Aggregates over rows that pass through memory in batches, one group per setting. The rows are a Parquet data set of
-# any size; pyarrow's engine reads it once, in one thread and in order, so that equal rows give equal bits.
+# Yields and quantiles. The rows are a Parquet data set of any size, of which memory holds a few columns of one setting.
 
 SETTING = ("setting", "tolerances", "it_grade", "poses", "noise_mm", "noise_deg", "payload_kg", "method")
 """Columns that name a setting."""
@@ -344,22 +342,18 @@ VARIED = ("it_grade", "poses", "noise_mm", "payload_kg")
 """What a study may vary, beside tolerance class and method."""
 
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
-EXACT_ROWS = 2_000_000
-"""Rows whose values of one column are held at once, 16 MB."""
-CENTROIDS = 5_000
-"""Of each digest: a quantile's rank is then right to about one part in ten thousand."""
 
 
 def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
     """The rows in which everything that is not shown stands at its middle value; raw arms have no poses and noise."""
-    calibrated = [row for row in rows if row["method"] != RAW] or rows
+    calibrated = [row for row in rows if row["method"] != study.RAW] or rows
     middle = {}
     for name in ("tolerances", *VARIED):
         values = list(dict.fromkeys(row[name] for row in calibrated))
         middle[name] = values[(len(values) - 1) // 2]
 
     def fits(row: Row) -> bool:
-        free = ("poses", "noise_mm") if row["method"] == RAW else ()
+        free = ("poses", "noise_mm") if row["method"] == study.RAW else ()
         return all(row[name] == value for name, value in middle.items() if name not in (*shown, *free))
 
     return [row for row in rows if fits(row)]
@@ -372,93 +366,60 @@ def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:
     arm whose calibration failed is not. Shares are numbers from 0 to 1.
 
     Args:
-        rows: A study's rows, of any number; they are read in batches.
+        rows: A study's rows, of any number.
         required_share: Share of an arm's fruit that must lie within the specified radius.
 
     Returns:
         One row per setting: its columns, ``arms``, ``failed`` (arms without a result), ``within`` (arms within
         specification), ``yield`` and Wilson's 95 % interval ``yield_low``, ``yield_high``.
     """
-    within = pc.if_else(pc.field("share_within") >= required_share, 1, 0)  # a failed arm's share is NaN: not within
-    table = _grouped(
-        rows,
-        {"within": within, "lost": pc.if_else(pc.field("status") == OK, 0, 1)},
-        ("within", "hash_count", None, "arms"),
-        ("lost", "hash_sum", None, "failed"),
-        ("within", "hash_sum", None, "within"),
-    )
-    counts = zip(table["within"].to_pylist(), table["arms"].to_pylist(), strict=True)
-    shares = np.array([(k / n, *share_interval(k, n)) for k, n in counts]).reshape(-1, 3)
-    for name, values in zip(("yield", "yield_low", "yield_high"), shares.T, strict=True):
-        table = table.append_column(name, pa.array(values))
-    return table
+    table = []
+    for setting, arms in _by_setting(rows, ("status", "share_within")):
+        within = int(np.sum(arms["share_within"] >= required_share))  # a failed arm's share is NaN: not within
+        low, high = share_interval(within, len(arms))
+        counts = {"arms": len(arms), "failed": int(np.sum(arms["status"] != study.OK)), "within": within}
+        table.append(setting | counts | {"yield": within / len(arms), "yield_low": low, "yield_high": high})
+    return pa.Table.from_pylist(table)
 
 
 def quantiles_of(
-    rows: ds.Dataset,
-    columns: Sequence[str] = FIGURES,
-    probabilities: Sequence[float] = PROBABILITIES,
-    exact_rows: int = EXACT_ROWS,
+    rows: ds.Dataset, columns: Sequence[str] = study.FIGURES, probabilities: Sequence[float] = PROBABILITIES
 ) -> pa.Table:
     """Quantiles of arms' errors in every setting, failed arms left out; mm and degrees.
 
-    Up to `EXACT_ROWS` rows they are exact; beyond, t-digests (Dunning and Ertl 2019) keep memory flat. The i-th of N
-    values stands at probability (i - 1/2) / N, in both (Hazen's definition). The 95 % band, from order statistics,
+    The i-th of N values stands at probability (i - 1/2) / N (Hazen's definition). The 95 % band, from order statistics,
     needs no assumption about the distribution. Its ends are open where so few arms cannot bound the quantile: below 5 %
     and above 95 % of fewer than 72.
 
     Args:
-        rows: A study's rows, of any number; they are read in batches, one column at a time.
+        rows: A study's rows, of any number.
         columns: The error columns.
         probabilities: Which quantiles.
-        exact_rows: Rows up to which they are exact.
 
     Returns:
         One row per setting, column and probability: the setting's columns, ``quantity``, ``arms``, ``probability``,
         ``value`` and the 95 % band ``low``, ``high``; null for an end that is open, and where no arm has a result.
     """
-    judged = {"judged": pc.if_else(pc.field("status") == OK, 1, 0)}
-    settings = _grouped(rows, judged, ("judged", "hash_sum", None, "arms")).to_pylist()
-    counts = {row["arms"] for row in settings}
-    levels = {n: [(float(p), *quantile_levels(n, p)) for p in probabilities] for n in counts}
-    wanted = np.unique([level for bands in levels.values() for band in bands for level in band if level is not None])
-    aggregate, options = "hash_list", None
-    if rows.count_rows() > exact_rows:
-        aggregate, options = "hash_tdigest", pc.TDigestOptions(q=wanted.tolist(), delta=CENTROIDS)
-    quantiles: list[dict[str, Any]] = []
-    for column in columns:
-        value = {"value": pc.if_else(pc.is_nan(pc.field(column)), None, pc.field(column))}
-        table = _grouped(rows, value, ("value", aggregate, options, "values"))
-        for setting, values in zip(settings, table["values"], strict=True):
-            numbers = values.values.to_numpy(zero_copy_only=False)
-            if aggregate == "hash_list" and setting["arms"]:
-                numbers = np.quantile(numbers[~np.isnan(numbers)], wanted, method="hazen")
-            at = dict(zip(wanted.tolist(), numbers.tolist(), strict=True)) if setting["arms"] else {}
-            for probability, band in zip(probabilities, levels[setting["arms"]], strict=True):
-                ends = {name: at.get(level) for name, level in zip(("value", "low", "high"), band, strict=True)}
-                quantiles.append({**setting, "quantity": column, "probability": probability, **ends})
-    return pa.Table.from_pylist(quantiles)
+    quantiles: dict[str, list[dict[str, Any]]] = {column: [] for column in columns}
+    for setting, arms in _by_setting(rows, ("status", *columns)):
+        arms = arms.where(status=study.OK)
+        for probability in map(float, probabilities):
+            levels = zip(("value", "low", "high"), (probability, *quantile_levels(len(arms), probability)), strict=True)
+            names, places = zip(*((name, level) for name, level in levels if level is not None), strict=True)
+            for column in columns:
+                ends = np.quantile(arms[column], places, method="hazen").tolist() if len(arms) else ()
+                about = {"arms": len(arms), "quantity": column, "probability": probability}
+                band = dict.fromkeys(("value", "low", "high")) | dict(zip(names, ends, strict=False))
+                quantiles[column].append(setting | about | band)
+    return pa.Table.from_pylist([row for column in columns for row in quantiles[column]])
 
 
-def _grouped(
-    rows: ds.Dataset, columns: Mapping[str, pc.Expression], *aggregates: tuple[str, str, Any, str]
-) -> pa.Table:
-    """Aggregate computed columns per setting, in one pass and with memory that does not grow with the rows.
-
-    Args:
-        rows: A study's rows.
-        columns: What is computed of each row, by name.
-        aggregates: What is computed of those in each setting: column, pyarrow's name of the aggregate, its options, and
-            the name of the result.
-
-    Returns:
-        A table with `SETTING` and the aggregates, one row per setting, by number.
-    """
-    every = {name: pc.field(name) for name in SETTING} | dict(columns)
-    steps = [
-        acero.Declaration("scan", acero.ScanNodeOptions(rows, use_threads=False)),
-        acero.Declaration("project", acero.ProjectNodeOptions(list(every.values()), list(every))),
-        acero.Declaration("aggregate", acero.AggregateNodeOptions(list(aggregates), keys=list(SETTING))),
-    ]
-    table: pa.Table = acero.Declaration.from_sequence(steps).to_table(use_threads=False)
-    return table.sort_by("setting")
+def _by_setting(rows: ds.Dataset, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], Rows]]:
+    """Each setting, by number, with some columns of its rows."""
+    settings: dict[int, dict[str, Any]] = {}
+    for batch in rows.to_batches(columns=list(SETTING), use_threads=False):
+        groups = pa.Table.from_batches([batch]).group_by(list(SETTING), use_threads=False).aggregate([])
+        settings |= {setting["setting"]: setting for setting in groups.to_pylist()}
+    for number in sorted(settings):
+        table = rows.to_table(columns=list(columns), filter=pc.field("setting") == number, use_threads=False)
+        yield settings[number], Rows.of_arrow(table)

@@ -35,8 +35,7 @@ from scipy.stats import qmc
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.tolerances import plants_from, random_columns
 from pickenv.base import InputError, mean_interval, single_threaded, statistic_interval
-from pickenv.experiments.study import LS, RAW, Circumstances, Protocol, Setting
-from pickenv.experiments.study_arms import OK, figures
+from pickenv.experiments.study import LS, OK, RAW, Circumstances, Protocol, Setting, figures
 
 # Which share of a variance each of several independent causes makes: first-order and total indices (Saltelli 2010).
 # Row by row the figure is computed with all causes drawn once (A), all drawn again (B), and for each cause with that
@@ -60,19 +59,19 @@ def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[
     Raises:
         InputError: If nothing varies.
     """
-    whole = 0.5 * np.mean((first - second) ** 2, axis=1)
-    if not whole.any():
+    variance = 0.5 * np.mean((first - second) ** 2, axis=1)
+    if not variance.any():
         raise InputError("the figure is the same whatever is drawn; there is no variance to divide")
     # Jansen 1999: differences within a row alone, so that what the row shares drops out
-    alone, every = whole - 0.5 * np.mean((second - mixed) ** 2, axis=2), 0.5 * np.mean((first - mixed) ** 2, axis=2)
+    alone, every = variance - 0.5 * np.mean((second - mixed) ** 2, axis=2), 0.5 * np.mean((first - mixed) ** 2, axis=2)
     indices = []
-    for name, one, all_ in zip(names, alone, every, strict=True):
-        if one.mean() > all_.mean():  # by chance: both then estimate the share of a cause without interactions
-            one = all_ = 0.5 * (one + all_)
+    for name, by_itself, all_ in zip(names, alone, every, strict=True):
+        if by_itself.mean() > all_.mean():  # by chance: both then estimate the share of a cause without interactions
+            by_itself = all_ = 0.5 * (by_itself + all_)
         row: dict[str, Any] = {"group": name}
-        for key, part in (("first_order", one), ("total", all_)):
-            value = float(part.mean() / whole.mean())
-            low, high = _ends(part, whole, value)
+        for key, part in (("first_order", by_itself), ("total", all_)):
+            value = float(part.mean() / variance.mean())
+            low, high = _ends(part, variance, value)
             row |= {key: value, f"{key}_low": low, f"{key}_high": high}
         indices.append(row)
     return indices
@@ -118,19 +117,19 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
     pairs = list(zip(around, around_anew, strict=True))
     causes: dict[str, tuple[Plant, list[Circumstances]]] = {
         "arms": (arms_anew, around),
-        "fruit": (arms, [replace(one, fruit=new.fruit) for one, new in pairs]),
+        "fruit": (arms, [replace(met, fruit=new.fruit) for met, new in pairs]),
     }
     if setting.poses:
-        causes["poses"] = arms, [replace(one, poses=new.poses) for one, new in pairs]
-        causes["tracker"] = arms, [replace(one, tracker=new.tracker) for one, new in pairs]
+        causes["poses"] = arms, [replace(met, poses=new.poses) for met, new in pairs]
+        causes["tracker"] = arms, [replace(met, tracker=new.tracker) for met, new in pairs]
     every = np.stack([_log_errors(protocol, setting, *case) for case in ((arms, around), (arms_anew, around_anew))])
     mixed = np.stack([_log_errors(protocol, setting, *case) for case in causes.values()])
-    judged = np.isfinite(every).all(axis=0) & np.isfinite(mixed).all(axis=0)
-    if judged.sum() < LEAST_ARMS:
-        raise InputError(f"only {judged.sum()} of {count} arms can be judged, too few to divide their variance")
-    first, second = every[:, judged, None]
-    rows = variance_indices(first, second, mixed[:, judged, None], list(causes))
-    return [row | {"arms": int(judged.sum())} for row in rows]
+    finite = np.isfinite(every).all(axis=0) & np.isfinite(mixed).all(axis=0)
+    if finite.sum() < LEAST_ARMS:
+        raise InputError(f"only {finite.sum()} of {count} arms can be judged, too few to divide their variance")
+    first, second = every[:, finite, None]
+    rows = variance_indices(first, second, mixed[:, finite, None], list(causes))
+    return [row | {"arms": int(finite.sum())} for row in rows]
 
 
 def _log_errors(protocol: Protocol, setting: Setting, arms: Plant, around: Sequence[Circumstances]) -> Array:
@@ -172,10 +171,10 @@ def tolerance_groups(design: Plant) -> dict[str, list[int]]:
     """Columns of an arm's even random numbers by group; effects that the design has not are left out."""
     columns, n = random_columns(design), design.arm.nominal.joints
     alpha, a, theta, d = (list(columns["geometry"][k * n : (k + 1) * n]) for k in range(4))
-    own = {name.replace("_", " "): (name, (f"own {name}",)) for name in design.names if f"own {name}" in columns}
+    foreign = {name.replace("_", " "): (name, (f"own {name}",)) for name in design.names if f"own {name}" in columns}
     effects = {
         group: [i for key in keys for i in columns[key]]
-        for group, (name, keys) in ({**GROUPS, **own}).items()
+        for group, (name, keys) in ({**GROUPS, **foreign}).items()
         if design.effect(name) is not None
     }
     return {"angles": alpha + theta, "lengths": a + d, **effects}
@@ -211,9 +210,9 @@ def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[st
         return protocol.circumstances(protocol.config.arms + row).perfect
 
     def squared_error(even: Array, rows: NDArray[np.int64]) -> Array:
-        whole = np.full((len(even), every), 0.5)
-        whole[:, active] = even
-        plants = plants_from(protocol.design, tolerances, whole)
+        numbers = np.full((len(even), every), 0.5)
+        numbers[:, active] = even
+        plants = plants_from(protocol.design, tolerances, numbers)
         outcomes = judge_batch(protocol, setting, plants, [around(row) for row in rows.tolist()])
         for status in outcomes.status:
             if status != OK:
@@ -308,10 +307,10 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
     for level, group_of in (("parameter", parameter_of), ("kind", tolerance_kind)):
         for i, name in enumerate(names):
             groups.setdefault((level, group_of(name)), []).append(i)
-    places, whole = list(groups.values()), sums.sum(axis=0)
+    places, sums_of_all = list(groups.values()), sums.sum(axis=0)
     with single_threaded():  # small systems: threads would only wait for one another
-        every = _regressed(whole, places)
-        left_out = [_regressed(whole - block, places) for block in sums if block[0, 0]]
+        every = _regressed(sums_of_all, places)
+        left_out = [_regressed(sums_of_all - block, places) for block in sums if block[0, 0]]
     blocks, chance = len(left_out), _share_by_chance(every, left_out, places, arms)
     about = {"r2": every.r2, "r2_adjusted": 1.0 - (1.0 - every.r2) * (arms - 1) / (arms - terms), "arms": arms}
     squares = np.array([part.mean_square for part in left_out])
@@ -362,10 +361,10 @@ def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
         error in mm^2, where x is the deviation minus its mean, over its standard deviation.
     """
     names = [name for name in rows.schema.names if DEVIATION.fullmatch(name)]
-    judged = (pc.field("setting") == setting) & (pc.field("status") == OK)
+    selection = (pc.field("setting") == setting) & (pc.field("status") == OK)
 
     def batches(columns: Sequence[str]) -> Any:
-        for batch in rows.to_batches(columns=list(columns), filter=judged, use_threads=False):
+        for batch in rows.to_batches(columns=list(columns), filter=selection, use_threads=False):
             if batch.num_rows:
                 yield [batch[name].to_numpy(zero_copy_only=False) for name in columns]
 

@@ -18,7 +18,7 @@ from pickenv.agents.evaluation.contenders import load_any
 from pickenv.arm import load_plant
 from pickenv.base import write_text
 from pickenv.experiments import CalibrationPlan, PolicySettings, calibrate_arm, evaluation_rows, run_policies
-from pickenv.experiments.policy_tables import interval_words, with_interval
+from pickenv.experiments.engine import interval_words, with_interval
 
 SEEDS = 5
 CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0, "fruit_noise_mm": 0.0}

@@ -15,7 +15,7 @@ from pickenv.agents.evaluation.contenders import load_any
 from pickenv.agents.policies.learned import FORMAT
 from pickenv.arm import load_arm
 from pickenv.base import InputError, read_container, write_container
-from pickenv.base.sealed import seal
+from pickenv.base.container import seal
 from pickenv.experiments import PolicySettings, evaluation_rows, run_policies
 from pickenv.wrappers import GapScaling, Scaling
 

@@ -8,7 +8,7 @@ import typer
 from hypothesis import HealthCheck, assume, given, settings, strategies as st
 
 from pickenv import cli
-from pickenv.commands.guard import BAD_INPUT, guarded
+from pickenv.commands import guard
 
 NAMES = ("calibrate", "apply", "verify", "plan-poses", "twin")
 
@@ -38,7 +38,7 @@ def _refused(
     arm = ["--arm", "qiao2026"] if any("--arm" in p.opts for p in command.params) else []
     monkeypatch.chdir(folder)
     monkeypatch.setattr("sys.argv", ["pickenv", words[0], *missing, *arm, *words[1:]])
-    assert guarded(cli._run) == BAD_INPUT
+    assert guard.guarded(cli._run) == guard.BAD_INPUT
     sentence = capsys.readouterr().err
     assert sentence.count("error:") == 1
     assert not list(folder.iterdir())

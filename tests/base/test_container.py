@@ -20,14 +20,14 @@ from pickenv.base import (
     InputError,
     check_sealed_parquet,
     code_fingerprint,
+    container,
     container as module,
     parquet_is_sealed,
     read_container,
+    seal,
     sealed_parquet,
     write_container,
 )
-from pickenv.base.container import HEADER, Container
-from pickenv.base.sealed import seal
 
 ARRAYS = {
     "poses/position": np.random.default_rng(0).normal(size=(40, 3)),
@@ -46,7 +46,7 @@ KINDS_OF_NUMBERS = st.one_of(
 )
 
 
-def read(path: Path, kind: str | None = "robot", **further) -> Container:
+def read(path: Path, kind: str | None = "robot", **further) -> container.Container:
     return read_container(path, kind, remake="make it anew", **further)
 
 
@@ -74,9 +74,9 @@ def forge(
     """The file again with another header or other members, under a seal that holds."""
     with zipfile.ZipFile(path) as archive:
         parts = {name: archive.read(name) for name in archive.namelist()}
-    header = json.loads(parts[HEADER])
+    header = json.loads(parts[container.HEADER])
     change(header)
-    parts[HEADER] = json.dumps(header).encode()
+    parts[container.HEADER] = json.dumps(header).encode()
     resealed(path, members(parts), **write)
 
 
@@ -230,11 +230,11 @@ np.save(OBJECTS, np.array([{"a": 1}], dtype=object), allow_pickle=True)
         (lambda p: forge(p, lambda h: h.update(version=float("inf"))), "is damaged"),
         (lambda p: forge(p, lambda h: h.update(header=None)), "is damaged"),
         (lambda p: forge(p, lambda h: h.update(arrays=[])), "is damaged"),
-        (lambda p: forge(p, members=lambda m: m | {HEADER: b"[" * 1_000_000}), "is damaged"),
-        (lambda p: forge(p, members=lambda m: m | {HEADER: b'{"schema":' * 1_000_00}), "is damaged"),
-        (lambda p: forge(p, members=lambda m: m | {HEADER: b"9" * 5000}), "is damaged"),
-        (lambda p: forge(p, members=lambda m: m | {HEADER: b"\xff{}"}), "is damaged"),
-        (lambda p: forge(p, members=lambda m: m | {HEADER: b" " * (module.HEADER_LIMIT + 1)}), "too long"),
+        (lambda p: forge(p, members=lambda m: m | {container.HEADER: b"[" * 1_000_000}), "is damaged"),
+        (lambda p: forge(p, members=lambda m: m | {container.HEADER: b'{"schema":' * 1_000_00}), "is damaged"),
+        (lambda p: forge(p, members=lambda m: m | {container.HEADER: b"9" * 5000}), "is damaged"),
+        (lambda p: forge(p, members=lambda m: m | {container.HEADER: b"\xff{}"}), "is damaged"),
+        (lambda p: forge(p, members=lambda m: m | {container.HEADER: b" " * (module.HEADER_LIMIT + 1)}), "too long"),
         (lambda p: forge(p, damage=encrypted), "encrypted or packed in an unknown way"),
         (lambda p: forge(p, damage=compression_99), "encrypted or packed in an unknown way"),
         (lambda p: forge(p, method=zipfile.ZIP_LZMA), "encrypted or packed in an unknown way"),

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.base import EXTRAS, InputError, extra_of, require
-from pickenv.base.extras import missing
+from pickenv.base import EXTRAS, InputError, extra_of, extras, require
 
 ROOT = Path(__file__).parents[2]
 
@@ -137,7 +136,7 @@ def test_what_is_there_is_not_missed(monkeypatch: pytest.MonkeyPatch) -> None:
         require("numpy")
     assert extra_of("torch.nn") == "learn"
     assert extra_of("scipy") is None
-    assert isinstance(missing("cv2"), InputError)
+    assert isinstance(extras.missing("cv2"), InputError)
 
 
 def test_a_face_hides_no_other_error(tmp_path: Path) -> None:

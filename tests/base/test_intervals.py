@@ -6,8 +6,18 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
-from pickenv.base import clustered_share_interval, mean_interval, quantile_levels, share_interval, statistic_interval
-from pickenv.base.intervals import LEAST, LEAST_RUNS, crossed_interval, pseudo_values, quantile_interval
+from pickenv.base import (
+    LEAST,
+    LEAST_RUNS,
+    clustered_share_interval,
+    crossed_interval,
+    intervals,
+    mean_interval,
+    quantile_interval,
+    quantile_levels,
+    share_interval,
+    statistic_interval,
+)
 
 VALUES = arrays(float, st.integers(LEAST, 40), elements=st.floats(-100, 100)).filter(lambda x: np.ptp(x) > 1e-3)
 
@@ -64,7 +74,7 @@ def test_one_value_per_arm_is_asked_for() -> None:
 
 @given(VALUES)
 def test_pseudo_values_of_a_mean_are_the_values(x: np.ndarray) -> None:
-    np.testing.assert_allclose(pseudo_values(x, np.mean), x, atol=1e-9)
+    np.testing.assert_allclose(intervals.pseudo_values(x, np.mean), x, atol=1e-9)
     assert statistic_interval(x, np.mean) == pytest.approx(mean_interval(x), abs=1e-9)
 
 

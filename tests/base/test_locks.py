@@ -17,7 +17,7 @@ ROOT = Path(__file__).parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
 HOLD = """
 import sys
-from pickenv.base.locks import locked
+from pickenv.base import locked
 with locked(sys.argv[1]):
     print("locked", flush=True)
     sys.stdin.read()
@@ -86,7 +86,7 @@ def test_what_the_owner_calls_may_lock_again_and_does_not_unlock(tmp_path: Path)
     with locked(tmp_path):
         with locked(tmp_path / ".." / tmp_path.name):
             pass
-        code = f"from pickenv.base.locks import locked\nwith locked({str(tmp_path)!r}): pass"
+        code = f"from pickenv.base import locked\nwith locked({str(tmp_path)!r}): pass"
         done = subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, capture_output=True, text=True)
         assert f"process {os.getpid()}" in done.stderr
 

@@ -9,14 +9,13 @@ from pathlib import Path
 import pytest
 
 from pickenv.base import InputError, register, registry
-from pickenv.base.registry import Origin, get, names, origin
 
 
 @pytest.fixture(autouse=True)
 def door(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """What a test registers or imports is forgotten afterwards."""
     for kind in registry.KINDS:
-        names(kind)  # what ships registers itself once, when it is imported
+        registry.names(kind)  # what ships registers itself once, when it is imported
     modules = set(sys.modules)
     monkeypatch.setattr(registry, "_entries", {kind: dict(entries) for kind, entries in registry._entries.items()})
     yield
@@ -50,21 +49,21 @@ POINTS = "[pickenv.residual]\nforest = stranger_forest:Forest\n"
 
 def test_a_package_is_imported_when_its_name_is_asked_for(install: Install) -> None:
     install("forest-for-pickenv", "1.2", "stranger_forest", FOREST, POINTS)
-    assert names("residual")[-1] == "forest"
-    assert origin("residual", "forest") == Origin("forest-for-pickenv", "1.2")
+    assert registry.names("residual")[-1] == "forest"
+    assert registry.origin("residual", "forest") == registry.Origin("forest-for-pickenv", "1.2")
     assert "stranger_forest" not in sys.modules
-    assert get("residual", "forest").__name__ == "Forest"
-    assert get("residual", "forest", package="forest-for-pickenv", version="1.1").__name__ == "Forest"
-    assert origin("residual", "forest") == Origin("forest-for-pickenv", "1.2")
+    assert registry.get("residual", "forest").__name__ == "Forest"
+    assert registry.get("residual", "forest", package="forest-for-pickenv", version="1.1").__name__ == "Forest"
+    assert registry.origin("residual", "forest") == registry.Origin("forest-for-pickenv", "1.2")
 
 
 def test_what_ships_comes_first_and_others_are_sorted() -> None:
     for kind in registry.KINDS:
-        own = [name for name in names(kind) if origin(kind, name).package == "pickenv"]
-        others = set(names(kind)) - set(own)
+        own = [name for name in registry.names(kind) if registry.origin(kind, name).package == "pickenv"]
+        others = set(registry.names(kind)) - set(own)
         register(kind, "zebra")(Path)
         register(kind, "aardvark")(Path)
-        assert own and names(kind) == (*own, *sorted({*others, "aardvark", "zebra"}))
+        assert own and registry.names(kind) == (*own, *sorted({*others, "aardvark", "zebra"}))
 
 
 def test_code_of_no_package_says_its_module() -> None:
@@ -72,8 +71,8 @@ def test_code_of_no_package_says_its_module() -> None:
     def lazy() -> None:
         """Do nothing."""
 
-    assert origin("policy", "lazy") == Origin("", "", lazy.__module__)
-    assert get("policy", "lazy", module=lazy.__module__) is lazy
+    assert registry.origin("policy", "lazy") == registry.Origin("", "", lazy.__module__)
+    assert registry.get("policy", "lazy", module=lazy.__module__) is lazy
 
 
 @pytest.mark.parametrize("name", ["", "two words", "a.b", "naïve", "a/b", "../up"])
@@ -83,7 +82,11 @@ def test_a_name_is_a_word(name: str) -> None:
 
 
 def test_an_unknown_kind_is_refused() -> None:
-    for ask in (lambda: register("engine", "v8"), lambda: names("engine"), lambda: get("engine", "v8")):
+    for ask in (
+        lambda: register("engine", "v8"),
+        lambda: registry.names("engine"),
+        lambda: registry.get("engine", "v8"),
+    ):
         with pytest.raises(InputError, match="there is no kind 'engine' of extension; give one of arm_format, instru"):
             ask()
 
@@ -102,30 +105,30 @@ def test_a_name_that_another_package_holds_is_refused(install: Install) -> None:
 def test_a_package_may_register_itself_again(install: Install) -> None:
     source = f"import pickenv\n@pickenv.register('residual', 'forest')\n{FOREST}"
     install("forest-for-pickenv", "1.2", "stranger_forest", source, POINTS)
-    assert get("residual", "forest").__name__ == "Forest"
-    assert origin("residual", "forest") == Origin("forest-for-pickenv", "1.2")
+    assert registry.get("residual", "forest").__name__ == "Forest"
+    assert registry.origin("residual", "forest") == registry.Origin("forest-for-pickenv", "1.2")
 
 
 def test_two_packages_of_one_name_are_refused_only_when_asked_for(install: Install) -> None:
     install("forest-for-pickenv", "1.2", "stranger_forest", FOREST, POINTS)
     install("wood", "2.0", "stranger_wood", FOREST, POINTS.replace("stranger_forest", "stranger_wood"))
-    assert names("residual").count("forest") == 1
+    assert registry.names("residual").count("forest") == 1
     with pytest.raises(InputError, match=r"by the package wood 2\.0 and by the package forest-for-pickenv 1\.2"):
-        get("residual", "forest")
+        registry.get("residual", "forest")
 
 
 def test_a_broken_package_breaks_itself_alone(install: Install) -> None:
     install("forest-for-pickenv", "1.2", "stranger_forest", "import nothing_of_this_name", POINTS)
-    assert "forest" in names("residual")
+    assert "forest" in registry.names("residual")
     message = r"'forest' of the package forest-for-pickenv 1\.2 cannot be loaded \(ModuleNotFoundError: .*\); mend or"
     with pytest.raises(InputError, match=message):
-        get("residual", "forest")
+        registry.get("residual", "forest")
 
 
 def test_what_is_absent_is_refused_with_what_there_is() -> None:
     register("gripper", "claw")(Path)
     with pytest.raises(InputError, match=r"there is no gripper 'claws'; give one of .*claw"):
-        get("gripper", "claws")
+        registry.get("gripper", "claws")
 
 
 def test_what_a_file_needs_is_refused_with_its_package(install: Install) -> None:
@@ -134,25 +137,25 @@ def test_what_a_file_needs_is_refused_with_its_package(install: Install) -> None
         r"pip install forest-for-pickenv$"
     )
     with pytest.raises(InputError, match=message):
-        get("residual", "forest", package="forest-for-pickenv", version="1.2")
+        registry.get("residual", "forest", package="forest-for-pickenv", version="1.2")
     with pytest.raises(InputError, match="comes from the module fit_forest, which is of no package: import it first"):
-        get("residual", "forest", module="fit_forest")
+        registry.get("residual", "forest", module="fit_forest")
     install("forest-for-pickenv", "1.3", "stranger_forest", FOREST, "")
     with pytest.raises(InputError, match=r"another version that lacks it: pip install forest-for-pickenv==1\.2"):
-        get("residual", "forest", package="forest-for-pickenv", version="1.2")
+        registry.get("residual", "forest", package="forest-for-pickenv", version="1.2")
 
 
 def test_what_a_file_needs_is_not_taken_from_another_package(install: Install) -> None:
     install("wood", "2.0", "stranger_wood", FOREST, POINTS.replace("stranger_forest", "stranger_wood"))
     with pytest.raises(InputError, match=r"comes from the package forest-for-pickenv 1\.2, but here from .* wood 2\.0"):
-        get("residual", "forest", package="forest-for-pickenv", version="1.2")
+        registry.get("residual", "forest", package="forest-for-pickenv", version="1.2")
 
 
 def test_packages_that_extend_are_named_with_their_versions(install: Install) -> None:
     before = registry.packages()
     install("forest-for-pickenv", "1.2", "stranger_forest", FOREST, POINTS)
     assert registry.packages() == before | {"forest-for-pickenv": "1.2"}
-    kind = get("residual", "forest")
+    kind = registry.get("residual", "forest")
     assert registry.registered_as(kind) == ("residual", "forest") and registry.registered_as(Path) is None
 
 
@@ -164,5 +167,5 @@ def test_what_cannot_be_loaded_is_left_aside_with_a_warning(install: Install) ->
         "greedy", "1.0", "stranger_greedy", FOREST, POINTS.replace("forest = stranger_forest", "gp = stranger_greedy")
     )
     with pytest.warns(UserWarning, match="'gp' of the package greedy 1.0 is left aside: pickenv ships that name"):
-        names("residual")
-    assert origin("residual", "gp").package == "pickenv"
+        registry.names("residual")
+    assert registry.origin("residual", "gp").package == "pickenv"

@@ -12,12 +12,12 @@ from typer.testing import CliRunner
 from pickenv.arm.files.arm_file import ARMS
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.arm.plant.tolerances import TOLERANCES
-from pickenv.base import DEG, MM, NUMBER, WHOLE, InputError, Key, Unit, json_schema, read_toml, toml_faults, toml_table
-from pickenv.base.toml_faults import line_of
+from pickenv.base import DEG, MM, NUMBER, WHOLE, InputError, Key, Unit, json_schema, read_toml, toml_table, toml_tables
+from pickenv.base.toml_tables import line_of
 from pickenv.calibration.camera import boards
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.cli import app
-from pickenv.commands.schema import kinds
+from pickenv.commands.check import kinds
 from pickenv.harvester import machine, trees, zones
 from pickenv.orchard import preset_files
 
@@ -160,11 +160,11 @@ def test_the_command_prints_a_schema_and_names_the_kinds() -> None:
 def test_a_fault_behind_very_much_text_is_named_without_much_reading(monkeypatch: pytest.MonkeyPatch) -> None:
     """Comments are no keys; a file that names the key again and again is given up, and loses the line alone."""
     read: list[int] = []
-    whole = toml_faults._parsed
-    monkeypatch.setattr(toml_faults, "_parsed", lambda text: read.append(len(text)) or whole(text))
+    whole = toml_tables._parsed
+    monkeypatch.setattr(toml_tables, "_parsed", lambda text: read.append(len(text)) or whole(text))
     text = "# length_mm\n" * 5000 + "length_mm = 1"
     assert line_of(text, ["length_mm"]) == 5001 and len(read) == 1
     read.clear()
     text = "\n".join(f"x{i} = 'length_mm'" for i in range(5000)) + "\nlength_mm = 1"
     assert line_of(text, ["length_mm"]) is None
-    assert sum(read) <= toml_faults.MOST_READ
+    assert sum(read) <= toml_tables.MOST_READ

@@ -10,8 +10,16 @@ import pytest
 from scipy.stats import norm
 
 from pickenv.arm.plant.iso9283 import CYCLES, _pose_performance
-from pickenv.base import clustered_share_interval, mean_interval, share_interval, statistic_interval
-from pickenv.base.intervals import LEAST, LEAST_RUNS, crossed_interval, quantile_interval
+from pickenv.base import (
+    LEAST,
+    LEAST_RUNS,
+    clustered_share_interval,
+    crossed_interval,
+    mean_interval,
+    quantile_interval,
+    share_interval,
+    statistic_interval,
+)
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from pickenv.base.intervals import LEAST, LEAST_RUNS, MANY
+from pickenv.base import LEAST, LEAST_RUNS, intervals
 from pickenv.experiments import compensations_compared, evaluation_rows
 from pickenv.orchard import capture_probability, load_gripper
 from tests.experiments.synthetic import FRUIT, SETTINGS, rows_of
@@ -48,7 +48,7 @@ def test_errors_over_arms(repeats: Any, key: str, count: int) -> None:
 
 
 @pytest.mark.parametrize("typical_mm", [4.0, 15.0, 30.0])
-@pytest.mark.parametrize(("arms", "most"), [(LEAST, 1.0), (MANY, 0.97), (64, 0.97)])
+@pytest.mark.parametrize(("arms", "most"), [(LEAST, 1.0), (intervals.MANY, 0.97), (64, 0.97)])
 def test_success_over_arms(repeats: Any, arms: int, most: float, typical_mm: float) -> None:
     """Chances vary less than tries, so that few arms have intervals on the safe side."""
     truth = chance_of_the_hand(typical_mm)

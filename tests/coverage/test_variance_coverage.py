@@ -14,7 +14,6 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.experiments import sensitivities_of, study_variance
-from pickenv.experiments.study_variance import ARMS_PER_TERM, LEAST_SAMPLES, SAMPLES, sobol_indices, variance_indices
 
 DEVIATIONS = 24
 SLOPES = {0: (1.0, 0.5), 1: (0.5, 0.8), 2: (0.3, 0.0), 3: (0.1, 0.2), 12: (0.2, 0.0)}
@@ -22,7 +21,7 @@ SLOPES = {0: (1.0, 0.5), 1: (0.5, 0.8), 2: (0.3, 0.0), 3: (0.1, 0.2), 12: (0.2, 
 NAMES = [f"delta_a{i}_mm" if i < 12 else f"delta_alpha{i}_deg" for i in range(DEVIATIONS)]
 EXPLAINED = {i: b**2 / 3 + c**2 * 4 / 45 for i, (b, c) in SLOPES.items()}
 WHOLE = 2.0 * sum(EXPLAINED.values())  # half of it is scatter
-ARMS = {"default": 1000, "smallest": ARMS_PER_TERM * (2 * DEVIATIONS + 1)}
+ARMS = {"default": 1000, "smallest": study_variance.ARMS_PER_TERM * (2 * DEVIATIONS + 1)}
 
 
 def shares(rng: np.random.Generator, arms: int) -> dict[str, dict[str, Any]]:
@@ -65,7 +64,7 @@ def test_shares(repeats: Any, arms: int) -> None:
 ISHIGAMI = {"first_order": (0.3139, 0.4424, 0.0), "total": (0.5576, 0.4424, 0.2437)}
 
 
-@pytest.mark.parametrize("samples", [LEAST_SAMPLES, SAMPLES])
+@pytest.mark.parametrize("samples", [study_variance.LEAST_SAMPLES, study_variance.SAMPLES])
 def test_sobol_indices(repeats: Any, samples: int) -> None:
     def model(even: np.ndarray, _rows: np.ndarray) -> np.ndarray:
         x = np.pi * (2 * even - 1)
@@ -74,7 +73,7 @@ def test_sobol_indices(repeats: Any, samples: int) -> None:
     times, rng = (2000 if repeats.full else 60), np.random.default_rng(20261124)
     held = {key: np.zeros(3) for key in ISHIGAMI}
     for _ in range(times):
-        rows = sobol_indices(model, {"x1": [0], "x2": [1], "x3": [2]}, samples, rng)
+        rows = study_variance.sobol_indices(model, {"x1": [0], "x2": [1], "x3": [2]}, samples, rng)
         for key, truth in ISHIGAMI.items():
             held[key] += [r[f"{key}_low"] <= t <= r[f"{key}_high"] for r, t in zip(rows, truth, strict=True)]
     chance = (2.0 if repeats.full else 3.0) * np.sqrt(0.05 * 0.95 / times)
@@ -91,7 +90,7 @@ def test_components(repeats: Any, arms: int) -> None:
         a, f, p = rng.normal(size=(3, 2, arms, 1))
         value = lambda i, j, k, a=a, f=f, p=p: 2 * a[i] + np.sqrt(2) * f[j] + p[k] + f[j] * p[k]  # noqa: E731
         mixed = np.stack([value(1, 0, 0), value(0, 1, 0)])
-        one, other = variance_indices(value(0, 0, 0), value(1, 1, 1), mixed, ["arms", "fruit"])
+        one, other = study_variance.variance_indices(value(0, 0, 0), value(1, 1, 1), mixed, ["arms", "fruit"])
         held += [
             one["first_order_low"] <= 0.5 <= one["first_order_high"],
             other["total_low"] <= 0.375 <= other["total_high"],

@@ -20,8 +20,7 @@ from pickenv.envs import PickEnv, ReachEnv, ReachGoalEnv, ReachGoalVectorEnv, Re
 from pickenv.envs.harvesting import harvest_task
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
 from pickenv.experiments import StudyConfig
-from pickenv.experiments.study import RAW, Noise, prepared_study
-from pickenv.experiments.study_arms import chunk_rows, evaluate_arm
+from pickenv.experiments.study import RAW, Noise, chunk_rows, evaluate_arm, prepared_study
 from pickenv.experiments.study_batched import judge_batch
 from pickenv.harvester.picking import attempt, draw_luck
 from pickenv.orchard import capture_probability

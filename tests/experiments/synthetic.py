@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.experiments import PolicySettings, Rows
-from pickenv.experiments.engine import joined
+from pickenv.experiments import PolicySettings, Rows, joined
 from pickenv.orchard import capture_probability, load_gripper
 
 FRUIT = np.linspace(0.5, 1.5, 8)

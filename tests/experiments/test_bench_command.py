@@ -12,7 +12,7 @@ import pytest
 from pickenv.arm import Pose, rotation_matrix
 from pickenv.base import InputError, write_text
 from pickenv.commands.check import findings_of
-from pickenv.experiments import check_experiment, robots
+from pickenv.experiments import BenchSettings, check_experiment, robots, run_bench
 from pickenv.experiments.gains import MEASURED, NOMINAL
 from pickenv.experiments.robot_tables import bench_json, bench_page, blocked_json
 from pickenv.experiments.robots import (
@@ -21,13 +21,11 @@ from pickenv.experiments.robots import (
     PEERS,
     QUICK,
     ROWS,
-    BenchSettings,
     Peer,
     homogeneous,
     judged_peer,
     last_words,
     peer_python,
-    run_bench,
 )
 from pickenv.inspect.runs.run_folder import listed_files
 

@@ -15,8 +15,7 @@ from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_array_equal
 
 from pickenv.base import InputError
-from pickenv.experiments import Experiment, Rows, check_experiment, keep, kept_rows, run
-from pickenv.experiments.engine import RECORD
+from pickenv.experiments import Experiment, Rows, check_experiment, engine, keep, kept_rows, run
 
 ARMS, METHODS = range(3), ("raw", "ls")
 
@@ -169,16 +168,16 @@ def damaged(path, how):
 def test_every_damage_of_a_folder_is_noticed(which, how, tmp_path):
     files = keep(experiment(), tmp_path)
     assert all(reason is None for _, reason in check_experiment(tmp_path))
-    damaged(tmp_path / RECORD if which == "record" else files[2], how)
+    damaged(tmp_path / engine.RECORD if which == "record" else files[2], how)
     assert any(reason is not None for _, reason in check_experiment(tmp_path))
 
 
 def test_a_damaged_record_is_made_anew(tmp_path):
     keep(experiment(), tmp_path)
-    damaged(tmp_path / RECORD, "changed")
+    damaged(tmp_path / engine.RECORD, "changed")
     said = []
     assert_same(run(experiment(), tmp_path, warn=said.append), run(experiment()))
-    assert said == [f"{tmp_path / RECORD} is damaged and is made anew"]
+    assert said == [f"{tmp_path / engine.RECORD} is damaged and is made anew"]
     assert all(reason is None for _, reason in check_experiment(tmp_path))
 
 
@@ -231,7 +230,7 @@ def dying(marks, number):
 def test_pieces_of_a_process_that_dies_are_tried_again(tmp_path):
     from functools import partial
 
-    from pickenv.experiments.engine import spread
+    from pickenv.experiments import spread
 
     done = dict(spread(partial(dying, str(tmp_path)), range(2), "loky", 2))
     assert done == {0: 0, 1: 1}

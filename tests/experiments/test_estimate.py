@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.stats import trim_mean
 
-from pickenv.base import clustered_share_interval, interquartile_estimate, mean_interval
-from pickenv.base.intervals import crossed_interval
+from pickenv.base import clustered_share_interval, crossed_interval, interquartile_estimate, mean_interval
 from pickenv.experiments import Rows, estimate
 
 ARMS, FRUIT = 12, 5

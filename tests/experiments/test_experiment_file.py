@@ -9,8 +9,7 @@ import pytest
 
 from pickenv.base import InputError
 from pickenv.cli import app
-from pickenv.experiments import run
-from pickenv.experiments.experiment_file import load_experiment, number_table, plain_estimates
+from pickenv.experiments import experiment_file, load_experiment, run
 
 ROOT = Path(__file__).parents[2]
 STUDIES = sorted(path for path in (ROOT / "scripts/studies").glob("*.toml"))
@@ -112,8 +111,8 @@ def test_quick_and_changes_take_the_places_of_what_the_file_says(file):
 def test_screens_and_json_say_the_same_numbers(file):
     found = load_experiment(file)
     tables = found.estimates(run(found.experiment))
-    for number, table, plain in zip(found.numbers, tables, plain_estimates(tables), strict=True):
-        heads, cells = number_table(number, table["rows"])
+    for number, table, plain in zip(found.numbers, tables, experiment_file.plain_estimates(tables), strict=True):
+        heads, cells = experiment_file.number_table(number, table["rows"])
         shown = [
             float(re.match(r"[+-]?[\d.]+", cell)[0]) for line in cells for cell in line if re.match(r"[+-]?\d", cell)
         ]

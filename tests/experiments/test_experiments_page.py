@@ -37,7 +37,7 @@ def test_the_page_in_python_prints_a_paired_change(tmp_path):
 def test_every_key_of_a_file_stands_on_the_page():
     from dataclasses import fields
 
-    from pickenv.experiments.experiment_file import Number
+    from pickenv.experiments import experiment_file
 
-    known = {field.name for field in fields(Number)} - {"title"}
+    known = {field.name for field in fields(experiment_file.Number)} - {"title"}
     assert all(f"`{name}`" in PAGE for name in known | {"measure", "quick", "fits", "figures"})

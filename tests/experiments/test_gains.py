@@ -9,10 +9,10 @@ from scipy import stats
 from pickenv.arm import forward, load_arm
 from pickenv.base import InputError, statistic_interval
 from pickenv.calibration import Measurements
-from pickenv.experiments import Rows, robots
+from pickenv.experiments import SETS, Rows, robots
 from pickenv.experiments.gains import LS, NOMINAL, TERMS, left_by_models
 from pickenv.experiments.robot_tables import agreement
-from pickenv.experiments.robots import BEFORE, SETS, folds_of, gains_of, judged_fold, learnable, predicted_gain
+from pickenv.experiments.robots import BEFORE, folds_of, gains_of, judged_fold, learnable, predicted_gain
 
 MODELS = (NOMINAL, *BEFORE)
 

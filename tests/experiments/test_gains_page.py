@@ -7,9 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.experiments.gains import LEARNT, LS, MEASURED, measured_gains
-from pickenv.experiments.robot_tables import GAIN_HEADS, HELD
-from pickenv.experiments.robots import BEFORE, GAINS, SETS
+from pickenv.experiments import SETS, gains, measured_gains, robot_tables, robots
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/twin.md").read_text(encoding="utf-8")
@@ -19,7 +17,7 @@ POINTS, SIGNS = 8.0, 0.8
 
 def rows() -> list[list[str]]:
     lines = PAGE.splitlines()
-    begin = lines.index(f"| {' | '.join(GAIN_HEADS)} |") + 2
+    begin = lines.index(f"| {' | '.join(robot_tables.GAIN_HEADS)} |") + 2
     table = lines[begin : begin + next(i for i, line in enumerate(lines[begin:]) if not line)]
     return [[cell.strip() for cell in line.strip("|").split("|")] for line in table]
 
@@ -31,11 +29,11 @@ def share(cell: str) -> tuple[float, float, float]:
 
 
 def test_every_model_stands_for_every_robot_and_split_that_is_shown() -> None:
-    known = {(SETS[name].robot, HELD[split]) for name, split in GAINS.values()}
+    known = {(SETS[name].robot, robot_tables.HELD[split]) for name, split in robots.GAINS.values()}
     shown = [(robot, held) for robot, held, *_ in rows()]
     assert set(shown) <= known
-    assert [model for _, _, model, *_ in rows()] == list(BEFORE) * (len(shown) // len(BEFORE))
-    assert len({robot for robot, held in shown if held == HELD["blocks"]}) >= 5
+    assert [model for _, _, model, *_ in rows()] == list(robots.BEFORE) * (len(shown) // len(robots.BEFORE))
+    assert len({robot for robot, held in shown if held == robot_tables.HELD["blocks"]}) >= 5
 
 
 def test_differences_and_shares_are_those_of_the_figures_beside_them() -> None:
@@ -49,18 +47,18 @@ def test_differences_and_shares_are_those_of_the_figures_beside_them() -> None:
 def test_twins_predict_as_well_as_is_asked() -> None:
     apart = [abs(float(row[-1])) for row in rows()]
     assert np.median(apart) <= POINTS
-    learnt = [row for row in rows() if row[1] == HELD["blocks"] and row[2] in LEARNT]
+    learnt = [row for row in rows() if row[1] == robot_tables.HELD["blocks"] and row[2] in gains.LEARNT]
     assert len(learnt) >= 10
     assert np.mean([(share(row[5])[0] > 0.0) == (share(row[6])[0] > 0.0) for row in learnt]) >= SIGNS
 
 
-@pytest.mark.parametrize("model", [f"{LS} + terms", f"{LS} + BPNN", f"{LS} + GP"])
+@pytest.mark.parametrize("model", [f"{gains.LS} + terms", f"{gains.LS} + BPNN", f"{gains.LS} + GP"])
 def test_the_demonstrations_measured_arms_are_those_of_the_page(model: str) -> None:
-    blocks = [row for row in rows() if row[1] == HELD["blocks"] and row[2] == model]
+    blocks = [row for row in rows() if row[1] == robot_tables.HELD["blocks"] and row[2] == model]
     assert [(arm.arm, f"{arm.ls_mm:.3f}") for arm in measured_gains(model)] == [(row[0], row[3]) for row in blocks]
     for arm, row in zip(measured_gains(model), blocks, strict=True):
         assert [100 * arm.removed, 100 * arm.lowest, 100 * arm.highest] == pytest.approx(share(row[6]))
-    content = json.loads(MEASURED.read_text(encoding="utf-8"))
+    content = json.loads(gains.MEASURED.read_text(encoding="utf-8"))
     used = [
         f"{a['arm']} {a['rows']}" + f" of {a['rows_in_file']}" * (a["rows_in_file"] > a["rows"])
         for a in content["arms"]
@@ -74,7 +72,7 @@ def test_the_results_measured_arms_are_those_of_the_page() -> None:
     shown = [
         [cell.strip() for cell in row.split("|")] for row in re.findall(r"^\| (.*, measured \|.*) \|$", results, re.M)
     ]
-    by_model = [measured_gains(f"{LS} + {name}") for name in ("BPNN", "GP", "terms")]
+    by_model = [measured_gains(f"{gains.LS} + {name}") for name in ("BPNN", "GP", "terms")]
     told = [
         [f"{arm.arm}, measured", f"{arm.ls_mm:.2f}"]
         + [f"{100 * g.removed:.0f} % ({100 * g.lowest:.0f} to {100 * g.highest:.0f})" for g in (arm, *others)]

@@ -10,17 +10,8 @@ from typer.testing import CliRunner
 
 from pickenv.base import InputError, interquartile_estimate
 from pickenv.cli import app
-from pickenv.commands.check import findings_of
-from pickenv.experiments import PolicySettings, Rows, kept_rows, policy_tables as tables, run_policies
-from pickenv.experiments.policy_tables import (
-    LEADERBOARD,
-    QUICK,
-    leaderboard_cells,
-    leaderboard_tables,
-    picking_rows,
-    reaching_rows,
-    run_leaderboard,
-)
+from pickenv.commands import check
+from pickenv.experiments import PolicySettings, Rows, kept_rows, policy_tables, policy_tables as tables, run_policies
 
 KEYS = {
     "task",
@@ -47,7 +38,9 @@ def make_policy(env, seed):
 """
 
 
-SMALL = replace(LEADERBOARD, policies=("scripted",), compensations=("raw", "ls"), plants=("qiao2026",), canopies=0)
+SMALL = replace(
+    policy_tables.LEADERBOARD, policies=("scripted",), compensations=("raw", "ls"), plants=("qiao2026",), canopies=0
+)
 SMALL = replace(SMALL, arms=2, episodes=3)
 """Seconds: without residual models, whose calibrations take the time."""
 
@@ -76,7 +69,9 @@ def test_rows_are_worked_out_over_the_arms_of_all_seeds():
         rows_of("scripted", "ls", [[0.1 * (n // 2)] * 3 for n in range(10)]),
         rows_of("still", "raw", [[40.0] * 3, [50.0] * 3] * 5),
     ]
-    ls, raw, still = table = reaching_rows(Rows({k: np.concatenate([part[k] for part in parts]) for k in parts[0]}))
+    ls, raw, still = table = policy_tables.reaching_rows(
+        Rows({k: np.concatenate([part[k] for part in parts]) for k in parts[0]})
+    )
     assert [(row["policy"], row["compensation"]) for row in table] == [
         ("scripted", "ls"),
         ("scripted", "raw"),
@@ -94,11 +89,13 @@ def test_rows_are_worked_out_over_the_arms_of_all_seeds():
     assert raw["iqm_mm"] == pytest.approx(np.mean([3, 4, 5, 6, 7, 8]))
     shares = [13 / 30, 22 / 30]  # below 5 mm: three of each of 1 to 4 mm, one of 5 mm; below 8 mm likewise
     assert raw["success"] == pytest.approx(shares[0])
-    assert raw["success_by_gripper"] == pytest.approx(dict(zip(LEADERBOARD.grippers, shares, strict=True)))
+    assert raw["success_by_gripper"] == pytest.approx(
+        dict(zip(policy_tables.LEADERBOARD.grippers, shares, strict=True))
+    )
     expected = interquartile_estimate(np.arange(1.0, 11.0))
     assert raw["ci95_mm"] == list(expected.ci95)
     assert ls["mean_mm"] == pytest.approx(0.2) and still["mean_mm"] == pytest.approx(45.0)
-    assert leaderboard_cells(raw) == [
+    assert policy_tables.leaderboard_cells(raw) == [
         "scripted",
         "encoders",
         "raw",
@@ -108,23 +105,27 @@ def test_rows_are_worked_out_over_the_arms_of_all_seeds():
         "43 %",
         "73 %",
     ]
-    page = leaderboard_tables([ls, raw, still]).splitlines()
+    page = policy_tables.leaderboard_tables([ls, raw, still]).splitlines()
     assert page[0] == "pickenv/Reach-v0, field: 10 arms over seeds 0, 1, 2, 3, 4, 3 fruit each" and page[1] == ""
     assert (
         page[2].startswith("| policy | feedback | compensation | mean (mm) |")
         and page[3] == f"| {'|'.join(['---'] * 8)} |"
     )
-    assert page[5] == f"| {' | '.join(leaderboard_cells(raw))} |" and len(page) == 7
-    alone = reaching_rows(Rows({name: values[:6] for name, values in parts[1].items()}))[0]
-    assert alone["ci95_mm"] is None and leaderboard_cells(alone)[4] == "0.000 (no interval)"
+    assert page[5] == f"| {' | '.join(policy_tables.leaderboard_cells(raw))} |" and len(page) == 7
+    alone = policy_tables.reaching_rows(Rows({name: values[:6] for name, values in parts[1].items()}))[0]
+    assert alone["ci95_mm"] is None and policy_tables.leaderboard_cells(alone)[4] == "0.000 (no interval)"
 
 
 def test_a_leaderboard_is_what_the_page_says():
-    assert LEADERBOARD.seeds == QUICK.seeds == (0, 1, 2, 3, 4)
-    assert (LEADERBOARD.arms, LEADERBOARD.episodes, LEADERBOARD.canopies) == (2, 16, 2)
-    assert (QUICK.arms, QUICK.episodes, QUICK.canopies) == (1, 4, 0)
-    assert (LEADERBOARD.plan.epochs, QUICK.plan.epochs) == (100, 20)
-    assert LEADERBOARD.compensations == ("raw", "ls", "ls_bpnn", "best")
+    assert policy_tables.LEADERBOARD.seeds == policy_tables.QUICK.seeds == (0, 1, 2, 3, 4)
+    assert (policy_tables.LEADERBOARD.arms, policy_tables.LEADERBOARD.episodes, policy_tables.LEADERBOARD.canopies) == (
+        2,
+        16,
+        2,
+    )
+    assert (policy_tables.QUICK.arms, policy_tables.QUICK.episodes, policy_tables.QUICK.canopies) == (1, 4, 0)
+    assert (policy_tables.LEADERBOARD.plan.epochs, policy_tables.QUICK.plan.epochs) == (100, 20)
+    assert policy_tables.LEADERBOARD.compensations == ("raw", "ls", "ls_bpnn", "best")
 
 
 def test_a_seed_has_its_own_arms_fruit_and_calibrations(tmp_path):
@@ -140,7 +141,7 @@ def test_a_seed_has_its_own_arms_fruit_and_calibrations(tmp_path):
 @pytest.mark.slow
 def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(tmp_path):
     pytest.importorskip("joblib")
-    rows = run_leaderboard(SMALL, tmp_path)
+    rows = policy_tables.run_leaderboard(SMALL, tmp_path)
     assert {(row["policy"], row["compensation"]) for row in rows} == {("scripted", "raw"), ("scripted", "ls")}
     better, worse = rows
     assert better["compensation"] == "ls" and better["iqm_mm"] < worse["iqm_mm"]
@@ -157,10 +158,10 @@ def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(tmp_path):
     victims = {kept[0], kept[-1]}
     for path in victims:
         path.unlink()
-        assert any(finding.reason is not None for finding in findings_of(path.parent))
-    assert run_leaderboard(SMALL, tmp_path, backend="loky", workers=2) == rows
+        assert any(finding.reason is not None for finding in check.findings_of(path.parent))
+    assert policy_tables.run_leaderboard(SMALL, tmp_path, backend="loky", workers=2) == rows
     assert {path for path in kept if path.stat().st_mtime_ns != times[path]} == victims
-    assert all(finding.reason is None for finding in findings_of(tmp_path))
+    assert all(finding.reason is None for finding in check.findings_of(tmp_path))
 
 
 @pytest.mark.slow
@@ -184,7 +185,7 @@ def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(tmp_path, 
     file.write_text(STILL.replace("zeros", "ones"))
     pieces = set(out.glob("reaching/*still*"))
     assert len(pieces) == 20
-    run_leaderboard(replace(SMALL, policies=(str(file), "scripted")), out)
+    policy_tables.run_leaderboard(replace(SMALL, policies=(str(file), "scripted")), out)
     assert len(set(out.glob("reaching/*still*"))) == 40  # another policy by the same name is run anew
     assert len(list(out.glob("reaching/*scripted*"))) == 10  # and one that is kept is not
     (tmp_path / "other").mkdir()
@@ -198,7 +199,7 @@ def test_picks_per_hour_are_counted_per_arm_and_gripper():
     rng = np.random.default_rng(0)
     counts = {("raw", "li_cup"): [5] * 10, ("raw", "compliant_hand"): [1] * 10}
     counts |= {("ls", "li_cup"): [8] * 4 + [9] * 2 + [8] * 4, ("ls", "compliant_hand"): [4] * 4 + [5] * 2 + [4] * 4}
-    rows = picking_rows(
+    rows = policy_tables.picking_rows(
         Rows.of(
             [
                 {"plant": "field", "gripper": gripper, "policy": "scripted", "compensation": behind, "seed": arm // 2}
@@ -216,7 +217,7 @@ def test_picks_per_hour_are_counted_per_arm_and_gripper():
     assert best["attitude_deg"] == pytest.approx(1.0) and best["attempts"] == 200
     low, high = best["picks_per_hour_ci95"]["li_cup"]
     assert low < 820.0 < high and best["arms"] == 10 and 1.0 < best["iqm_mm"] < 3.0
-    page = leaderboard_tables(rows)
+    page = policy_tables.leaderboard_tables(rows)
     assert "picks per hour, li_cup | picks per hour, compliant_hand" in page and "| 820 (" in page
 
 
@@ -235,17 +236,17 @@ def test_scripted_picking_is_counted_on_the_same_canopies():
 
 def test_impossible_leaderboards_end_with_one_sentence(tmp_path):
     with pytest.raises(InputError, match=r"seeds are \[0, 1\]; give at least 5, each once"):
-        run_leaderboard(replace(SMALL, seeds=(0, 1)), tmp_path)
+        policy_tables.run_leaderboard(replace(SMALL, seeds=(0, 1)), tmp_path)
     with pytest.raises(InputError, match="each once"):
-        run_leaderboard(replace(SMALL, seeds=(0, 1, 2, 3, 3)), tmp_path)
+        policy_tables.run_leaderboard(replace(SMALL, seeds=(0, 1, 2, 3, 3)), tmp_path)
     with pytest.raises(InputError, match="unknown policy 'nobody'"):
-        run_leaderboard(replace(SMALL, policies=("nobody",)), tmp_path)
+        policy_tables.run_leaderboard(replace(SMALL, policies=("nobody",)), tmp_path)
     picky = Path(tmp_path / "picky.py")
     picky.write_text(
         STILL.replace("return np.zeros", "from pickenv import InputError\n        raise InputError('no')\n        #")
     )
     with pytest.raises(InputError, match="no"):
-        run_leaderboard(replace(SMALL, policies=(str(picky),)), tmp_path)
+        policy_tables.run_leaderboard(replace(SMALL, policies=(str(picky),)), tmp_path)
 
 
 def test_the_published_table_has_the_numbers_of_the_published_file():

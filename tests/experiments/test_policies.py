@@ -17,8 +17,14 @@ from typer.testing import CliRunner
 from pickenv.agents import Rollout, load_policy
 from pickenv.agents.evaluation.contenders import kind_of
 from pickenv.arm import load_plant
-from pickenv.base import Estimate, InputError, clustered_share_interval, mean_interval
-from pickenv.base.intervals import crossed_interval, quantile_interval
+from pickenv.base import (
+    Estimate,
+    InputError,
+    clustered_share_interval,
+    crossed_interval,
+    mean_interval,
+    quantile_interval,
+)
 from pickenv.commands import learning as commands
 from pickenv.envs import CONTROL_PERIOD
 from pickenv.experiments import (
@@ -26,11 +32,12 @@ from pickenv.experiments import (
     PolicySettings,
     calibrate_arm,
     compensations_compared,
+    compensators,
     evaluation_rows,
     run_policies,
+    write_rows,
 )
-from pickenv.experiments.engine import write_rows
-from pickenv.experiments.methods import METHODS, compensators
+from pickenv.experiments.methods import METHODS
 from pickenv.experiments.policies import reaches_in
 from pickenv.experiments.policy_tables import (
     cells_of,
@@ -205,7 +212,7 @@ def test_a_kept_calibration_is_left_alone_when_code_or_plant_have_changed(tmp_pa
     protocol = CalibrationPlan(30)
     compensators(plant, "ls", protocol, tmp_path)
     if changed == "code":
-        monkeypatch.setattr("pickenv.experiments.methods.code_fingerprint", lambda: "another")
+        monkeypatch.setattr("pickenv.experiments.engine.code_fingerprint", lambda: "another")
     else:
         geometry = replace(plant.geometry, a=plant.geometry.a + 1e-12)
         plant = replace(plant, geometry=geometry)

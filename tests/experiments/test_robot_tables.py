@@ -7,17 +7,15 @@ import numpy as np
 import pytest
 
 from pickenv.calibration import error_statistics
-from pickenv.experiments import Rows, robots
-from pickenv.experiments.robot_tables import NOTE, agreement_words, bench_json, bench_page, blocked_json
-from pickenv.experiments.robots import BEFORE, Bench, BenchSettings, RealSet, SpreadRow, bench_row, model_errors
+from pickenv.experiments import BenchSettings, Rows, robot_tables, robots
 
 
 def made_gains(rng, robot, split, refused, rows=(90, 200)):
     gains = []
-    for model, step in BEFORE.items():
+    for model, step in robots.BEFORE.items():
         before, measured, predicted = rng.uniform(0.2, 3.0), *rng.uniform(-0.1, 0.9, 2)
         gains.append(
-            bench_row("gains", robot, split, model, 2.0 * before, before, before * (1.0 - measured))
+            robots.bench_row("gains", robot, split, model, 2.0 * before, before, before * (1.0 - measured))
             | {"before": step, "ci95": (measured - 0.0512, measured + 0.0398), "predicted_reduction": predicted}
             | {"predicted_ci95": None if model == "LS" else (predicted - 0.25, predicted + 0.125)}
             | {"refused_draws": refused, "rows": rows[0], "rows_in_file": rows[1]}
@@ -41,7 +39,7 @@ def found():
         for k, name in enumerate(("pickenv", "figaroh"), start=1)
         for split, nominal, size in (("random", 2.0, 0.25), ("poses", 1.5, 0.125))
     ]
-    return Bench(
+    return robots.Bench(
         settings=BenchSettings(rows=90, folds=3, draws=4),
         gains=gains,
         models=Rows.of(measured),
@@ -51,11 +49,11 @@ def found():
 
 
 def test_a_gains_row_holds_what_blocks_remove_for_the_demonstration(found):
-    rows = [row for row in bench_json(found)["rows"] if row["table"] == "gains"]
+    rows = [row for row in robot_tables.bench_json(found)["rows"] if row["table"] == "gains"]
     assert rows == found.gains and len(rows) == 12
-    assert bench_json(found)["settings"]["folds"] == 3
-    assert bench_json(found)["skipped"] == {"peer_robotics": "it is not installed"}
-    arms = blocked_json(found, "2026-01-01")["arms"]
+    assert robot_tables.bench_json(found)["settings"]["folds"] == 3
+    assert robot_tables.bench_json(found)["skipped"] == {"peer_robotics": "it is not installed"}
+    arms = robot_tables.blocked_json(found, "2026-01-01")["arms"]
     assert [(arm["arm"], arm["rows"], arm["rows_in_file"]) for arm in arms] == [
         ("UR5", 90, 200),
         ("UR10, series A", 80, 80),
@@ -69,7 +67,7 @@ def test_a_gains_row_holds_what_blocks_remove_for_the_demonstration(found):
 
 
 def test_a_row_of_the_readme_is_its_geometry_against_the_nominal_and_its_best_against_the_geometry(found):
-    plain, geometry, best = (row for row in bench_json(found)["rows"] if row["table"] == "best")
+    plain, geometry, best = (row for row in robot_tables.bench_json(found)["rows"] if row["table"] == "best")
     for row, before, left in ((plain, 4.0, 0.8), (geometry, 4.0, 0.8), (best, 0.8, 0.6)):
         assert (row["nominal_mm"], row["before_mm"], row["held_out_mm"]) == (4.0, before, left)
         assert row["measured_reduction"] == pytest.approx(1.0 - left / before)
@@ -82,7 +80,7 @@ def test_a_row_of_the_readme_is_its_geometry_against_the_nominal_and_its_best_ag
 
 
 def test_a_peer_is_judged_on_rows_and_on_poses_of_the_ur5(found):
-    rows = [row for row in bench_json(found)["rows"] if row["table"] == "peers"]
+    rows = [row for row in robot_tables.bench_json(found)["rows"] if row["table"] == "peers"]
     assert [row["model"] for row in rows] == ["pickenv: LS"] * 2 + ["figaroh"] * 2
     for k, (held, poses) in enumerate((rows[:2], rows[2:]), start=1):
         for row, split, statistic, before, left, others in (
@@ -96,7 +94,7 @@ def test_a_peer_is_judged_on_rows_and_on_poses_of_the_ur5(found):
 
 
 def test_every_cell_of_the_page_is_its_figure(found):
-    page = bench_page(found)
+    page = robot_tables.bench_page(found)
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:2] == "| "]
     split = {"random": "random fifths", "blocks": "blocks"}
     told = [row for row in cells if row[1] in split.values()]
@@ -110,12 +108,12 @@ def test_every_cell_of_the_page_is_its_figure(found):
             assert re.fullmatch(r"\S+ %( \(\S+ to \S+\))?", cell)
         assert float(row[7]) == pytest.approx(100 * (predicted - measured), abs=0.0501) and row[7][0] in "+-"
     assert ["pickenv", "0.2500", "0.1250", "way 1"] in cells and ["figaroh", "0.5000", "0.2500", "way 2"] in cells
-    assert "- peer_robotics: it is not installed" in page and NOTE in page
+    assert "- peer_robotics: it is not installed" in page and robot_tables.NOTE in page
     assert len(re.findall("^## ", page, re.M)) == 4
 
 
 def test_the_sentence_under_the_gains_counts_them(found):
-    said, apart, right = agreement_words(found), [], []
+    said, apart, right = robot_tables.agreement_words(found), [], []
     for gain in found.gains:
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
         apart.append(100 * abs(predicted - measured))
@@ -127,10 +125,12 @@ def test_the_sentence_under_the_gains_counts_them(found):
     assert "3 folds, 4 arms drawn for each (7 could not be calibrated" in said
     assert said.endswith("equally spaced in the file: UR5 90 of 200, UR10, series A 80.")
     alone = made_gains(np.random.default_rng(0), "UR5", "random", 0, (90, 90))
-    one = Bench(found.settings, alone, Rows({}), Rows({}), {})
-    assert "4 gains on 1 set of rows" in agreement_words(one) and "The sign" not in agreement_words(one)
-    assert "(" not in agreement_words(one)
-    assert agreement_words(Bench(found.settings, [], Rows({}), Rows({}), {})) == ""
+    one = robots.Bench(found.settings, alone, Rows({}), Rows({}), {})
+    assert "4 gains on 1 set of rows" in robot_tables.agreement_words(
+        one
+    ) and "The sign" not in robot_tables.agreement_words(one)
+    assert "(" not in robot_tables.agreement_words(one)
+    assert robot_tables.agreement_words(robots.Bench(found.settings, [], Rows({}), Rows({}), {})) == ""
 
 
 @pytest.mark.parametrize("how", ["random", "blocks", "poses"])
@@ -153,9 +153,9 @@ def test_a_row_states_each_model_with_its_interval_or_over_splits_with_its_range
         return "arm", SimpleNamespace(joints=np.zeros((77, 6))), "poses"
 
     monkeypatch.setattr(robots, "calibrate", calibrate)
-    monkeypatch.setattr(RealSet, "load", load)
-    monkeypatch.setitem(robots.SPREAD, "made", SpreadRow("ur5", how, "auto", "gp", statistic))
-    models = {row["model"]: row for row in model_errors(None, "made", BenchSettings(splits=4, seed=9), None)}
+    monkeypatch.setattr(robots.RealSet, "load", load)
+    monkeypatch.setitem(robots.SPREAD, "made", robots.SpreadRow("ur5", how, "auto", "gp", statistic))
+    models = {row["model"]: row for row in robots.model_errors(None, "made", BenchSettings(splits=4, seed=9), None)}
     every = [np.random.default_rng(i).gamma(3.0, 0.1, 60) for i in range(4)]
     size = {"rms": lambda errors: np.sqrt(np.mean(errors**2)), "mean": np.mean}[statistic]
     for name, k in (("nominal", 4), ("LS", 2), ("best", 1)):

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.calibration import Measurements
-from pickenv.experiments import gains, robots
-from pickenv.experiments.gains import as_measured, left_by_models
-from pickenv.experiments.robot_tables import agreement, spread_table
-from pickenv.experiments.robots import BenchSettings, PeerTask, RealSet, accuracy_on, fold_errors
+from pickenv.experiments import BenchSettings, gains, robot_tables, robots
 
 
 def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, tmp_path):
@@ -22,13 +19,15 @@ def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, t
         assert (arm, len(chosen), draws) == ("arm", 23, 7)
         return [{"LS": 0.1 * rows[1]}, {"LS": 0.2 * rows[1]}], 2
 
-    monkeypatch.setattr(RealSet, "load", lambda self, data: ("arm", SimpleNamespace(joints=np.zeros((31, 6))), None))
+    monkeypatch.setattr(
+        robots.RealSet, "load", lambda self, data: ("arm", SimpleNamespace(joints=np.zeros((31, 6))), None)
+    )
     monkeypatch.setattr(robots, "learnable", lambda arm, rows, most: asked.append(most) or some)
     monkeypatch.setattr(robots, "judged_fold", judged)
     settings = BenchSettings(rows=24, folds=3, draws=7, seed=5)
     for row in ("gain_wam_random", "gain_wam_blocks", "gain_ur5_random"):
         for number in range(3):
-            columns = fold_errors(None, row, number, settings, tmp_path)
+            columns = robots.fold_errors(None, row, number, settings, tmp_path)
             held = calls[row, number][0][1]
             assert columns["drawn"].tolist() == [0] * len(held) + [1] * len(held)
             assert columns["at"].tolist() == [*held, *held]
@@ -44,7 +43,7 @@ def test_a_fold_is_of_the_rows_and_the_seeds_of_its_set_and_split(monkeypatch, t
     one, other = (calls[f"gain_{name}_random", 0][0][1].tolist() for name in ("wam", "ur5"))
     assert one != other
     before = dict(calls)
-    fold_errors(None, row, number, settings, tmp_path)
+    robots.fold_errors(None, row, number, settings, tmp_path)
     assert calls["gain_ur5_random", 2][1] == before["gain_ur5_random", 2][1]
 
 
@@ -82,7 +81,7 @@ def test_what_models_leave_are_squares_of_positions_and_residuals_are_learnt_of_
 
     monkeypatch.setattr(gains, "calibrate", calibrated)
     monkeypatch.setattr(gains, "fit_remainder", learnt)
-    found, _ = left_by_models("arm", *sets, rng)
+    found, _ = gains.left_by_models("arm", *sets, rng)
     names = {"nominal": "nominal", "LS": "geometric", "LS + terms": "terms", "LS + BPNN": "bpnn", "LS + GP": "gp"}
     assert list(found) == list(names)
     for name, source in names.items():
@@ -100,7 +99,7 @@ def test_an_arm_is_seen_at_the_joints_of_the_rows_with_attitudes_where_they_have
         return SimpleNamespace(position=rows.position + 1.0, rotation=-rotation)
 
     monkeypatch.setattr(gains, "simulated_tracker", tracked)
-    seen = as_measured("plant", rows, rng)
+    seen = gains.as_measured("plant", rows, rng)
     np.testing.assert_array_equal(seen.position, rows.position + 1.0)
     assert (seen.rotation is not None) == turned
     if turned:
@@ -110,7 +109,7 @@ def test_an_arm_is_seen_at_the_joints_of_the_rows_with_attitudes_where_they_have
 def test_a_peers_errors_are_the_rms_on_rows_held_out_and_the_mean_on_other_poses():
     rows = [SimpleNamespace(difference=lambda geometry, e=e: 1e-3 * np.array(e)) for e in
             ([[3.0, 0.0, 4.0], [0.0, 0.0, 1.0]], [[0.0, 2.0, 0.0], [6.0, 0.0, 8.0]])]  # fmt: skip
-    found = accuracy_on("geometry", PeerTask("nominal", "train", *rows))
+    found = robots.accuracy_on("geometry", robots.PeerTask("nominal", "train", *rows))
     assert found == pytest.approx({"held_out_rms_mm": np.sqrt((25 + 1) / 2), "random_poses_mean_mm": 6.0})
 
 
@@ -126,10 +125,10 @@ def test_below_a_millimetre_micrometres_are_shown_and_else_hundredths(values, sh
     low, high = (np.nan if end is None else end for end in values[1:])
     columns = {"value_mm": values[0], "low_mm": low, "high_mm": high, "used": "none", "model": "any"}
     rows = robots.Rows({name: np.full(3, value) for name, value in ({"row": "ur5_random"} | columns).items()})
-    assert spread_table(rows).splitlines()[2].split(" | ")[1] == shown
+    assert robot_tables.spread_table(rows).splitlines()[2].split(" | ")[1] == shown
 
 
 def test_without_gains_nothing_agrees_or_differs():
-    said = agreement([])
+    said = robot_tables.agreement([])
     assert (said["sets"], said["gains"], said["learnt_on_blocks"]) == (0, 0, 0)
     assert said["median_absolute_difference_points"] is said["ninth_decile_points"] is said["sign_right"] is None

@@ -7,9 +7,7 @@ import pytest
 
 from pickenv.base import InputError
 from pickenv.calibration import Choices, calibrate
-from pickenv.experiments import Rows
-from pickenv.experiments.robot_tables import NOTE, SPREAD_HEADS, spread_table
-from pickenv.experiments.robots import SETS, SPREAD, BenchSettings, model_errors, run_bench
+from pickenv.experiments import SETS, BenchSettings, Rows, robot_tables, robots, run_bench
 
 RESULTS = (Path(__file__).parents[2] / "docs/results.md").read_text(encoding="utf-8")
 
@@ -22,21 +20,21 @@ def made_rows(row: str, models: list[tuple[float, float, float]], used: str) -> 
 
 def test_every_row_is_in_the_results_in_its_order() -> None:
     lines = RESULTS.splitlines()
-    begin = lines.index(f"| {' | '.join(SPREAD_HEADS)} |") + 2
-    shown = [line.split("|")[1].strip() for line in lines[begin : begin + len(SPREAD)]]
-    rows = [row for name in SPREAD for row in made_rows(name, 3 * [(1.0, 0.5, 2.0)], "nothing added")]
-    table = spread_table(Rows.of(rows)).splitlines()[2:]
+    begin = lines.index(f"| {' | '.join(robot_tables.SPREAD_HEADS)} |") + 2
+    shown = [line.split("|")[1].strip() for line in lines[begin : begin + len(robots.SPREAD)]]
+    rows = [row for name in robots.SPREAD for row in made_rows(name, 3 * [(1.0, 0.5, 2.0)], "nothing added")]
+    table = robot_tables.spread_table(Rows.of(rows)).splitlines()[2:]
     assert shown == [line.split("|")[1].strip() for line in table]
     assert [line.split("|")[5].strip() for line in table] == [
-        line.split("|")[5].strip() for line in lines[begin : begin + len(SPREAD)]
+        line.split("|")[5].strip() for line in lines[begin : begin + len(robots.SPREAD)]
     ]
     assert not lines[begin + len(table)].startswith("|")
-    assert NOTE in RESULTS
+    assert robot_tables.NOTE in RESULTS
 
 
 def test_the_table_shows_value_spread_model_and_remark() -> None:
     models = [(12.344, 11.0, 13.0), (0.45678, 0.4, 0.5), (0.4, np.nan, np.nan)]
-    line = spread_table(Rows.of(made_rows("wam_poses", models, "gravity"))).splitlines()[2]
+    line = robot_tables.spread_table(Rows.of(made_rows("wam_poses", models, "gravity"))).splitlines()[2]
     assert "| 12.34 (11.00 to 13.00) | 0.457 (0.400 to 0.500) | 0.400: gravity; the rule" in line
     assert line.endswith("| 2.92 |")
 
@@ -48,10 +46,10 @@ def test_without_the_data_one_sentence_says_so(tmp_path: Path) -> None:
 
 def test_random_splits_are_stated_by_their_mean_and_range(data_folder: Path) -> None:
     """The positioner's ten splits, drawn here with the same seeds."""
-    row = SPREAD["positioner_random"]
+    row = robots.SPREAD["positioner_random"]
     if not list(data_folder.glob(row.real.files)):
         pytest.skip(f"no {row.real.files} in {data_folder}")
-    _, ls, _ = model_errors(np.random.default_rng(), "positioner_random", BenchSettings(), data_folder)
+    _, ls, _ = robots.model_errors(np.random.default_rng(), "positioner_random", BenchSettings(), data_folder)
     arm, rows, _ = row.real.load(data_folder)
     splits = [Choices("none", "none", seed=int(seed)) for seed in np.random.SeedSequence(0).generate_state(10)]
     means = [calibrate(arm, rows, choices=split).position["geometric"].mean for split in splits]
@@ -64,6 +62,6 @@ def test_the_results_rows_are_what_the_command_prints(data_folder: Path, tmp_pat
     """The rows without learnt models, anew; all of them take more than half an hour, by the command itself."""
     names = ["ur5_random", "ur10_b_random", "ur10_d_random", "positioner_random", "positioner_blocks"]
     found = run_bench(names, BenchSettings(), data_folder, tmp_path, tmp_path)
-    rows = spread_table(found.models).splitlines()[2:]
+    rows = robot_tables.spread_table(found.models).splitlines()[2:]
     assert len(rows) == len(names)
     assert [row for row in rows if row not in RESULTS] == []

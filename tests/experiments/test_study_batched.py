@@ -10,9 +10,8 @@ import torch
 from pickenv.arm import plant_at
 from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.base import InputError
-from pickenv.experiments import load_study, run_study, study_batched
-from pickenv.experiments.study import Noise, prepared_study
-from pickenv.experiments.study_arms import OK, evaluate_arm, evaluate_chunk
+from pickenv.experiments import Noise, load_study, prepared_study, run_study, study_batched
+from pickenv.experiments.study import OK, evaluate_arm, evaluate_chunk
 from pickenv.experiments.study_batched import evaluate_batch, judge_batch
 
 AGREEMENT = 1e-9
@@ -60,7 +59,9 @@ def test_ordinary_arms_are_finished_in_the_batch(study_file, monkeypatch):
     """Handing an arm over mends whatever the batch did wrong, at twenty times its cost; here none may need it."""
     protocol = prepared_study(load_study(study_file()))
     handed: list[object] = []
-    monkeypatch.setattr(study_batched, "evaluate_arm", lambda *given: handed.append(given) or evaluate_arm(*given))
+    monkeypatch.setattr(
+        "pickenv.experiments.study.evaluate_arm", lambda *given: handed.append(given) or evaluate_arm(*given)
+    )
     for setting in protocol.settings:
         if setting.method == "ls":
             given = [protocol.circumstances(number) for number in range(8)]

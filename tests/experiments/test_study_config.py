@@ -10,8 +10,7 @@ import pytest
 from pickenv.arm.plant.plant_file import PLANTS
 from pickenv.arm.plant.tolerances import TOLERANCES
 from pickenv.base import InputError
-from pickenv.experiments import load_study
-from pickenv.experiments.study import Noise
+from pickenv.experiments import Noise, load_study
 
 ROOT = Path(__file__).parents[2]
 

@@ -10,7 +10,7 @@ import pytest
 from typer.main import get_command
 
 from pickenv.cli import app
-from pickenv.experiments.study_rows import EXECUTORS
+from pickenv.experiments import study_rows
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/tolerance-studies.md").read_text(encoding="utf-8")
@@ -27,7 +27,7 @@ def test_every_file_that_is_named_exists():
 
 def test_every_executor_and_option_is_named_and_exists():
     named = set(re.findall(r"^\| `(\w+)`(?: \(default\))? \|", PAGE, re.MULTILINE))
-    assert named == set(EXECUTORS)
+    assert named == set(study_rows.EXECUTORS)
     options = {option for parameter in get_command(app).commands["study"].params for option in parameter.opts}
     used = set(re.findall(r"(?<![\w-])--[a-z]+", PAGE))
     assert used <= options and {"--sobol", "--device"} <= used

@@ -11,9 +11,7 @@ from pathlib import Path
 import pytest
 
 from pickenv.base import InputError
-from pickenv.experiments import load_study, run_study
-from pickenv.experiments.engine import spread
-from pickenv.experiments.study_rows import table_sha256
+from pickenv.experiments import load_study, run_study, spread, table_sha256
 
 ROOT = Path(__file__).parents[2]
 

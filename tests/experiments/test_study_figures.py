@@ -8,8 +8,7 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.base import InputError
-from pickenv.experiments import quantiles_of, sensitivities_of, study_figures as figures, yields_of
-from pickenv.experiments.study_findings import Placement
+from pickenv.experiments import Placement, quantiles_of, sensitivities_of, study_findings as figures, yields_of
 from pickenv.inspect import save_figure
 
 ARMS = 60

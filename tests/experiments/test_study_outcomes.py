@@ -5,14 +5,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.experiments.study import Noise, Setting
-from pickenv.experiments.study_arms import NOT_FINITE, OK, Outcomes, _columns, figures, reach_status
+from pickenv.experiments import Noise, study
 
 
 def test_every_column_is_its_statistic_in_mm_and_degrees():
     rng = np.random.default_rng(0)
     position, attitude = rng.gamma(2.0, 4e-4, (5, 21)), rng.gamma(2.0, 1e-3, (5, 21))
-    found = figures(position, attitude, 0.7)
+    found = study.figures(position, attitude, 0.7)
     for arm in range(5):
         mm = np.sort(1e3 * position[arm])
         expected = {
@@ -25,25 +24,32 @@ def test_every_column_is_its_statistic_in_mm_and_degrees():
             "share_within": np.count_nonzero(mm <= 0.7) / 21,
         }
         assert {name: values[arm] for name, values in found.items()} == pytest.approx(expected)
-    edge = figures(np.array([[0.5e-3, 1e-3]]), np.zeros((1, 2)), 1.0)
+    edge = study.figures(np.array([[0.5e-3, 1e-3]]), np.zeros((1, 2)), 1.0)
     assert edge["share_within"][0] == 1.0  # at the radius itself is within
 
 
 @pytest.mark.parametrize(("missed", "ok"), [(0, True), (2, True), (3, False), (10, False)])
 def test_an_arm_may_miss_as_many_fruit_as_the_required_share_leaves(missed, ok):
     config = SimpleNamespace(fruit=10, share=0.8, radius_mm=1.5)
-    said = reach_status(missed, config)
-    assert (said == OK) == ok
+    said = study.reach_status(missed, config)
+    assert (said == study.OK) == ok
     assert ok or (said.startswith(f"{missed} of 10 fruit are out of this arm's reach") and "1.5 mm away" in said)
 
 
 def test_only_arms_with_finite_errors_and_no_complaint_are_judged():
-    setting = Setting(0, "medium", 8, 12, Noise(0.1, 0.2), 0.0, "ls")
+    setting = study.Setting(0, "medium", 8, 12, Noise(0.1, 0.2), 0.0, "ls")
     position, attitude = np.full((4, 3), 1e-3), np.full((4, 3), 1e-3)
     position[1, 2], attitude[2, 0] = np.nan, np.inf
-    outcomes = Outcomes(setting, [OK, OK, OK, "did not converge"], [3, 4, 5, 6], position, attitude)
-    columns = _columns(range(10, 14), outcomes, 1.0)
-    assert columns["status"].tolist() == [OK, NOT_FINITE, NOT_FINITE, "did not converge"]
+    outcomes = study.Outcomes(
+        setting, [study.OK, study.OK, study.OK, "did not converge"], [3, 4, 5, 6], position, attitude
+    )
+    columns = study._columns(range(10, 14), outcomes, 1.0)
+    assert columns["status"].tolist() == [
+        study.OK,
+        study.NOT_FINITE,
+        study.NOT_FINITE,
+        "did not converge",
+    ]
     assert columns["arm"].tolist() == [10, 11, 12, 13] and columns["iterations"].tolist() == [3, 4, 5, 6]
     assert np.isfinite(columns["error_mean_mm"]).tolist() == [True, False, False, False]
     assert columns["error_mean_mm"][0] == pytest.approx(1.0) and columns["share_within"][0] == 1.0

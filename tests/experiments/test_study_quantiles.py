@@ -1,35 +1,24 @@
-"""Quantiles: exact on a moderate table, close and flat in memory on a large one, with bands that hold."""
+"""Quantiles: exact, with bands that hold."""
 
 import numpy as np
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.base.intervals import quantile_interval
-from pickenv.experiments import quantiles_of
-from pickenv.experiments.study_arms import FIGURES
-from pickenv.experiments.study_rows import PROBABILITIES
+from pickenv.base import quantile_interval
+from pickenv.experiments import quantiles_of, study, study_rows
 
 
 def test_quantiles_are_exact_and_leave_failed_arms_out(written):
     rows = written(3, 70, failed=0.1)
     raw = rows.to_table().to_pandas()
     table = quantiles_of(rows).to_pylist()
-    assert len(table) == 3 * len(FIGURES) * len(PROBABILITIES)
+    assert len(table) == 3 * len(study.FIGURES) * len(study_rows.PROBABILITIES)
     for row in table:
         values = raw[(raw.setting == row["setting"]) & (raw.status == "ok")][row["quantity"]]
         assert row["arms"] == len(values)
         assert row["value"] == pytest.approx(np.quantile(values, row["probability"], method="hazen"), rel=1e-12)
         assert (row["low"], row["high"]) == pytest.approx(quantile_interval(values, row["probability"]), rel=1e-12)
         assert (row["low"] or 0.0) <= row["value"] <= (row["high"] or np.inf)
-
-
-def test_digests_agree_with_the_exact_quantiles(written):
-    rows = written(5, 2000)
-    exact = quantiles_of(rows, ["error_mean_mm"]).to_pandas()
-    streamed = quantiles_of(rows, ["error_mean_mm"], exact_rows=0).to_pandas()
-    for column in ("value", "low", "high"):
-        np.testing.assert_allclose(streamed[column], exact[column], rtol=2e-3)
-    assert streamed[["setting", "arms", "probability"]].equals(exact[["setting", "arms", "probability"]])
 
 
 def test_chunks_do_not_matter_to_exact_quantiles(written):
@@ -39,18 +28,16 @@ def test_chunks_do_not_matter_to_exact_quantiles(written):
     assert quantiles_of(ds.dataset(whole)).to_pylist() == one
 
 
-@pytest.mark.parametrize("exact_rows", [100, 0])
-def test_a_setting_without_any_result_has_no_quantile(written, exact_rows):
+def test_a_setting_without_any_result_has_no_quantile(written):
     """Null and not NaN: JSON has no NaN."""
-    for row in quantiles_of(written(1, 10, failed=1.1), ["error_mean_mm"], [0.5], exact_rows).to_pylist():
+    for row in quantiles_of(written(1, 10, failed=1.1), ["error_mean_mm"], [0.5]).to_pylist():
         assert (row["arms"], row["value"], row["low"], row["high"]) == (0, None, None, None)
 
 
-@pytest.mark.parametrize("exact_rows", [10**6, 0])
 @pytest.mark.parametrize(("arms", "bounded"), [(71, False), (72, True)])
-def test_an_end_that_so_few_arms_cannot_bound_is_open(written, arms, bounded, exact_rows):
+def test_an_end_that_so_few_arms_cannot_bound_is_open(written, arms, bounded):
     """0.95^n is the chance that no arm lies beyond: it falls below 2.5 % from 72 arms."""
     assert (0.95**arms < 0.025) == bounded
-    for row in quantiles_of(written(1, arms), ["error_mean_mm"], exact_rows=exact_rows).to_pylist():
+    for row in quantiles_of(written(1, arms), ["error_mean_mm"]).to_pylist():
         assert (row["high"] is not None) == (bounded or row["probability"] != 0.95)
         assert (row["low"] is not None) == (bounded or row["probability"] != 0.05)

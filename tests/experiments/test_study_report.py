@@ -15,10 +15,18 @@ import pytest
 from pickenv.arm import forward, plant_at, pose_error
 from pickenv.arm.plant.tolerances import random_columns
 from pickenv.base import InputError, share_interval
-from pickenv.experiments import load_study, read_rows, record_study, run_study, study_findings, study_of, write_outputs
-from pickenv.experiments.study import prepared_study
-from pickenv.experiments.study_figures import study_drawings
-from pickenv.experiments.study_findings import gather, place, ranked, specified, study_verdict
+from pickenv.experiments import (
+    gather,
+    load_study,
+    prepared_study,
+    read_rows,
+    record_study,
+    run_study,
+    study_findings,
+    study_of,
+    write_outputs,
+)
+from pickenv.experiments.study_findings import place, ranked, specified, study_drawings, study_verdict
 from pickenv.experiments.study_report import _failures, arms_compared, page, study_page
 from pickenv.experiments.study_rows import read_sobol, write_record, write_sobol
 from pickenv.experiments.study_variance import sobol_of, tolerance_groups
@@ -215,8 +223,10 @@ def test_an_arm_of_a_method_that_learns_is_placed_among_twenty(monkeypatch):
     for method, most in (("ls+bpnn", 20), ("ls", 1000), ("raw", 1000)):
         asked.clear()
         protocol = SimpleNamespace(config=SimpleNamespace(arms=5000), circumstances=asked.append)
-        monkeypatch.setattr(study_findings, "evaluate_arm", lambda *given: [None])
-        monkeypatch.setattr(study_findings, "gathered", lambda parts: SimpleNamespace(status=["lost"] * len(parts)))
+        monkeypatch.setattr("pickenv.experiments.study.evaluate_arm", lambda *given: [None])
+        monkeypatch.setattr(
+            "pickenv.experiments.study.gathered", lambda parts: SimpleNamespace(status=["lost"] * len(parts))
+        )
         with pytest.raises(InputError, match="it has no place in setting 3: lost"):
             place(protocol, None, SimpleNamespace(method=method, number=3), None, "it")
         assert asked == list(range(most))
@@ -318,7 +328,7 @@ def test_a_damaged_edited_or_foreign_file_of_indices_is_named(folder, tmp_path):
     (tmp_path / "study.toml").write_bytes((folder / "study.toml").read_bytes())
     path, sha256 = tmp_path / "sobol.json", study_of(folder).sha256()
     path.write_text("[1, 2", encoding="utf-8")
-    with pytest.raises(InputError, match=r"sobol\.json is missing or damaged; .*with --sobol again"):
+    with pytest.raises(InputError, match=r"sobol\.json is missing or damaged; .*with `sobol` again"):
         read_sobol(tmp_path)
     write_record(path, {"config_sha256": sha256, "indices": {"0": [{"total": 0.5}]}})
     assert read_sobol(tmp_path) == {0: [{"total": 0.5}]}

@@ -14,8 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pickenv.base import InputError
-from pickenv.experiments import check_experiment, check_folder, load_study, read_rows, run_study, study_of
-from pickenv.experiments.study_rows import table_sha256
+from pickenv.experiments import check_experiment, check_folder, load_study, read_rows, run_study, study_of, table_sha256
 
 ROOT = Path(__file__).parents[2]
 COMMAND = [sys.executable, "-c", "from pickenv.cli import main; main()", "study"]
@@ -134,7 +133,7 @@ def test_a_damaged_chunk_is_named_and_computed_again(config, folder, damage, chu
 def test_a_folder_of_another_configuration_is_refused(config, folder):
     run_study(replace(config, arms=2), folder, executor="serial")
     before = table_sha256(folder)
-    with pytest.raises(InputError, match=r"results of another configuration .*give another --out"):
+    with pytest.raises(InputError, match=r"results of another configuration .*give another `folder`"):
         run_study(config, folder, executor="serial")
     assert table_sha256(folder) == before
 

@@ -8,13 +8,13 @@ import pytest
 from pickenv.arm import forward, load_plant, plant_at, pose_error
 from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
 from pickenv.base import InputError
-from pickenv.experiments import load_study
-from pickenv.experiments.study import Noise, carrying, prepared_study
-from pickenv.experiments.study_arms import (
+from pickenv.experiments import Noise, load_study, prepared_study
+from pickenv.experiments.study import (
     FIGURES,
     NOT_FINITE,
     OK,
     Outcomes,
+    carrying,
     chunk_rows,
     evaluate_arm,
     evaluate_chunk,

@@ -13,9 +13,17 @@ import pyarrow.parquet as pq
 import pytest
 
 from pickenv.base import InputError
-from pickenv.experiments import check_folder, load_study, read_rows, read_summary, run_study, study_of
-from pickenv.experiments.study_findings import gather
-from pickenv.experiments.study_rows import table_sha256, write_record
+from pickenv.experiments import (
+    check_folder,
+    gather,
+    load_study,
+    read_rows,
+    read_summary,
+    run_study,
+    study_of,
+    study_rows,
+    table_sha256,
+)
 
 ROOT = Path(__file__).parents[2]
 
@@ -192,7 +200,7 @@ def test_an_edited_summary_is_refused(folder):
 
 def test_a_summary_of_other_rows_or_another_study_is_refused(folder, finished):
     summary = read_summary(folder)
-    write_record(folder / "summary.json", summary | {"table_sha256": "0" * 64})
+    study_rows.write_record(folder / "summary.json", summary | {"table_sha256": "0" * 64})
     with pytest.raises(InputError, match=r"summary\.json was made from other rows"):
         read_summary(folder)
     shutil.copy(finished / "other" / "summary.json", folder)

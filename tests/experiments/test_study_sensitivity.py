@@ -7,8 +7,7 @@ import pytest
 from scipy import stats
 
 from pickenv.base import InputError
-from pickenv.experiments import sensitivities_of
-from pickenv.experiments.study_variance import _interval, sobol_indices, tolerance_kind, variance_indices
+from pickenv.experiments import sensitivities_of, study_variance
 
 
 def rows_of(columns, squared_error, arm=None):
@@ -92,7 +91,7 @@ def test_too_few_arms_and_nothing_that_varies_are_said():
 def test_the_ends_of_a_share_leave_two_and_a_half_percent_on_either_side(chance):
     """Against SciPy's noncentral chi-square and Student's t; symmetric pseudo-values, so that nothing is skewed."""
     share, pseudo = 0.06, np.repeat([0.2, 0.3], 50)
-    low, high = _interval(share, chance, pseudo)
+    low, high = study_variance._interval(share, chance, pseudo)
     step = stats.t.ppf(0.975, 99) / stats.norm.ppf(0.975) * pseudo.std(ddof=1) / 10
     scaled, freedom = share / step**2, chance / step**2
     for end, tail in ((low, 0.975), (high, 0.025)):
@@ -128,7 +127,7 @@ def test_a_share_that_chance_alone_may_give_has_an_interval_from_zero():
     step = stats.t.ppf(0.975, 99) / stats.norm.ppf(0.975) * pseudo.std(ddof=1) / 10
     for level, begins_at_zero in ((0.5, True), (0.965, True), (0.985, False)):
         share = step**2 * stats.chi2.ppf(level, chance / step**2)
-        low, high = _interval(share, chance, pseudo)
+        low, high = study_variance._interval(share, chance, pseudo)
         assert (low <= 0.0) == begins_at_zero and high > 0.0 and low <= share - chance <= high
 
 
@@ -155,9 +154,13 @@ def test_r2_is_adjusted_for_its_terms():
 
 
 def test_kinds():
-    assert tolerance_kind("delta_alpha3_deg") == "angles" and tolerance_kind("delta_d2_mm") == "lengths"
     assert (
-        tolerance_kind("size_joint_stiffness_4") == "joint stiffness" and tolerance_kind("rise_K") == "temperature rise"
+        study_variance.tolerance_kind("delta_alpha3_deg") == "angles"
+        and study_variance.tolerance_kind("delta_d2_mm") == "lengths"
+    )
+    assert (
+        study_variance.tolerance_kind("size_joint_stiffness_4") == "joint stiffness"
+        and study_variance.tolerance_kind("rise_K") == "temperature rise"
     )
 
 
@@ -180,7 +183,7 @@ def ishigami(even, _rows):
 
 def test_sobol_indices_of_ishigami():
     """First orders 0.3139, 0.4424, 0; totals 0.5576, 0.4424, 0.2437."""
-    rows = sobol_indices(ishigami, {"x1": [0], "x2": [1], "x3": [2]}, 4096, np.random.default_rng(0))
+    rows = study_variance.sobol_indices(ishigami, {"x1": [0], "x2": [1], "x3": [2]}, 4096, np.random.default_rng(0))
     np.testing.assert_allclose([row["first_order"] for row in rows], [0.3139, 0.4424, 0.0], atol=0.04)
     np.testing.assert_allclose([row["total"] for row in rows], [0.5576, 0.4424, 0.2437], atol=0.04)
 
@@ -189,7 +192,7 @@ def test_sobol_indices_of_ishigami():
 def test_no_total_is_less_than_its_first_order_and_intervals_hold_their_estimates(seed):
     """Additive in three of five inputs, where both estimate one number and chance would put either first."""
     model = lambda u, _: u[:, 0] + 2 * u[:, 1] + u[:, 2] * u[:, 3]  # noqa: E731
-    for row in sobol_indices(model, {f"x{i}": [i] for i in range(5)}, 256, np.random.default_rng(seed)):
+    for row in study_variance.sobol_indices(model, {f"x{i}": [i] for i in range(5)}, 256, np.random.default_rng(seed)):
         assert row["first_order"] <= row["total"]
         for key in ("first_order", "total"):
             assert row[f"{key}_low"] <= row[key] <= row[f"{key}_high"]
@@ -199,8 +202,8 @@ def test_no_total_is_less_than_its_first_order_and_intervals_hold_their_estimate
 def test_sobol_indices_average_over_what_a_row_shares():
     """y = (1 + w) u + v + 3 w with w of the row: w itself makes no variance between arms; E[(1+w)^2] = 2 for u."""
     w = np.random.default_rng(3).choice([-1.0, 1.0], 8192)
-    rows = sobol_indices(lambda u, i: (1 + w[i]) * u[:, 0] + u[:, 1] + 3 * w[i], {"u": [0], "v": [1]}, 8192,
-                         np.random.default_rng(4))  # fmt: skip
+    groups, rng = {"u": [0], "v": [1]}, np.random.default_rng(4)
+    rows = study_variance.sobol_indices(lambda u, i: (1 + w[i]) * u[:, 0] + u[:, 1] + 3 * w[i], groups, 8192, rng)
     for row, expected in zip(rows, (2 / 3, 1 / 3), strict=True):
         assert row["first_order"] == pytest.approx(expected, abs=0.03)
         assert row["total"] == pytest.approx(expected, abs=0.03)
@@ -210,23 +213,25 @@ def test_sobol_indices_of_groups_of_a_linear_model():
     """Shares of independent inputs add up within a group."""
     weights = np.array([3.0, 1.0, 2.0, 1.0])
     groups = {"one": [0, 3], "other": [1, 2]}
-    rows = sobol_indices(lambda u, _: u @ weights, groups, 1024, np.random.default_rng(1))
+    rows = study_variance.sobol_indices(lambda u, _: u @ weights, groups, 1024, np.random.default_rng(1))
     for key in ("first_order", "total"):
         np.testing.assert_allclose([row[key] for row in rows], [10 / 15, 5 / 15], atol=0.02)
 
 
 def test_sobol_indices_are_reproducible_and_refuse_what_they_cannot_do():
     def run(seed):
-        return sobol_indices(lambda u, _: u.sum(axis=1), {"a": [0], "b": [1]}, 256, np.random.default_rng(seed))
+        return study_variance.sobol_indices(
+            lambda u, _: u.sum(axis=1), {"a": [0], "b": [1]}, 256, np.random.default_rng(seed)
+        )
 
     assert run(3) == run(3) != run(4)
     for samples in (300, 128):
         with pytest.raises(InputError, match="give a power of two from 256"):
-            sobol_indices(lambda u, _: u[:, 0], {"a": [0]}, samples, np.random.default_rng(0))
+            study_variance.sobol_indices(lambda u, _: u[:, 0], {"a": [0]}, samples, np.random.default_rng(0))
     with pytest.raises(InputError, match=r"the groups name inputs \[0, 2\]"):
-        sobol_indices(lambda u, _: u[:, 0], {"a": [0], "b": [2]}, 256, np.random.default_rng(0))
+        study_variance.sobol_indices(lambda u, _: u[:, 0], {"a": [0], "b": [2]}, 256, np.random.default_rng(0))
     with pytest.raises(InputError, match="no variance to divide"):
-        sobol_indices(lambda u, _: np.ones(len(u)), {"a": [0]}, 256, np.random.default_rng(0))
+        study_variance.sobol_indices(lambda u, _: np.ones(len(u)), {"a": [0]}, 256, np.random.default_rng(0))
 
 
 def test_components_of_four_causes_drawn_by_hand():
@@ -235,7 +240,9 @@ def test_components_of_four_causes_drawn_by_hand():
     (a, f, p), (a2, f2, p2) = rng.normal(size=(2, 3, 4000, 1))
     value = lambda a, f, p: 2 * a + np.sqrt(2) * f + p + f * p  # noqa: E731
     mixed = np.stack([value(a2, f, p), value(a, f2, p), value(a, f, p2), value(a, f, p)])
-    found = variance_indices(value(a, f, p), value(a2, f2, p2), mixed, ["arms", "fruit", "poses", "tracker"])
+    found = study_variance.variance_indices(
+        value(a, f, p), value(a2, f2, p2), mixed, ["arms", "fruit", "poses", "tracker"]
+    )
     truth = {"arms": (0.5, 0.5), "fruit": (0.25, 0.375), "poses": (0.125, 0.25), "tracker": (0.0, 0.0)}
     for row in found:
         assert (row["first_order"], row["total"]) == pytest.approx(truth[row["group"]], abs=0.05)

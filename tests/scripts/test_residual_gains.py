@@ -8,8 +8,7 @@ import pytest
 from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at
 from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.experiments import Rows
-from pickenv.experiments.experiment_file import load_experiment
+from pickenv.experiments import Rows, load_experiment
 
 STUDIES = Path(__file__).parents[2] / "scripts/studies"
 EFFECTS = shipped_effects()

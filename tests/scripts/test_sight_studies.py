@@ -10,7 +10,7 @@ import pytest
 
 from pickenv import experiments
 from pickenv.base import toml_of
-from pickenv.experiments.experiment_file import load_experiment
+from pickenv.experiments import load_experiment
 from pickenv.orchard import load_sight_errors
 
 ROOT = Path(__file__).parents[2]
