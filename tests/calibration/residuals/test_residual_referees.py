@@ -10,7 +10,7 @@ import pytest
 import torch
 from sklearn.cluster import KMeans
 
-from pickenv.base import is_there
+from pickenv.base import is_there, torch_on_one_thread
 from pickenv.base.registry import get
 from pickenv.calibration import Bpnn, BpnnSettings, fit_residual, train_bpnn
 from pickenv.calibration.residuals import bpnn, gaussian_process
@@ -78,12 +78,12 @@ def referee_network(x, y, rng, settings):
 )
 def test_the_network_is_trained_as_torch_trains_it(settings):
     x, y = drawn()
-    with torch.random.fork_rng():
+    with torch.random.fork_rng(), torch_on_one_thread():  # sums of single precision depend on their order
         predict, losses = referee_network(x, y, np.random.default_rng(3), settings)
     ours = train_bpnn(x, y, np.random.default_rng(3), settings)
     np.testing.assert_allclose(ours.loss, losses, rtol=1e-4)
     later = drawn(20, seed=9)[0]
-    np.testing.assert_allclose(ours.predict(later) / y.std(axis=0), predict(later) / y.std(axis=0), atol=1e-3)
+    np.testing.assert_allclose(ours.predict(later) / y.std(axis=0), predict(later) / y.std(axis=0), atol=2e-4)
 
 
 def test_a_constant_joint_or_residual_keeps_its_place_in_the_network():
