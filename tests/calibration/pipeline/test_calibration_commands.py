@@ -73,7 +73,7 @@ def test_the_corrected_arm_is_exported(folder):
         said = call("export", folder / "arm.npz", "--out", folder / name)
         assert "not in the file, because no geometry can hold it: learnt residual 'bpnn'" in said and "wrote" in said
     assert load_arm(folder / "a.toml").name == "qiao2026_calibrated"
-    with pytest.raises(InputError, match="does not tell what to write; give `kind`"):
+    with pytest.raises(InputError, match="does not tell what to write; give --as"):
         call("export", folder / "arm.npz", "--out", folder / "a.dat")
     with pytest.raises(InputError, match="belongs to arm"):
         call("export", folder / "arm.npz", "--arm", "ur5", "--out", folder / "b.toml")
@@ -99,7 +99,7 @@ def test_what_is_said_of_a_file_or_a_plant_is_written_down_too(folder):
     said = call("export", folder / "arm.npz", "--out", folder / "t.urdf", "--json", folder / "t.json")
     told = json.loads((folder / "t.json").read_text(encoding="utf-8"))
     assert told["files"] == [str(folder / "t.urdf")] and len(told["notes"]) == 2
-    assert said.startswith("\n".join(told["notes"]))
+    assert said.startswith("\n".join(told["notes"]).replace("`onto`", "--onto"))
     with pytest.raises(InputError, match="does not know how sure it is; give the rows"):
         call("twin", folder / "arm.npz", "--out", folder / "w.npz")
     calibration = Calibration.load(folder / "arm.npz").without_residual()
