@@ -6,6 +6,7 @@ both are written into docs/_generated when the site is built, so that neither ca
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import os
@@ -21,6 +22,7 @@ sys.path.insert(0, str(HERE.parent))
 
 import gymnasium  # noqa: E402
 from pygments.lexers import TextLexer  # noqa: E402
+from sphinx.pycode import ModuleAnalyzer  # noqa: E402
 
 import pickenv  # noqa: E402
 
@@ -97,10 +99,22 @@ def reference_page(room: str, first: dict[int, str]) -> str:
         if get_origin(thing) or (inspect.isclass(thing) and thing.__name__ != name):  # a type by another name
             lines += [f".. py:data:: {name}", "", f"   `{thing}`", ""]
             continue
-        kind = "autoclass" if inspect.isclass(thing) else "autofunction" if inspect.isroutine(thing) else "autodata"
+        if not callable(thing):
+            lines += [f".. py:data:: {name}", "", *(f"   {line}" for line in constant_words(module, name)), ""]
+            continue
+        kind = "autoclass" if inspect.isclass(thing) else "autofunction"
         options = ["   :no-members:"] if _is_environment(thing) else []
         lines += [f".. {kind}:: {room}.{name}", *options, ""]
     return "\n".join(lines)
+
+
+def constant_words(module: ModuleType, name: str) -> list[str]:
+    """The text below a constant that a room offers, in the module that its stub names."""
+    stub = ast.parse(Path(str(module.__file__)).with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = [node for node in stub.body if isinstance(node, ast.ImportFrom)]
+    (home,) = [node.module for node in imports for alias in node.names if alias.name == name]
+    words = ModuleAnalyzer.for_module(f"{module.__name__}.{home}").find_attr_docs()
+    return words.get(("", name), [])
 
 
 def _first_line(module: ModuleType) -> str:
