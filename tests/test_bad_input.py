@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import load_plant
-from pickenv.arm.files.arm_file import ARMS
+from pickenv.arm import ARMS, load_plant
 from pickenv.calibration import random_joints, simulated_tracker
 
 Table = list[list[str]]

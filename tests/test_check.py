@@ -20,8 +20,8 @@ from pickenv.base import write_container, write_text
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.cli import app
 from pickenv.experiments import CalibrationPlan, PolicySettings, compensators, load_study, run_policies, run_study
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.run_folder import listed_files, recorded_run, save_part
+from pickenv.inspect import CalibrationTrace, recorded_run, save_part, trace_of
+from pickenv.inspect.runs.run_folder import listed_files
 
 NAMES = ("calibration.npz", "calibration_trace.npz", "figures.json")
 

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings, strategies as st
 
-from pickenv.arm import forward, load_arm, load_plant
-from pickenv.arm.files.arm_file import ARMS, UR_KEYS, UR_LINKS
-from pickenv.arm.files.urdf import urdf_text
-from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.arm import ARMS, PLANTS, forward, load_arm, load_plant, urdf_text
+from pickenv.arm.files.arm_file import UR_KEYS, UR_LINKS
 from pickenv.base import InputError
 from pickenv.calibration import Measurements, load_description, random_joints, read_observations, read_targets
 from pickenv.calibration.reading.description import DESCRIPTIONS

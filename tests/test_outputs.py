@@ -11,13 +11,12 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.arm import PLANTS
 from pickenv.base import InputError, write_container, write_text
 from pickenv.cli import app
 from pickenv.commands import inspection, plants
 from pickenv.commands.showing import deliver
-from pickenv.inspect import read_run
-from pickenv.inspect.runs.run_folder import recorded_run
+from pickenv.inspect import read_run, recorded_run
 
 ROOT = Path(__file__).parents[1]
 
@@ -72,7 +71,7 @@ def test_a_figure_that_is_a_link_to_the_numbers_is_not_drawn(tmp_path, monkeypat
 
 
 def reports_drawing(name):
-    from pickenv.inspect.figures.run_drawings import Drawing
+    from pickenv.inspect import Drawing
 
     return Drawing(name, "", lambda: pytest.fail("drawn"))
 

@@ -15,8 +15,7 @@ from typer.testing import CliRunner
 from pickenv.agents import Training, check_checkpoint, make_model, resumed, train
 from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint
 from pickenv.agents.training.training_setup import check_inputs, inputs_of
-from pickenv.arm import load_plant
-from pickenv.arm.plant.plant_file import PLANTS
+from pickenv.arm import PLANTS, load_plant
 from pickenv.base import InputError, read_container, write_container
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.commands import learning as commands

@@ -14,8 +14,7 @@ from pickenv.agents import BASELINES, load_policy, shipped_baselines
 from pickenv.agents.evaluation.contenders import load_any
 from pickenv.agents.policies.learned import FORMAT
 from pickenv.arm import load_arm
-from pickenv.base import InputError, read_container, write_container
-from pickenv.base.container import seal
+from pickenv.base import InputError, read_container, seal, write_container
 from pickenv.experiments import PolicySettings, evaluation_rows, run_policies
 from pickenv.wrappers import GapScaling, Scaling
 

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from pickenv.base import InputError, locked
-from pickenv.inspect.runs.run_folder import RECORD, recorded_run
+from pickenv.inspect import recorded_run
+from pickenv.inspect.runs.run_folder import RECORD
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}

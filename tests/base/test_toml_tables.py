@@ -9,9 +9,7 @@ import jsonschema
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.arm.files.arm_file import ARMS
-from pickenv.arm.plant.plant_file import PLANTS
-from pickenv.arm.plant.tolerances import TOLERANCES
+from pickenv.arm import ARMS, PLANTS, TOLERANCES
 from pickenv.base import DEG, MM, NUMBER, WHOLE, InputError, Key, Unit, json_schema, read_toml, toml_table, toml_tables
 from pickenv.base.toml_tables import line_of
 from pickenv.calibration.camera import boards

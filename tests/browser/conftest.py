@@ -55,8 +55,7 @@ def blueprint(recording: Path) -> Blueprint:
 @pytest.fixture(scope="session")
 def arrows(run_folder: Path) -> dict[str, Any]:
     """The raw arm's error field, from the run's numbers and not from its recording: metres, errors in mm."""
-    from pickenv.inspect import Comparison, read_run
-    from pickenv.inspect.runs.run_folder import load_part
+    from pickenv.inspect import Comparison, load_part, read_run
 
     comparison = load_part(read_run(run_folder), Comparison)
     raw = comparison.policies[0]

@@ -98,9 +98,7 @@ def test_a_report_fits_paper(browser: Any, reports: dict[str, Path], name: str, 
 
 
 def test_hovering_reads_a_poses_millimetres(browser: Any, reports: dict[str, Path], run_folder: Path) -> None:
-    from pickenv.inspect import read_run
-    from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-    from pickenv.inspect.runs.run_folder import load_part
+    from pickenv.inspect import CalibrationTrace, load_part, read_run
 
     errors = load_part(read_run(run_folder), CalibrationTrace).errors
     with open_report(browser, reports["report"], viewport=SIZE) as report:
@@ -114,8 +112,7 @@ def test_hovering_reads_a_poses_millimetres(browser: Any, reports: dict[str, Pat
 
 
 def test_hovering_reads_an_arrows_millimetres(browser: Any, reports: dict[str, Path], run_folder: Path) -> None:
-    from pickenv.inspect import Comparison, read_run
-    from pickenv.inspect.runs.run_folder import load_part
+    from pickenv.inspect import Comparison, load_part, read_run
 
     comparison = load_part(read_run(run_folder), Comparison)
     pattern = rf"{NUMBER} mm ?x {NUMBER}, y {NUMBER}, z {NUMBER} mm ?at x {NUMBER}, y {NUMBER}, z {NUMBER} m"

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, Geometry, Pose, rotation_matrix
-from pickenv.calibration import Calibration
-from pickenv.calibration.model.arm_model import ArmModel, Term
+from pickenv.calibration import ArmModel, Calibration, LearntResidual
+from pickenv.calibration.model.arm_model import Term
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess
-from pickenv.calibration.residuals.residual_models import JointInputs, LearntResidual
+from pickenv.calibration.residuals.residual_models import JointInputs
 
 
 def seen_from(geometry: Geometry, rng: np.random.Generator) -> Geometry:

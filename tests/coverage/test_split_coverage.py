@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.calibration import error_statistics
-from pickenv.calibration.model.observations import BLOCKS, contiguous_folds
+from pickenv.calibration import contiguous_folds, error_statistics
+from pickenv.calibration.model.observations import BLOCKS
 
 NORM = np.sqrt(8.0 / np.pi)
 """Mean norm of three standard normal coordinates."""

@@ -12,7 +12,7 @@ from pickenv.base import InputError
 from pickenv.envs import HarvestEnv, HarvestVectorEnv
 from pickenv.envs.harvesting import harvest_task as batch
 from pickenv.envs.harvesting.harvest_task import distances, harvest_spaces, make_harvest_task
-from pickenv.harvester.picking import Luck
+from pickenv.harvester import Luck
 
 MIDDLE, SIDE, LEFT = 1, 2, 0
 UP, SWING, STRETCH = range(3)

@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Plant, forward, load_arm, load_plant
-from pickenv.arm.files.mjcf import mjcf_text
+from pickenv.arm import Arm, Plant, forward, load_arm, load_plant, mjcf_text
 from pickenv.base import InputError
 from pickenv.calibration import fit, simulated_tracker
 from pickenv.wrappers import Miscalibrate, geometry_in_mujoco, joints_in_mujoco

@@ -11,18 +11,16 @@ import numpy as np
 import pytest
 import torch
 
-from pickenv.arm import forward, plant_at, pose_error
-from pickenv.arm.kinematics.forward import chain_of
-from pickenv.arm.plant.plant_batch import tree_map
+from pickenv.arm import chain_of, forward, plant_at, pose_error, tree_map
 from pickenv.calibration import Compensator
 from pickenv.calibration.compensation.compensator import corrected
 from pickenv.envs import PickEnv, ReachEnv, ReachGoalEnv, ReachGoalVectorEnv, ReachVectorEnv
 from pickenv.envs.harvesting import harvest_task
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
-from pickenv.experiments import StudyConfig
-from pickenv.experiments.study import RAW, Noise, chunk_rows, evaluate_arm, prepared_study
+from pickenv.experiments import Noise, StudyConfig, prepared_study
+from pickenv.experiments.study import RAW, chunk_rows, evaluate_arm
 from pickenv.experiments.study_batched import judge_batch
-from pickenv.harvester.picking import attempt, draw_luck
+from pickenv.harvester import attempt, draw_luck
 from pickenv.orchard import capture_probability
 
 ARMS, FRUIT = 3, 5

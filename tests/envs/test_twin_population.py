@@ -6,8 +6,7 @@ import pytest
 from gymnasium.vector import SyncVectorEnv
 
 from pickenv.arm import draw_plants, load_arm, load_plant, load_tolerances, plant_at, write_twin
-from pickenv.calibration import twin
-from pickenv.calibration.model.arm_model import GravityTerm, PeriodicTerm
+from pickenv.calibration import GravityTerm, PeriodicTerm, twin
 from tests.calibration.twins import found_by_hand, learnt_by_hand
 
 QIAO = load_arm("qiao2026")

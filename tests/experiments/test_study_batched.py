@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from pickenv.arm import plant_at
-from pickenv.arm.plant.tolerances import TOLERANCES
+from pickenv.arm import TOLERANCES, plant_at
 from pickenv.base import InputError
 from pickenv.experiments import Noise, load_study, prepared_study, run_study, study_batched
 from pickenv.experiments.study import OK, evaluate_arm, evaluate_chunk

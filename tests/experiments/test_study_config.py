@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.arm.plant.plant_file import PLANTS
-from pickenv.arm.plant.tolerances import TOLERANCES
+from pickenv.arm import PLANTS, TOLERANCES
 from pickenv.base import InputError
 from pickenv.experiments import Noise, load_study
 
@@ -148,7 +147,7 @@ def test_an_impossible_arm_is_refused(study_file, tmp_path, old, new, named):
 
 
 def test_reversed_joint_limits_are_refused(study_file, tmp_path):
-    from pickenv.arm.files.arm_file import ARMS
+    from pickenv.arm import ARMS
 
     arm, plant = tmp_path / "arm.toml", tmp_path / "plant.toml"
     text = (ARMS / "qiao2026.toml").read_text(encoding="utf-8")

@@ -30,8 +30,7 @@ from pickenv.experiments.study_findings import place, ranked, specified, study_d
 from pickenv.experiments.study_report import _failures, arms_compared, page, study_page
 from pickenv.experiments.study_rows import read_sobol, write_record, write_sobol
 from pickenv.experiments.study_variance import sobol_of, tolerance_groups
-from pickenv.inspect import read_run
-from pickenv.inspect.figures.run_drawings import Drawing, NotDrawn
+from pickenv.inspect import Drawing, NotDrawn, read_run
 
 STUDY = """
 plant = "qiao2026"

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, load_plant, plant_at, pose_error
-from pickenv.arm.plant.tolerances import TOLERANCES, it_tolerance
+from pickenv.arm import TOLERANCES, forward, it_tolerance, load_plant, plant_at, pose_error
 from pickenv.base import InputError
 from pickenv.experiments import Noise, load_study, prepared_study
 from pickenv.experiments.study import (

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from pickenv.agents import ScriptedHarvest
-from pickenv.envs import HarvestEnv
+from pickenv.envs import CONTROL_PERIOD, HarvestEnv
 from pickenv.envs.harvesting import harvest_task as batch
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
-from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.harvester import attempt, draw_luck, pushes
 from pickenv.harvester.picking import displacements
 

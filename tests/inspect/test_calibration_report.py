@@ -8,12 +8,20 @@ import numpy as np
 import pytest
 
 from pickenv.arm import load_instrument, load_plant
-from pickenv.calibration import Choices, assess, calibrate, fit, random_joints, simulated_tracker
+from pickenv.calibration import (
+    GEOMETRIC,
+    Choices,
+    GateReport,
+    GateVerdict,
+    assess,
+    calibrate,
+    fit,
+    random_joints,
+    simulated_tracker,
+)
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure, unit_of
 from pickenv.calibration.identification.least_squares import is_angle
-from pickenv.calibration.pipeline.fitting import GEOMETRIC
-from pickenv.calibration.residuals.gate import GateReport, GateVerdict
 from pickenv.inspect import Bar, calibration_page, write_calibration_report
 from pickenv.inspect.reports.report_words import parameter_words
 

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import forward, joint_jacobian, load_plant, noncompensable_error
-from pickenv.arm.plant.campaign import effect_shares
+from pickenv.arm import effect_shares, forward, joint_jacobian, load_plant, noncompensable_error
 from pickenv.inspect import Comparison, RecordedPolicy, record_comparison
 from pickenv.inspect.colours import GREY, STEEL, policy_colours, viridis
 from pickenv.inspect.recordings.details import (

@@ -15,19 +15,20 @@ from pickenv.base import InputError
 from pickenv.harvester import (
     Controller,
     Harvest,
+    Round,
     Strategy,
     TrueMachine,
+    arm_distances,
     load_grid,
     load_machine,
     load_orchard,
     load_picking,
     load_true_machine,
+    profile,
+    slave_joints_at,
+    travel_time,
     work_trees,
 )
-from pickenv.harvester.arm_paths import slave_joints_at
-from pickenv.harvester.harvest_run import Round
-from pickenv.harvester.interference import arm_distances
-from pickenv.harvester.machine import profile, travel_time
 from pickenv.inspect import inspect_harvest, picked_tree
 from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL
 from pickenv.inspect.recordings.harvest_recording import FATES

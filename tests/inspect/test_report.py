@@ -20,6 +20,7 @@ from pickenv.inspect import (
     Drawing,
     Interactive,
     NotDrawn,
+    Page as ReportPage,
     PageTable,
     PageVerdict,
     Pair,
@@ -28,12 +29,12 @@ from pickenv.inspect import (
     Section,
     html_of,
     load_part,
+    new_figure,
     trace_drawings,
 )
-from pickenv.inspect.figures.style import new_figure
 from pickenv.inspect.reports.demo_report import demo_verdict, page as demo_report
 from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
-from pickenv.inspect.reports.report_page import Page as ReportPage, Part
+from pickenv.inspect.reports.report_page import Part
 
 VOID = {"meta", "link", "img", "br"}
 

@@ -14,10 +14,19 @@ import pytest
 
 from pickenv.arm import load_plant, noncompensable_error
 from pickenv.base import mean_interval, share_interval
-from pickenv.calibration import Choices, Result, assess, calibrate, fit, random_joints, simulated_tracker
+from pickenv.calibration import (
+    GEOMETRIC,
+    NOMINAL,
+    Choices,
+    Result,
+    assess,
+    calibrate,
+    fit,
+    random_joints,
+    simulated_tracker,
+)
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure
-from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 from pickenv.inspect import (
     Bar,
     CalibrationTrace,

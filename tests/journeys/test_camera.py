@@ -16,12 +16,20 @@ import pytest
 from typer.testing import CliRunner
 
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
-from pickenv.calibration import Calibration, Measurements, frames_model, identify, random_joints
-from pickenv.calibration.camera.boards import Board
+from pickenv.calibration import (
+    ArmModel,
+    Board,
+    Calibration,
+    Lens,
+    Measurements,
+    PixelObservations,
+    frames_model,
+    identify,
+    prior_model,
+    projected,
+    random_joints,
+)
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
-from pickenv.calibration.model.prior import prior_model
 from pickenv.cli import app
 from tests.calibration.camera.conftest import render
 

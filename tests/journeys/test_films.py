@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pickenv.inspect import RecordedEpisodes, read_run
-from pickenv.inspect.runs.run_folder import load_part
+from pickenv.inspect import RecordedEpisodes, load_part, read_run
 from tests.journeys.pages import walked
 
 ROOT = Path(__file__).parents[2]

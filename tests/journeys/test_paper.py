@@ -21,10 +21,8 @@ from scipy.stats import rankdata
 
 from papers.qiao2026.equations import PAPER
 from papers.qiao2026.methods import METHODS
-from pickenv.inspect import read_run
+from pickenv.inspect import HarvestTrace, load_part, read_run
 from pickenv.inspect.reports.harvest_report import page
-from pickenv.inspect.runs.harvest_trace import HarvestTrace
-from pickenv.inspect.runs.run_folder import load_part
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/papers.md").read_text(encoding="utf-8")

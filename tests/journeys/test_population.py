@@ -19,8 +19,7 @@ import numpy as np
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.experiments import load_study, yields_of
-from pickenv.experiments.study import prepared_study
+from pickenv.experiments import load_study, prepared_study, yields_of
 from pickenv.experiments.study_batched import evaluate_batch
 
 ROOT = Path(__file__).parents[2]

@@ -15,10 +15,7 @@ import numpy as np
 import pytest
 from typer.main import get_command
 
-from pickenv.arm import Geometry, Plant, Pose, forward, load_arm, plant_at
-from pickenv.arm.kinematics.forward import pose_of
-from pickenv.arm.plant.campaign import Pace, moved, switched_on
-from pickenv.arm.plant.plant_file import draw_arms
+from pickenv.arm import Geometry, Pace, Plant, Pose, draw_arms, forward, load_arm, moved, plant_at, pose_of, switched_on
 from pickenv.calibration import Calibration
 from pickenv.cli import app
 from pickenv.experiments import load_study

@@ -11,8 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Pose, forward, load_arm
-from pickenv.calibration import Calibration, random_joints
-from pickenv.calibration.model.arm_model import ArmModel
+from pickenv.calibration import ArmModel, Calibration, random_joints
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts/benchmark_never_worse.py"

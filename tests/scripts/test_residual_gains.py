@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at
-from pickenv.arm.plant.plant_file import shipped_effects
+from pickenv.arm import draw_plants, load_plant, load_tolerances, plant_at, shipped_effects
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.experiments import Rows, load_experiment
 

@@ -28,7 +28,7 @@ from pickenv.calibration import (
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.model.observations import choose
 from pickenv.cli import app
-from pickenv.inspect.reports.calibration_report import calibration_page
+from pickenv.inspect import calibration_page
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 PLAIN = ("--arm", "qiao2026", "--terms", "none", "--residual", "none")

@@ -8,8 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings, strategies as st
 
-from pickenv.arm import displace_pose, forward, load_arm, noncompensable_error, pose_error
-from pickenv.arm.kinematics.forward import chain_of
+from pickenv.arm import chain_of, displace_pose, forward, load_arm, noncompensable_error, pose_error
 from pickenv.base import InputError
 from pickenv.calibration import Compensator, random_joints
 from pickenv.calibration.compensation.compensator import NEGLIGIBLE, _Expected, _expected, _nearer, corrected

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pickenv.arm import joint_jacobian, load_arm
-from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE, truncated_inverse
+from pickenv.arm import joint_jacobian, load_arm, truncated_inverse
+from pickenv.arm.kinematics.task_space import DIRECTION_TOLERANCE
 from pickenv.calibration import random_joints
 from pickenv.calibration.compensation.compensator import START, TruncatedSolver, _factorised, _inverse_trace
 

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Geometry, Pose, forward, rotation_matrix
-from pickenv.arm.kinematics.forward import geometry_from_axes
+from pickenv.arm import Arm, Geometry, Pose, forward, geometry_from_axes, rotation_matrix
 from pickenv.calibration import ArmModel, Calibration, Choices, Measurements, calibrate, random_joints
 from pickenv.calibration.delivery.corrected_chain import link_frames
 

@@ -302,7 +302,7 @@ def test_a_lerobot_file_that_will_not_do_is_one_sentence(tmp_path, text, said):
 
 
 def test_terms_that_need_conditions_are_no_offsets(made, qiao):
-    from pickenv.calibration.model.arm_model import ThermalTerm
+    from pickenv.calibration import ThermalTerm
 
     calibration = made(qiao, np.random.default_rng(0))
     heated = replace(calibration, model=ArmModel.of(calibration.identified, (ThermalTerm(),)))

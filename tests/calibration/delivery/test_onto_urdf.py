@@ -14,9 +14,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from pickenv.arm import Pose, forward, load_arm, rotation_matrix
-from pickenv.arm.files.urdf import roll_pitch_yaw, write_urdf
-from pickenv.arm.kinematics.geometry import behind, inverse_pose
+from pickenv.arm import Pose, behind, forward, inverse_pose, load_arm, rotation_matrix, write_urdf
+from pickenv.arm.files.urdf import roll_pitch_yaw
 from pickenv.base import InputError
 from pickenv.calibration import ArmModel, Calibration, export, random_joints
 from pickenv.calibration.delivery.corrected_chain import same_chain

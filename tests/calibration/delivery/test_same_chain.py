@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings, strategies as st
 
-from pickenv.arm import Pose, forward, load_arm, rotation_matrix
-from pickenv.arm.kinematics.geometry import behind
+from pickenv.arm import Pose, behind, forward, load_arm, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration.delivery.corrected_chain import NEAR, link_frames, same_chain
 

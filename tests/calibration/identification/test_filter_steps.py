@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pickenv.arm import Pose, displace_pose, forward, joint_jacobian, load_arm, parameter_jacobian, pose_error
-from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.arm import (
+    MeasurementNoise,
+    Pose,
+    displace_pose,
+    forward,
+    joint_jacobian,
+    load_arm,
+    parameter_jacobian,
+    pose_error,
+)
 from pickenv.base import InputError
 from pickenv.calibration import (
     ArmModel,

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Geometry, Plant, displace_pose, forward
-from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.arm import Geometry, MeasurementNoise, Plant, displace_pose, forward
 from pickenv.base import InputError
 from pickenv.calibration import (
     Measurements,

@@ -5,9 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, joint_jacobian, load_arm, parameter_jacobian, pose_error
-from pickenv.arm.effects.effect import Load, gravity_torques
-from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
+from pickenv.arm import (
+    Load,
+    chain_of,
+    forward,
+    frames,
+    gravity_torques,
+    joint_jacobian,
+    load_arm,
+    parameter_jacobian,
+    pose_error,
+    split_joints,
+)
 from pickenv.calibration import (
     Calibration,
     Compensator,

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pickenv.arm import draw_plants, load_arm, load_plant, load_tolerances
-from pickenv.arm.plant.tolerances import standard_deviations
+from pickenv.arm import draw_plants, load_arm, load_plant, load_tolerances, standard_deviations
 from pickenv.base import InputError
 from pickenv.calibration import prior_model
 from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, ZEROS

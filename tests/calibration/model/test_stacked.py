@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
-from pickenv.arm.kinematics.geometry import move_pose
+from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, move_pose, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration import (
     ArmModel,

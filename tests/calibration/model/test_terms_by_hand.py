@@ -5,8 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, joint_jacobian, load_arm, load_plant, rotation_matrix
-from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
+from pickenv.arm import (
+    Pose,
+    chain_of,
+    forward,
+    frames,
+    joint_jacobian,
+    load_arm,
+    load_plant,
+    rotation_matrix,
+    split_joints,
+)
 from pickenv.calibration import (
     BendingTerm,
     ComplianceTerm,

@@ -21,7 +21,7 @@ from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.observations import BLOCKS
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.pipeline.fitting import AS_CHOSEN, HeldOut, pooled
-from pickenv.inspect.reports.calibration_report import calibration_page
+from pickenv.inspect import calibration_page
 
 PLAIN = Choices(terms="none", residual="none")
 FREE = Choices(terms="auto", residual="rbf")

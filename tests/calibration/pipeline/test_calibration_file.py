@@ -12,8 +12,7 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.arm.files.arm import geometry_arrays
-from pickenv.base import InputError, read_container, write_container
-from pickenv.base.container import seal
+from pickenv.base import InputError, read_container, seal, write_container
 from pickenv.calibration import BpnnSettings, Calibration, Measurements, fit
 from pickenv.calibration.pipeline.calibration import FORMAT
 

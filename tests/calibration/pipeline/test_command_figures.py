@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 
 from pickenv.arm import parameter_jacobian
-from pickenv.calibration import GEOMETRIC, NOMINAL, assess, fit, random_joints, simulated_tracker, uncertainty_from
+from pickenv.calibration import (
+    GEOMETRIC,
+    NOMINAL,
+    GateReport,
+    GateVerdict,
+    assess,
+    fit,
+    random_joints,
+    simulated_tracker,
+    uncertainty_from,
+)
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.apply import CorrectedCommands
 from pickenv.calibration.pipeline.calibration import PoseUncertainty, Within95, pose_uncertainty
-from pickenv.calibration.residuals.gate import GateReport, GateVerdict
 
 PRISMATIC = (False, True)
 

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Array, Pose, forward, load_arm, rotation_matrix, rotation_vector
-from pickenv.arm.kinematics.geometry import move_pose
+from pickenv.arm import Arm, Array, Pose, forward, load_arm, move_pose, rotation_matrix, rotation_vector
 from pickenv.base import InputError
 from pickenv.calibration import (
     ArmModel,

@@ -16,15 +16,16 @@ from pickenv.base import InputError
 from pickenv.calibration import (
     ArmModel,
     Choices,
+    InstrumentStation,
     Measurements,
     Result,
+    Stacked,
     calibrate,
     random_joints,
     read_observations,
     simulated_tracker,
 )
 from pickenv.calibration.identification.robust import set_ups
-from pickenv.calibration.model.measurements import InstrumentStation, Stacked
 from pickenv.cli import app
 
 PLAIN = Choices(terms="none", residual="none")

@@ -6,12 +6,21 @@ import numpy as np
 import pytest
 
 from pickenv.base import InputError
-from pickenv.calibration import Choices, GravityTerm, PeriodicTerm, random_joints, simulated_tracker, workspace_joints
+from pickenv.calibration import (
+    Choices,
+    GateReport,
+    GateVerdict,
+    GravityTerm,
+    PeriodicTerm,
+    random_joints,
+    simulated_tracker,
+    workspace_joints,
+)
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.pipeline import stages
-from pickenv.calibration.residuals.gate import AUTO as OURS, GateReport, GateVerdict
+from pickenv.calibration.residuals.gate import AUTO as OURS
 
 AUTO = Choices(frames="known", residual="auto", terms="auto", seed=5)
 

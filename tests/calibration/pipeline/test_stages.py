@@ -11,8 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import pickenv
-from pickenv.arm import forward
-from pickenv.arm.files.urdf import write_urdf
+from pickenv.arm import forward, write_urdf
 from pickenv.base import InputError
 from pickenv.calibration import Calibration, Choices, DistanceObservations, calibrate, random_joints, simulated_tracker
 from pickenv.calibration.pipeline import stages

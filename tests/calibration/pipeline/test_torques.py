@@ -7,8 +7,7 @@ import pytest
 import scipy.optimize
 from typer.testing import CliRunner
 
-from pickenv.arm import forward, load_arm
-from pickenv.arm.effects.effect import Load
+from pickenv.arm import Load, forward, load_arm
 from pickenv.base import InputError
 from pickenv.calibration import (
     GEOMETRIC,
@@ -23,9 +22,9 @@ from pickenv.calibration import (
     calibrate,
     complete_model,
     identify,
+    with_terms,
 )
 from pickenv.calibration.identification.term_choice import terms_of
-from pickenv.calibration.model.arm_model import with_terms
 from pickenv.cli import app
 
 ARM = load_arm("ur10")

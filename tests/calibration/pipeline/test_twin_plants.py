@@ -9,8 +9,11 @@ import pytest
 import torch
 
 from pickenv.arm import (
+    Coupling,
+    Load,
     draw_plants,
     forward,
+    it_tolerance,
     load_arm,
     load_plant,
     load_tolerances,
@@ -20,10 +23,7 @@ from pickenv.arm import (
     read_twin,
     write_twin,
 )
-from pickenv.arm.effects.effect import Load
 from pickenv.arm.effects.structure import StickBand
-from pickenv.arm.kinematics.geometry import Coupling
-from pickenv.arm.plant.tolerances import it_tolerance
 from pickenv.base import InputError, write_container
 from pickenv.calibration import (
     BendingTerm,

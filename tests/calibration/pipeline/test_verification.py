@@ -18,6 +18,7 @@ from pickenv.calibration import (
     DistanceObservations,
     Measurements,
     Result,
+    Stacked,
     calibrate,
     error_statistics,
     frames_and_rows,
@@ -29,7 +30,6 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.assessment.metrics import block_interval
 from pickenv.calibration.assessment.screen import figure
-from pickenv.calibration.model.measurements import Stacked
 from pickenv.calibration.pipeline.calibration import MEASURED_REGION
 from pickenv.calibration.pipeline.verification import Verification, _starts, restationed
 from pickenv.cli import app

@@ -15,18 +15,21 @@ from typer.testing import CliRunner
 from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration import (
+    Board,
     DistanceObservations,
     ErrorModel,
+    InstrumentStation,
+    Lens,
     Measurements,
     Observations,
+    PixelObservations,
+    Stacked,
     complete_model,
     identify,
     plan_like,
+    projected,
     random_joints,
 )
-from pickenv.calibration.camera.boards import Board
-from pickenv.calibration.model.measurements import InstrumentStation, Stacked
-from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
 from pickenv.calibration.planning.plan import PosePlan, exchange
 from pickenv.cli import app
 from tests.calibration.simulated_instruments import KINDS, LINE_POINT, STD, from_anchor, from_plane, points_at

@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
-from pickenv.arm.plant.plant_batch import arrays_of
+from pickenv.arm import arrays_of
 from pickenv.base import InputError
 from pickenv.envs import LADDER, SPLITS
 

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from pickenv.calibration import Choices, calibrate
 from pickenv.commands.calibrate import write_run
-from pickenv.experiments import PolicySettings, load_study, run_policies, run_study, write_outputs
+from pickenv.experiments import SETS, PolicySettings, load_study, run_policies, run_study, write_outputs
 from pickenv.experiments.policy_tables import evaluation_drawings
-from pickenv.experiments.robots import SETS, learnable
+from pickenv.experiments.robots import learnable
 from pickenv.inspect import Drawing, Run, drawings_of, read_run
 from pickenv.inspect.figures import plot_calibration, style
 from pickenv.inspect.figures.run_drawings import Drawings

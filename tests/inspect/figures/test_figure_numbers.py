@@ -20,12 +20,19 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
 from pickenv.harvester import Measure
-from pickenv.inspect import Comparison, CycleCurve, comparison_drawings, error_fields, error_slices
+from pickenv.inspect import (
+    Comparison,
+    CycleCurve,
+    JointCurves,
+    PickedTree,
+    comparison_drawings,
+    error_fields,
+    error_slices,
+)
 from pickenv.inspect.colours import arm_colour, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.field_figure import field_gain, round_down, thinned
 from pickenv.inspect.figures.style import WIDTH
-from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
 
 RNG = np.random.default_rng(17)
@@ -315,7 +322,7 @@ def test_every_second_or_third_cell_is_drawn_where_there_are_too_many(
 
 def test_success_points_are_the_policies_own(comparison: Comparison) -> None:
     """On the figure of a run: each policy's colour stands at its own mean error and share of fruit held."""
-    from pickenv.inspect.runs.matters import gripped
+    from pickenv.inspect import gripped
 
     (draw,) = [d.draw for d in comparison_drawings(comparison) if d.name == "success_against_misalignment"]  # type: ignore[union-attr]
     figure = draw()

@@ -14,11 +14,10 @@ from matplotlib.figure import Figure
 
 from pickenv.base import InputError
 from pickenv.harvester import Measure
-from pickenv.inspect import CycleCurve, error_by_condition, error_slices
+from pickenv.inspect import CycleCurve, JointCurves, error_by_condition, error_slices
 from pickenv.inspect.colours import ORANGE, policy_colours
 from pickenv.inspect.figures import plot_harvest, plot_policies
 from pickenv.inspect.figures.plot_estimates import METHODS
-from pickenv.inspect.runs.harvest_trace import JointCurves
 
 
 def title(of: Axes | Figure) -> str:

@@ -10,12 +10,19 @@ import pytest
 
 from pickenv.base import InputError
 from pickenv.harvester import Measure
-from pickenv.inspect import Comparison, CycleCurve, error_fields, error_slices, save_figure
+from pickenv.inspect import (
+    Comparison,
+    CycleCurve,
+    JointCurves,
+    PickedTree,
+    error_fields,
+    error_slices,
+    gripper_curves,
+    save_figure,
+)
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.style import INK, PIXELS_PER_INCH, WIDTH, style
-from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
-from pickenv.inspect.runs.matters import gripper_curves
 from tests.inspect.figures.figure_lint import figure_faults
 
 if TYPE_CHECKING:

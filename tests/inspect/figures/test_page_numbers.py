@@ -11,9 +11,18 @@ import numpy as np
 import pytest
 
 from pickenv.harvester import Measure
-from pickenv.inspect import Drawing, Run, drawings_of, page_of
-from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, PickedTree
-from pickenv.inspect.runs.run_folder import ISO9283, recorded_run, save_part
+from pickenv.inspect import (
+    Drawing,
+    HarvestTrace,
+    JointCurves,
+    PickedTree,
+    Run,
+    drawings_of,
+    page_of,
+    recorded_run,
+    save_part,
+)
+from pickenv.inspect.runs.run_folder import ISO9283
 
 CONTROLLERS = ("raw", "calibrated")
 

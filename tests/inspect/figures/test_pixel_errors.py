@@ -15,15 +15,20 @@ from PIL import Image
 
 from pickenv.arm import Pose, rotation_matrix
 from pickenv.base import InputError
-from pickenv.calibration import Result, calibrate
-from pickenv.calibration.camera.boards import Board
-from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses, pose_carrier
-from pickenv.calibration.model.pixels import Lens, PixelObservations, projected
-from pickenv.inspect import Drawing, corner_errors, trace_drawings, view_errors
+from pickenv.calibration import ArmModel, Board, Lens, PixelObservations, Result, calibrate, pose_carrier, projected
+from pickenv.calibration.model.arm_model import joints_of_finished_poses
+from pickenv.inspect import (
+    CalibrationTrace,
+    Drawing,
+    calibration_page,
+    corner_errors,
+    trace_drawings,
+    trace_of,
+    view_errors,
+)
 from pickenv.inspect.colours import viridis
 from pickenv.inspect.figures.field_figure import MOST_VIEWS, faint_picture
-from pickenv.inspect.reports.calibration_report import calibration_page
-from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of, views_of
+from pickenv.inspect.runs.calibration_trace import views_of
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
 
 VIEWS, SIZE = 11, (640, 480)

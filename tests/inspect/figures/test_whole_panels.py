@@ -16,13 +16,20 @@ from PIL import Image
 
 from pickenv.base import InputError
 from pickenv.harvester import Measure
-from pickenv.inspect import Comparison, CycleCurve, error_by_condition, error_fields, error_slices
+from pickenv.inspect import (
+    Comparison,
+    CycleCurve,
+    JointCurves,
+    PickedTree,
+    error_by_condition,
+    error_fields,
+    error_slices,
+)
 from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, Rgb, viridis
 from pickenv.inspect.figures import field_figure, plot_harvest, plot_policies
 from pickenv.inspect.figures.field_figure import field_gain
 from pickenv.inspect.figures.style import INK
 from pickenv.inspect.runs.calibration_trace import ViewErrors
-from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 from pickenv.inspect.runs.saved import eye_direction, shown_box
 
 RNG = np.random.default_rng(29)

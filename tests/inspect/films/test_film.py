@@ -9,6 +9,7 @@ import pytest
 
 from pickenv.arm import forward, load_plant
 from pickenv.base import InputError
+from pickenv.inspect import RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.films.film import (
     GAP,
     HALF,
@@ -21,7 +22,6 @@ from pickenv.inspect.films.film import (
     plan_film,
     write_film,
 )
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.pictures.arm_shapes import GAIN
 
 ARM = load_plant("qiao2026").arm.nominal

@@ -9,10 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.arm import Plant, forward, load_arm
-from pickenv.arm.kinematics.forward import nominal_points
+from pickenv.arm import Plant, forward, load_arm, nominal_points
 from pickenv.base import InputError
-from pickenv.inspect import film
+from pickenv.inspect import RecordedEpisodes, RecordedPolicy, film
 from pickenv.inspect.colours import RED
 from pickenv.inspect.films import film as film_module
 from pickenv.inspect.films.film import (
@@ -27,7 +26,6 @@ from pickenv.inspect.films.film import (
     seen_along,
     tool_axis,
 )
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.pictures.arm_shapes import GAIN, hand_solids
 from pickenv.pictures.stage import Eye
 from pickenv.pictures.tree_shapes import MISSED_FRUIT, RIPE, sprig

@@ -8,10 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.inspect import film
+from pickenv.inspect import RecordedEpisodes, RecordedPolicy, film
 from pickenv.inspect.films import film as film_module
 from pickenv.inspect.films.film import FilmPlan, FilmSet, film_pictures, film_stage, plan_film
-from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 
 A = [0.5, 0.0, 0.3]
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward, load_plant
-from pickenv.calibration import BpnnSettings, fit, random_joints, simulated_tracker
-from pickenv.calibration.model.arm_model import Conditions
+from pickenv.calibration import BpnnSettings, Conditions, fit, random_joints, simulated_tracker
 from pickenv.inspect import trace_of
 
 

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from pickenv.agents import ScriptedReach
-from pickenv.arm import Effect
-from pickenv.arm.effects.effect import BASE
+from pickenv.arm import BASE, Effect
 from pickenv.base import MM, toml_table
 
 
