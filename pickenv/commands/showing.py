@@ -41,7 +41,9 @@ class CommandOfNames(TyperCommand):
         """Run it; its errors and warnings, and what `with_options` is given meanwhile, name its options."""
         before = dict(_options)
         _options.clear()
-        _options.update({str(param.name): param for param in self.params if isinstance(param, TyperOption)})
+        siblings = {} if ctx.parent is None else getattr(ctx.parent.command, "commands", {})
+        for command in (siblings.get("calibrate", self), self):  # what to calibrate with is said by other commands too
+            _options.update({str(param.name): param for param in command.params if isinstance(param, TyperOption)})
         try:
             with warnings.catch_warnings():
                 warnings.showwarning = _print_warning
@@ -76,7 +78,7 @@ def with_options(text: str) -> str:
     """A text of the library for a person at the command line: parameters in backticks become the command's options.
 
     ``give `refit` with `test='b.csv'` `` reads "give --refit with --test b.csv"; a list repeats its option. What the
-    running command has no option for loses its backticks.
+    running command has no option for, nor `pickenv calibrate`, loses its backticks.
     """
     return re.sub(r"`([A-Za-z_]\w*)(?:=([^`]*))?`", _option, text)
 

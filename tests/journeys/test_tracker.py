@@ -73,9 +73,10 @@ def test_fitted_frames_are_refused_until_named(folder: Path) -> None:
     refused = reach(folder)
     assert refused.returncode != 0
     said = refused.stderr.strip().splitlines()[-1]
-    assert "base and tool of this calibration were fitted" in said and "--frames known" in said
+    assert "base and tool of this calibration were fitted" in said and "`frames='known'`" in said
     trained = pickenv("pickenv train --compensate my_arm.npz --steps 1 --out runs/train", folder)
     assert trained.returncode == 2 and trained.stderr.startswith("error: base and tool of this calibration were fitted")
+    assert "calibrate with --frames known" in trained.stderr
     accepted = REACH.replace("calibration.compensator())", 'calibration.compensator(), allow=["fitted-frames"])')
     assert accepted != REACH
     shown = run([sys.executable, "-c", accepted], folder)
