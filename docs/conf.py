@@ -67,6 +67,7 @@ ROOMS = {
     "pickenv.experiments": "Experiments and tolerance studies",
     "pickenv.orchard": "Fruit, canopy, camera, gripper",
     "pickenv.harvester": "The machine of Li 2016",
+    "pickenv.base": "Errors, files, tables with units, intervals, seeds",
 }
 """Rooms with a face, and their titles; a thing is described where it is offered first."""
 
@@ -86,13 +87,13 @@ def offered(module: ModuleType) -> dict[str, Any]:
     return {name: thing for name, thing in found.items() if not inspect.ismodule(thing)}
 
 
-def reference_page(room: str, first: dict[int, str]) -> str:
+def reference_page(room: str, first: dict[int | str, str]) -> str:
     """A room's page: each thing that it offers, described where it is offered first."""
     module = importlib.import_module(room)
     title = f"{ROOMS[room]}: ``{room}``"
     lines = [title, "=" * len(title), "", f".. currentmodule:: {room}", "", _first_line(module), ""]
     for name, thing in offered(module).items():
-        home = first.setdefault(id(thing), f"{room}.{name}")
+        home = first.setdefault(id(thing) if callable(thing) else name, f"{room}.{name}")
         if home != f"{room}.{name}":
             lines += [f".. py:data:: {room}.{name}", "   :no-index:", "", f"   See `{home}`.", ""]
             continue
@@ -169,7 +170,7 @@ def write_recording() -> None:
 
 def write_generated() -> None:
     """Write reference and cards; what is there unchanged keeps its time, so that a second build is quick."""
-    first: dict[int, str] = {}
+    first: dict[int | str, str] = {}
     pages = {}
     for room in ROOMS:
         pages[f"reference/{room}.rst"] = reference_page(room, first)

@@ -90,7 +90,8 @@ def test_a_population_of_arms_is_resumed_too(short, tmp_path, monkeypatch):
 @pytest.mark.parametrize("hows", [[signal.SIGKILL], [signal.SIGINT], [signal.SIGTERM, signal.SIGKILL, signal.SIGKILL]])
 def test_a_killed_training_goes_on(tmp_path, hows):
     code = (
-        "import sys; from pickenv.agents.training.training import train;"
+        "import signal, sys; from pickenv.agents.training.training import train;"
+        "signal.signal(signal.SIGINT, signal.default_int_handler);"  # a shell starts what runs behind it deaf to it
         "from pickenv.agents.training.training_setup import Training;"
         "train(Training('ppo', steps=60000, arguments={'plant': 'geometry_only'}, checkpoint_every=3840,"
         " evaluate_every=30000, parameters={'n_envs': 64}), sys.argv[1], resume=len(sys.argv) > 2)"

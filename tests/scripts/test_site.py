@@ -17,7 +17,7 @@ import pickenv
 
 pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
-ROOMS = ("arm", "calibration", "envs", "wrappers", "agents", "inspect", "experiments", "orchard", "harvester")
+ROOMS = ("base", "arm", "calibration", "envs", "wrappers", "agents", "inspect", "experiments", "orchard", "harvester")
 HEAVY = 1_000_000
 """Bytes of a page with all that it loads, but for films."""
 FILMS = (".gif", ".mp4")
