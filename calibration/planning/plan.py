@@ -517,6 +517,9 @@ def finished_plan(
 ) -> PosePlan:
     """The best poses of a design, in a short order, beside what chance and other numbers of poses would bring.
 
+    Where parameters have priors, poses for the most information that promise more error than chance give way to those
+    for the least error.
+
     Args:
         arm: The arm, with joint speeds.
         design: What candidates tell.
@@ -531,7 +534,6 @@ def finished_plan(
     """
     joints, aim = design.joints, goal if criterion == "test-poses" else None
     places, passes = exchange(design.rows, count, rng, aim, known=design.known)
-    places = places[short_tour(joints[places], arm.speed)]
 
     def error(rows: Array) -> float:
         return predicted_error(rows, goal, design.known)
@@ -540,6 +542,9 @@ def finished_plan(
         return float(np.median([error(rows_at(poses)) for poses in drawn(size)]))
 
     by_chance = chance(count)
+    if design.known.any() and error(design.rows[places]) > by_chance:  # much information, but not about the workspace
+        places, passes = exchange(design.rows, count, rng, goal, known=design.known)
+    places = places[short_tour(joints[places], arm.speed)]
     shuffled = [travel_seconds(joints[rng.permutation(places)], arm.speed) for _ in range(DRAWS)]
     points: list[tuple[int, float, float]] = []
     if len(sizes):

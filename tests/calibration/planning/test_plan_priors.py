@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from typer.testing import CliRunner
 
 import pickenv
@@ -78,6 +78,7 @@ def test_calibrate_states_what_was_planned(known: bool) -> None:
 
 
 @given(name=st.sampled_from(["ur5", "qiao2026", "wam"]), known=st.booleans(), seed=st.integers(0, 9999))
+@example(name="ur5", known=False, seed=854)  # three poses with much information, and none about the workspace
 @settings(max_examples=10, deadline=None)
 def test_no_plan_is_worse_than_chance(name: str, known: bool, seed: int) -> None:
     """Nor where it is made for the most information, and not for the workspace."""
@@ -88,8 +89,7 @@ def test_no_plan_is_worse_than_chance(name: str, known: bool, seed: int) -> None
         for kind in ("pose", "position"):
             plan = planned(arm, model, count, field, seed, criterion=criterion, kind=kind)
             assert plan.predicted_error is not None and plan.random_predicted_error is not None
-            # Where so few poses tell nothing beyond the prior, both are the prior's error to some digits.
-            assert plan.predicted_error <= plan.random_predicted_error * (1 + 1e-5)
+            assert plan.predicted_error <= plan.random_predicted_error
 
 
 def test_one_pose_is_a_plan_where_all_is_expected_somewhere() -> None:
