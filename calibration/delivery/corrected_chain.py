@@ -48,6 +48,8 @@ from pickenv.calibration.pipeline.calibration import Calibration
 
 NEAR, TURNED = 1e-4, 2e-4
 """m and rad; how far axes may lie apart that are the same: what a file's last digits leave."""
+LEAST_SHARE = 1e-3
+"""Of those; what leaves no choice between two readings: a tenth of a micrometre."""
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 POSES = 12
@@ -124,10 +126,11 @@ def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameC
         )
     mine, theirs = _axes(arm), _axes(file)
     worst = {0: mine[0].apart(theirs[0])}
-    for root, sign, zero in _fits(arm, mine, theirs, worst):
-        apart = _apart(arm, file, root, sign, zero)
-        if apart[0] <= 10 * NEAR and apart[1] <= 10 * TURNED:
-            return SameChain(root, sign, zero, apart)
+    fits = [SameChain(*fit, _apart(arm, file, *fit)) for fit in _fits(arm, mine, theirs, worst)]
+    share = [max(fit.apart[0] / NEAR, fit.apart[1] / TURNED) for fit in fits]
+    if fits and min(share) <= 10.0:
+        # The plainest that is no farther off than the file's digits leave the others: by chance one may come near.
+        return next(fit for fit, off in zip(fits, share, strict=True) if off <= 10.0 * max(min(share), LEAST_SHARE))
     joint = max(worst)
     near, turned = worst[joint]
     raise InputError(

@@ -227,7 +227,7 @@ def test_standard_output_by_its_name_is_written_into_in_order(tmp_path, redirect
 
 KILLED = """
 import os, signal
-from pickenv.base.files import write_whole
+from pickenv.base import write_whole
 write_whole("result.csv", lambda temporary: os.kill(os.getpid(), signal.SIGKILL))
 """
 

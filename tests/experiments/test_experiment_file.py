@@ -67,7 +67,7 @@ def fits(arm, method):
     return method != "none"
 
 def drawn(rows):
-    from pickenv.inspect.figures.style import new_figure
+    from pickenv.inspect import new_figure
 
     with new_figure(3.0, 2.0) as figure:
         figure.add_subplot().plot(rows["error_mm"])

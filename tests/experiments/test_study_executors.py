@@ -60,7 +60,7 @@ def test_a_piece_that_always_kills_its_worker_ends_the_work_with_one_sentence():
 ORPHANS = """
 import os, sys, time
 from pathlib import Path
-from pickenv.experiments.engine import spread
+from pickenv.experiments import spread
 
 def work(number):
     Path(sys.argv[1], str(os.getpid())).touch()

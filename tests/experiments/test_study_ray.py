@@ -26,8 +26,7 @@ LOCAL = """
 import json, sys, threading
 from pathlib import Path
 import psutil
-from pickenv.experiments.study import load_study
-from pickenv.experiments.study_rows import run_study
+from pickenv.experiments import load_study, run_study
 
 found = {"killed": None, "listens": []}
 
@@ -70,8 +69,8 @@ finally:
 
 HOPELESS = """
 import os, signal
-from pickenv.base.errors import InputError
-from pickenv.experiments.engine import spread
+from pickenv.base import InputError
+from pickenv.experiments import spread
 
 def dies(number):
     os.kill(os.getpid(), signal.SIGKILL)

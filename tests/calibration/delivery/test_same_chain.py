@@ -8,12 +8,13 @@ from hypothesis import example, given, settings, strategies as st
 
 from pickenv.arm import Pose, behind, forward, load_arm, rotation_matrix
 from pickenv.base import InputError
-from pickenv.calibration.delivery.corrected_chain import NEAR, link_frames, same_chain
+from pickenv.calibration.delivery.corrected_chain import link_frames, same_chain
 
 ARMS = ("ur5", "ur10e", "panda", "so101", "wam", "qiao2026", "positioner")
 
 
 @given(seed=st.integers(0, 2**32 - 1), name=st.sampled_from(ARMS))
+@example(seed=22785171, name="panda")  # leaving out a zero of 0.1 mrad comes near enough by chance
 @settings(max_examples=60)
 def test_other_roots_zeros_and_signs_are_found(told_otherwise, seed, name):
     """Whatever signs and zeros are found (a wrist has two ways), the tool is where the file has it."""
@@ -43,18 +44,15 @@ def test_an_arm_whose_first_axes_are_parallel_is_found(told_otherwise, seed):
 
 
 @given(seed=st.integers(0, 2**32 - 1))
-@example(seed=6820)  # the other way's zero is 0.04 mm, which counts as none
-@example(seed=4854)  # and here 0.31 mm, which does not
+@example(seed=6820)  # the other way's zero is 0.04 mm
+@example(seed=4854)  # and here 0.31 mm
 @settings(max_examples=20)
 def test_a_slides_zero_is_found_where_later_axes_say_where_it_stands(told_otherwise, seed):
-    """A wrist has two ways, whose zeros differ by any length: one below a file's last digits is no zero.
-
-    The zeros drawn are 5 mm and more, so that a zero left out where both ways have one would part them further.
-    """
+    """A wrist has two ways, whose zeros differ by any length: also one below a file's last digits."""
     rng, ur5 = np.random.default_rng(seed), load_arm("ur5").nominal
     arm = replace(ur5, prismatic=(False, False, False, False, True, False))
     same = same_chain(arm, told_otherwise(arm, rng, False), "robot.urdf", "arm with a slide")
-    assert same.apart[0] < (1e-8 if same.zero[4] else 2 * NEAR) and same.apart[1] < 1e-8
+    assert same.apart[0] < 1e-8 and same.apart[1] < 1e-8
 
 
 @pytest.mark.parametrize("name", ARMS)
