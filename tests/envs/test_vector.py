@@ -50,6 +50,7 @@ SINGLE = {"field, arm per episode": 1e-6}
 ROUNDED = 1e-12
 """How far apart a compiled step may be from NumPy's."""
 STEPS = 9
+SIZES = (("Reach", 1), ("Reach", 7), ("ReachGoal", 2))
 
 
 def native(count, name="Reach", executor="numpy", **arguments):
@@ -72,7 +73,9 @@ def synchronous(count, mode, name="Reach", max_episode_steps=STEPS, **arguments)
 
 @pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize("mode", list(AutoresetMode), ids=str)
-@pytest.mark.parametrize(("name", "count"), [("Reach", 1), ("Reach", 7), ("ReachGoal", 2)])
+@pytest.mark.parametrize(
+    ("name", "count"), [("Reach", 3), *(pytest.param(*each, marks=pytest.mark.slow) for each in SIZES)]
+)
 def test_native_and_synchronous_are_equal_to_the_bit_when_episodes_end_at_different_times(name, count, mode, variant):
     arguments = EARLY | VARIANTS[variant]
     sync = synchronous(count, mode, name, **arguments)

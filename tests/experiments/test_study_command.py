@@ -47,9 +47,10 @@ def test_a_study_prints_writes_and_sums_up(study_file, tmp_path):
         (["study.toml", "--out", "study.toml/run"], r"cannot write"),
     ],
 )
-def test_bad_input_ends_with_one_sentence(study_file, tmp_path, arguments, sentence):
+def test_bad_input_ends_with_one_sentence(study_file, tmp_path, arguments, sentence, typed, monkeypatch):
     study_file()
-    ran = study(*arguments, cwd=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    ran = typed("study", *arguments)
     assert ran.returncode == 2
     (said,) = [line for line in ran.stderr.splitlines() if line.strip()]
     assert said.startswith("error: ") and re.search(sentence, said)

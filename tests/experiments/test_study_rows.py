@@ -223,7 +223,7 @@ def test_noise_is_the_same_draw_in_every_setting(study_file):
     np.testing.assert_allclose(large / small, 10.0, rtol=0.05)
 
 
-@pytest.mark.parametrize("kind", ["rbf", "gp"])
+@pytest.mark.parametrize("kind", ["rbf", pytest.param("gp", marks=pytest.mark.slow)])
 def test_a_learnt_residual_is_a_method_too(study_file, kind):
     config = load_study(
         study_file(

@@ -1,10 +1,7 @@
 """A study folder is read only as what it is: what was edited, renamed or brought from elsewhere is refused by name."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,8 +21,6 @@ from pickenv.experiments import (
     study_rows,
     table_sha256,
 )
-
-ROOT = Path(__file__).parents[2]
 
 STUDY = """
 plant = "qiao2026"
@@ -159,7 +154,7 @@ def edited(path, *changes):
 
 
 @pytest.mark.parametrize("change", [("radius_mm = 1.0", "radius_mm = 5.0"), ("seed = 3", "seed = 4")])
-def test_an_edited_study_is_refused_wherever_the_folder_is_opened(folder, tmp_path, change):
+def test_an_edited_study_is_refused_wherever_the_folder_is_opened(folder, tmp_path, change, typed):
     config = study_of(folder)
     edited(folder / "study.toml", change)
     said = r"study\.toml was edited, or .* put it back as it was"
@@ -170,8 +165,7 @@ def test_an_edited_study_is_refused_wherever_the_folder_is_opened(folder, tmp_pa
         run_study(config, folder, executor="batched")
     reasons = dict(check_folder(folder))
     assert "was edited" in reasons[folder / "study.toml"] and all(reasons.values()) and len(reasons) == 6
-    command = [sys.executable, "-m", "pickenv.cli", "report", str(folder), "--out", str(tmp_path / "page.html")]
-    ran = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    ran = typed("report", folder, "--out", tmp_path / "page.html")
     assert ran.returncode == 2 and "was edited" in ran.stderr and not (tmp_path / "page.html").exists()
 
 

@@ -142,11 +142,12 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
         geometry: A single geometry; with ``m`` = numpy its link parameters may carry batch dimensions (one arm each).
         m: ``math`` for constants that are Python floats (they mix with any executor's joints), else ``numpy``.
     """
-    convert = float if m is math else np.asarray
+    single = m is math
+    tables = (getattr(geometry, name) for name in LINK_PARAMETERS)
+    columns = [table.tolist() if single else np.moveaxis(table, -1, 0) for table in tables]
     links = []
-    for i, prismatic in enumerate(geometry.slides):
-        alpha, a, theta, d, beta = (convert(getattr(geometry, name)[..., i]) for name in LINK_PARAMETERS)
-        bent = (m.cos(beta), m.sin(beta)) if np.any(beta) else None
+    for prismatic, alpha, a, theta, d, beta in zip(geometry.slides, *columns, strict=True):
+        bent = (m.cos(beta), m.sin(beta)) if (beta if single else beta.any()) else None
         links.append(Link(prismatic, m.cos(alpha), m.sin(alpha), a, theta, d, m.cos(theta), m.sin(theta), bent))
     identity = not geometry.tool.position.any() and np.array_equal(geometry.tool.rotation, np.eye(3))
     tool = None if identity else frame_of(geometry.tool)
@@ -163,18 +164,17 @@ def frame_of(pose: Pose) -> Frame:
 
 def pose_of(frame: Frame, m: ModuleType = np) -> Pose:
     """Stack a frame's components into a `Pose` of NumPy arrays or torch tensors."""
-    xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = _same_shape(frame, m)
+    if m is np:
+        shape = np.broadcast(*frame).shape
+        position, axes = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
+        for i, (x, y, z, p) in enumerate(zip(*(frame[start : start + 3] for start in (0, 3, 6, 9)), strict=True)):
+            axes[..., i, 0], axes[..., i, 1], axes[..., i, 2], position[..., i] = x, y, z, p
+        return Pose(position, axes)
+    shaped = [v for v in frame if not isinstance(v, float)]
+    template = sum(shaped[1:], shaped[0]) * 0  # constants of a chain may still be plain floats
+    xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = (template + v for v in frame)
     rows = [m.stack([xx, yx, zx], -1), m.stack([xy, yy, zy], -1), m.stack([xz, yz, zz], -1)]
     return Pose(m.stack([px, py, pz], -1), m.stack(rows, -2))
-
-
-def _same_shape(values: Sequence[Scalar], m: ModuleType) -> list[Scalar]:
-    """Broadcast components against each other (constants of a chain may still be plain floats)."""
-    if m is np:
-        return list(np.broadcast_arrays(*values))
-    shaped = [v for v in values if not isinstance(v, float)]
-    template = sum(shaped[1:], shaped[0]) * 0
-    return [template + v for v in values]
 
 
 def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | None = None) -> list[Frame]:

@@ -88,7 +88,8 @@ def read_plant(name: str | Path) -> Plant:
     if Path(name).suffix == ".npz":
         return read_twin(name)
     path = toml_tables.file_named("plant", name, PLANTS, ".toml, .npz")
-    foreign = (name for name in registry.names("effect") if name in toml_tables.toml_of(path)[0])
+    tables, _ = toml_tables.toml_of(path)
+    foreign = (name for name in registry.names("effect") if name in tables)
     kind = plant_file(tuple(dict.fromkeys((*shipped_effects(), *foreign))))
     parts = dict(vars(toml_tables.read_toml(kind, path, context={})))
     del parts["source"]

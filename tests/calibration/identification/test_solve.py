@@ -95,6 +95,7 @@ def test_its_covariance_is_honest_far_from_the_rows():
     assert 0.7 < np.mean(ratios) < 1.35
 
 
+@pytest.mark.slow
 def test_it_is_honest_of_arms_made_three_times_better_or_worse_than_expected():
     """Zeros, lengths and angles of each of 180 arms scatter by another factor, and four rows do not tell which.
 

@@ -157,7 +157,7 @@ def test_tool_and_base_are_shared_where_asked(ur5: Arm) -> None:
     )
 
 
-@pytest.mark.parametrize("other", [wired, touched], ids=["wire", "touches"])
+@pytest.mark.parametrize("other", [wired, pytest.param(touched, marks=pytest.mark.slow)], ids=["wire", "touches"])
 def test_two_instruments_are_better_than_either_alone(ur5: Arm, other: Callable[..., Observations]) -> None:
     """Few tracker positions, and a wire or touches of one point: mean and worst of three arms are nearer than alone.
 

@@ -123,7 +123,7 @@ def test_the_knowledge_of_the_process_ends_where_its_rows_end() -> None:
     assert np.all(process.predict_std(inputs) < 0.01 * process.output_std)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [2, 4, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 1, 3))])
 def test_the_papers_arm_keeps_a_few_hundredths_of_a_millimetre(dynamic: Plant, seed: int) -> None:
     """A search that began on a third of the rows left 0.36 and 0.35 mm at seeds 2 and 4."""
     arm = arm_after_least_squares(dynamic, seed)
