@@ -37,7 +37,7 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 	xvfb libxkbcommon-x11-0 libxcursor1 libxi6
 
 # One thread per process: processes with as many threads as cores each would only wait for one another.
-TEST_ENVIRONMENT := OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
+TEST_ENVIRONMENT := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
 .PHONY: demo docs links package licences test test-slow test-lowest test-referees test-browser coverage-of-intervals lint format benchmark mutants clean

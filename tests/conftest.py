@@ -1,5 +1,6 @@
 """What every test may ask for."""
 
+import gc
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -51,3 +52,10 @@ def typed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -
         return Ended(code, *capsys.readouterr())
 
     return run
+
+
+def pytest_collection_finish() -> None:
+    """What is loaded now stays: no collection need look through it again, and few objects come in rings."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 20)

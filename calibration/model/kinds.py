@@ -271,6 +271,10 @@ class SocketObservations(OneGroup):
         """Each socket's rows are a group, so that each is trained on."""
         return self.socket
 
+    def span(self, tool: Array) -> float:
+        """The farthest that the tool, which stays in its sockets, is from its mean place."""
+        return float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
+
     def missed(self, model: ArmModel, numbers: Array) -> Array:
         """Socket minus ball."""
         sockets, ball = numbers[:-3].reshape(-1, 3), tool_points(model, self.joints, self.conditions, numbers[-3:])

@@ -32,7 +32,7 @@ from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, move_pose
 from pickenv.arm.plant.campaign import TRACKER, NormalDraws, measured_poses, normal_draws
 from pickenv.base import InputError, register, write_whole
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
-from pickenv.calibration.model.observations import Observations, OneGroup, Origins, Rows, hash_of, origins_of
+from pickenv.calibration.model.observations import Observations, OneGroup, Origins, Rows, extent, hash_of, origins_of
 
 POSITION_STD = 15e-6
 """Standard uncertainty of a position when a file states none, m: a laser tracker at a few metres."""
@@ -455,6 +455,10 @@ class Stacked:
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
         """Of the first one, whose frames are the arm's."""
         return self.parts[0].rough_poses(prismatic)
+
+    def span(self, tool: Array) -> float:
+        """Of all rows."""
+        return extent(tool, self.miss_unit)
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
         """Of all stations, each by its own tool."""

@@ -179,6 +179,9 @@ class Observations(Equations, Protocol):
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
         """Poses or positions (`Measurements`) that the rows are worth by themselves, to start from; None where none."""
 
+    def span(self, tool: Array) -> float:
+        """What `misses` are small against: how far the tool's positions ``(N, 3)`` spread, m; of directions 1 rad."""
+
     def fingerprint(self) -> str:
         """Hash of the numbers, which a calibration records."""
 
@@ -242,6 +245,11 @@ class Stated:
     def jacobian(self) -> Array:
         """Derivatives of these equations by the fitted numbers."""
         return np.asarray(np.diag(1.0 / self.std[self.free])[self._known])
+
+
+def extent(tool: Array, miss_unit: str) -> float:
+    """The standard deviation of positions ``(N, 3)``, m; 1 rad where angles are missed."""
+    return 1.0 if miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
 
 
 class OneGroup:
@@ -309,6 +317,10 @@ class OneGroup:
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
         """Themselves, where they are poses; other readings say nothing of poses by themselves."""
         return self.poses
+
+    def span(self, tool: Array) -> float:
+        """The standard deviation of positions."""
+        return extent(tool, self.miss_unit)
 
     def fingerprint(self) -> str:
         """Of joints and readings."""

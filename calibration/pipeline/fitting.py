@@ -24,7 +24,6 @@ from pickenv.calibration.identification.least_squares import Identification, ide
 from pickenv.calibration.identification.robust import MISFIT, SPAN, align, refuse_another_arm, rough_start
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model, kind_of_term
-from pickenv.calibration.model.kinds import SocketObservations
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
@@ -192,12 +191,7 @@ def _refuse_misfit(found: Identification, data: Observations) -> None:
     """Refuse wires and sockets that even after the frames' fit miss by a large share of what they span."""
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
-    tool = forward(found.geometry, data.joints).position
-    span = float(np.linalg.norm(tool.std(axis=0)))
-    if isinstance(data, SocketObservations):
-        span = float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
-    if data.miss_unit == "deg":
-        span = 1.0
+    span = data.span(forward(found.geometry, data.joints).position)
     if rms > MISFIT * max(span, SPAN):
         missed = f"{rms * MISS_UNITS[data.miss_unit]:.0f} {data.miss_unit}"
         raise InputError(

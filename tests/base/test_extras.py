@@ -109,8 +109,8 @@ def test_a_missing_package_is_one_sentence_with_the_command_that_installs_it(
         (("matplotlib",), ("calibrate", "rows.csv", "--arm", "ur5", "--report", "page.html")),
         (("jinja2",), ("calibrate", "rows.csv", "--arm", "ur5", "--run", "run")),
         (("stable_baselines3",), ("train", "--out", "run")),
-        (("rerun",), ("inspect", "errors.rrd")),
-        (("matplotlib",), ("board", "charuco_a4", "--out", "board.pdf")),
+        pytest.param(("rerun",), ("inspect", "errors.rrd"), marks=pytest.mark.slow),
+        pytest.param(("matplotlib",), ("board", "charuco_a4", "--out", "board.pdf"), marks=pytest.mark.slow),
         (("minari",), ("datasets", "--out", "sets")),
     ],
 )

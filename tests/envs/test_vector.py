@@ -257,7 +257,9 @@ def test_the_ideal_arm_has_no_error():
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+@pytest.mark.parametrize(
+    "mode", ["NextStep", *(pytest.param(mode, marks=pytest.mark.slow) for mode in ("SameStep", "Disabled"))]
+)
 def test_numpy_and_torch_agree(mode, variant):
     torch = pytest.importorskip("torch")
     arguments = EARLY | VARIANTS[variant] | {"max_episode_steps": STEPS, "autoreset_mode": mode}

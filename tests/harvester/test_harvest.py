@@ -160,7 +160,7 @@ def test_an_empty_tree_takes_its_images_and_nothing_else(machine, true):
     assert measures(true, [done])["picks_per_hour"].value == 0
 
 
-@pytest.mark.parametrize("arms", range(1, 7))
+@pytest.mark.parametrize("arms", [1, 6, *(pytest.param(arms, marks=pytest.mark.slow) for arms in range(2, 6))])
 def test_one_to_six_arms_harvest_by_configuration_alone(arms):
     true = load_true_machine(load_machine(slaves=arms))
     found = measures(true, trees(true, best(true), 6))

@@ -258,7 +258,7 @@ def test_a_folder_that_cannot_be_written_is_named(comparison: Comparison, tmp_pa
         record_comparison(comparison, tmp_path / "file" / "errors.rrd")
 
 
-@pytest.mark.parametrize("room", [20_000, 60_000])
+@pytest.mark.parametrize("room", [20_000, pytest.param(60_000, marks=pytest.mark.slow)])
 def test_a_full_disk_is_one_sentence_and_leaves_nothing(room: int, tmp_path: Path) -> None:
     script = f"""
 import resource, runpy, sys

@@ -71,9 +71,9 @@ def test_it_is_written_in_under_80_lines() -> None:
     [
         (("calibrate", "--help"), ["bpnn, rbf, gp, forest"]),
         (("compare", "--help"), ["adaptive, patient", "cup, hand, funnel"]),
-        (("evaluate", "--help"), ["adaptive, patient", "cup, hand, funnel"]),
+        pytest.param(("evaluate", "--help"), ["adaptive, patient", "cup, hand, funnel"], marks=pytest.mark.slow),
         (("schema", "plant"), ['"soft_ground"', '"sink_mm"']),
-        (("schema", "gripper"), ['"mouth_mm"']),
+        pytest.param(("schema", "gripper"), ['"mouth_mm"'], marks=pytest.mark.slow),
     ],
 )
 def test_its_names_stand_in_help_and_schemas(folder: Path, words: tuple[str, ...], names: list[str]) -> None:

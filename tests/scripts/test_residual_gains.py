@@ -73,7 +73,7 @@ def test_sets_of_one_arm_count_once_and_fewer_than_eight_arms_have_no_interval()
     assert many.value == pytest.approx(0.165) and low < 0.165 < high
 
 
-@pytest.mark.parametrize("protocol", ["grid", "random"])
+@pytest.mark.parametrize("protocol", [pytest.param("grid", marks=pytest.mark.slow), "random"])
 def test_two_tenths_of_a_set_are_judged_and_every_set_has_its_own_pair(protocol, monkeypatch):
     """Fits whose errors are made up: streams are those of the seed, the protocol, the arm and the set."""
     seen = []

@@ -55,7 +55,7 @@ def compared(text: str) -> str:
     return re.sub(r"<body\b[^>]*>", lambda body: values.sub("", body[0]), text)
 
 
-@pytest.mark.parametrize("tip", ["gripper", "gripperframe"])
+@pytest.mark.parametrize("tip", ["gripper", pytest.param("gripperframe", marks=pytest.mark.slow)])
 def test_the_makers_model_is_kept_and_moves_as_calibrated(so101, measured, in_mujoco, meshes_of, rigid, tmp_path, tip):
     """SO-101: calibrated from simulated poses, exported in place, loaded by MuJoCo, over 200 poses."""
     rng, own = np.random.default_rng(30), so101 / "so101_new_calib.xml"

@@ -164,7 +164,7 @@ def followed(
     return float(np.mean(left)), float(np.mean(kept))
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_camera_follows_a_warm_up_of_20_kelvin(table_1: Plant, seed: int) -> None:
     drift, error = followed(
         table_1,

@@ -63,7 +63,7 @@ def said(arm: Arm, days: Sequence[Measurements]) -> list[tuple[tuple[int, ...], 
     return [(each.parts, each.own) for each in set_ups(arm, days)]
 
 
-@pytest.mark.parametrize("poses", [False, True], ids=["positions", "poses"])
+@pytest.mark.parametrize("poses", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["positions", "poses"])
 @pytest.mark.parametrize(
     ("base", "tool", "own"),
     [

@@ -338,7 +338,7 @@ def along_a_line(geometry: Geometry, rows: int) -> np.ndarray:
     return solution.joints
 
 
-@pytest.mark.parametrize("poses", [False, True], ids=["positions", "poses"])
+@pytest.mark.parametrize("poses", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["positions", "poses"])
 def test_frames_that_a_line_at_one_attitude_does_not_tell_stay_where_they_were(
     ur5: Arm, true: Geometry, poses: bool
 ) -> None:

@@ -152,9 +152,10 @@ def planned_model(plan: PosePlan, nominal: Geometry, sized: bool) -> tuple[Error
 
 
 CASES = ("wire", "touches", "camera hand", "camera world")
+SLOW = [pytest.param(kind, marks=pytest.mark.slow) for kind in ("touches", "camera world")]
 
 
-@pytest.mark.parametrize("kind", CASES)
+@pytest.mark.parametrize("kind", ["wire", "camera hand", *SLOW])
 def test_planned_poses_tell_more_and_calibrations_confirm_it(kind: str, ur5: Arm) -> None:
     """The error of arms that are calibrated with them, against arms calibrated with random ones of the candidates."""
     plan, geometry, read, first = planned(kind, ur5)

@@ -136,7 +136,7 @@ def test_its_likelihood_is_no_worse_than_scikit_learns(dynamic: Plant) -> None:
     assert np.all(likelihoods(fitted(arm), arm) <= np.array(theirs) + LIKELIHOOD_TOLERANCE)
 
 
-@pytest.mark.parametrize(("output", "nats"), [(1, 10.0), (3, 1.0)])
+@pytest.mark.parametrize(("output", "nats"), [(1, 10.0), pytest.param(3, 1.0, marks=pytest.mark.slow)])
 def test_more_starts_find_optima_that_one_misses_and_never_lose_one(
     dynamic: Plant, monkeypatch: pytest.MonkeyPatch, output: int, nats: float
 ) -> None:
