@@ -12,7 +12,8 @@ import pytest
 
 from pickenv.base import InputError, locked
 from pickenv.inspect import recorded_run
-from pickenv.inspect.runs.run_folder import RECORD
+
+RECORD = "run.json"
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT)}
