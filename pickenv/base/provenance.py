@@ -47,21 +47,22 @@ SHOWS = ("cli.py", "commands/", "pictures/", *(f"inspect/{shelf}/" for shelf in 
 """What shows numbers and makes none: a change of it leaves kept work as it is."""
 
 
-@cache
 def code_fingerprint() -> str:
-    """SHA-256 over the code and tables (.py, .toml) that make numbers, links of a checkout included; read once.
+    """SHA-256 over the code and tables (.py, .toml) that make numbers, links of a checkout included.
 
-    Packages of others that extend pickenv count by name and version.
+    Our own are read once. Packages of others that extend pickenv count by name and version, as they are in use now.
     """
-    root, total = Path(__file__).parents[1], hashlib.sha256()
+    others = "".join(f"{package} {number}\n" for package, number in registry.packages().items())
+    return hashlib.sha256(f"{_own_code()}{others}".encode()).hexdigest()
+
+
+@cache
+def _own_code() -> str:
+    """A line for each file: its place and its hash."""
+    root = Path(__file__).parents[1]
     files = (Path(folder) / name for folder, _, names in os.walk(root, followlinks=True) for name in names)
-    for path in sorted(path for path in files if path.suffix in (".py", ".toml")):
-        place = path.relative_to(root).as_posix()
-        if not place.startswith(SHOWS):
-            total.update(f"{place} {file_sha256(path)}\n".encode())
-    for package, number in registry.packages().items():
-        total.update(f"{package} {number}\n".encode())
-    return total.hexdigest()
+    code = {path.relative_to(root).as_posix(): path for path in files if path.suffix in (".py", ".toml")}
+    return "".join(f"{place} {file_sha256(code[place])}\n" for place in sorted(code) if not place.startswith(SHOWS))
 
 
 def made_with() -> dict[str, str]:

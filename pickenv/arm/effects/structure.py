@@ -362,14 +362,16 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
 
 @toml_tables.toml_table
 class Bearing:
-    """The guide of a slide: two bearings, one behind the other, each a spring across the slide's axis.
+    """The guide of a slide: two bearings, one behind the other, each of two pads that are springs across the axis.
 
-    Together they give 2k against a force across the axis, and k s^2 / 2 against a moment.
+    Together they give 2k against a force across the axis and k s^2 / 2 against a moment across it. About the axis
+    bearings in line give nothing; there it is the pads' distance that counts: k b^2 / 2.
 
     Attributes:
         joint: Index (from 0) of the prismatic joint.
         stiffness: Of one bearing, N/m.
         span: Distance s between the two at zero displacement, m.
+        width: Distance b between the pads of a bearing, across the axis, m.
         overhang: How far the link's origin is ahead of its guide's outlet at zero displacement, m; the displacement
             adds to it and is taken off the span. None where the bearings travel with the link, about its origin.
     """
@@ -377,6 +379,7 @@ class Bearing:
     joint: Annotated[int, toml_tables.WHOLE, BOOM]
     stiffness: Annotated[Scalar, toml_tables.Unit("N_per_um", 1e6).positive]
     span: Annotated[Scalar, toml_tables.MM.positive]
+    width: Annotated[Scalar, toml_tables.MM.positive]
     overhang: Annotated[Scalar | None, toml_tables.MM.not_negative] = None
 
 
@@ -412,10 +415,13 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
                 arm = bearing.overhang + at.joints[i] + 0.5 * span
             mx, my = moment_about(weights[i], px - arm * zx, py - arm * zy)
             turn = 2.0 / (bearing.stiffness * span * span)
+            # The part of the moment along z turns the link by the width.
+            roll = (2.0 / (bearing.stiffness * bearing.width * bearing.width) - turn) * (mx * zx + my * zy)
+            wx, wy, wz = turn * mx + roll * zx, turn * my + roll * zy, roll * zz
             sunk = GRAVITY * weights[i][0] / (2.0 * bearing.stiffness)
             # Gravity across z is (zx zz, zy zz, zz^2 - 1).
             sag = (sunk * zx * zz, sunk * zy * zz, sunk * (zz * zz - 1.0))
-            return displaced_frame(at.m, frame, _swung(turn * mx, turn * my, 0.0, arm, (zx, zy, zz), sag))
+            return displaced_frame(at.m, frame, _swung(wx, wy, wz, arm, (zx, zy, zz), sag))
 
         return give
 
