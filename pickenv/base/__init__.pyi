@@ -37,6 +37,7 @@ from .intervals import (
     paired_share_interval as paired_share_interval,
     quantile_interval as quantile_interval,
     quantile_levels as quantile_levels,
+    ratio_interval as ratio_interval,
     share_interval as share_interval,
     statistic_interval as statistic_interval,
 )

@@ -89,6 +89,46 @@ def statistic_interval(
     return ends[0] + shift, ends[1] + shift
 
 
+def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> Ends | None:
+    """Of a ratio of sums over clusters, such as fruit per hour over trees, however unlike the clusters' sizes are.
+
+    Student's t. A large cluster pulls the ratio to itself, so that its own residual is too small and few clusters
+    count: the variance is put right for the first (HC2; MacKinnon and White 1985), the degrees of freedom for the
+    second (Bell and McCaffrey 2002, Surv. Methodol.).
+
+    Args:
+        over: What is summed above, one for each cluster ``(n,)``.
+        under: What is summed below ``(n,)``, none below zero.
+        least: Fewest clusters.
+    """
+    above, below = np.asarray(over, dtype=float), np.asarray(under, dtype=float)
+    if len(above) < least or not below.sum() > 0.0:
+        return None
+    from scipy.special import stdtrit
+
+    ratio = float(above.sum() / below.sum())
+    variance, freedom = _ratio_spread(above, below)
+    if not variance > (1e-12 * ratio) ** 2:
+        return None
+    half = float(stdtrit(freedom, _TAILS[1])) * float(np.sqrt(variance))
+    return ratio - half, ratio + half
+
+
+def _ratio_spread(above: NDArray[np.float64], below: NDArray[np.float64]) -> tuple[float, float]:
+    """Variance of a ratio of sums over n > 1 clusters, and its degrees of freedom: n - 1 where all are of one size."""
+    weight = below / below.sum()
+    residual = (above - above.sum() / below.sum() * below) / below.sum()
+    rest = np.maximum(1.0 - weight, 1e-12)
+    count = weight**2 / rest
+    # The residuals' quadratic form is diag(count) seen through I - 1 weight', as the ratio is taken from them.
+    total, met, square = count.sum(), count @ weight, weight @ weight
+    left = count - total * weight
+    trace = total - 2.0 * met + total * square
+    squares = count @ count - 4.0 * (count**2 @ weight) + 2.0 * total * (count @ weight**2)
+    squares += met**2 + 2.0 * square * (left @ count) + (left @ weight) ** 2
+    return float(np.sum(residual**2 / rest)), max(float(trace**2 / squares), 1.0)
+
+
 def pseudo_values(table: NDArray[np.float64], statistic: Callable[[NDArray[np.float64]], Any]) -> NDArray[np.float64]:
     """What each of n rows adds to a statistic ``(n,)`` (Tukey's jackknife); of a mean, the values themselves."""
     n = len(table)
@@ -147,7 +187,7 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
 
     How many count follows from how differently the clusters do (the design effect; Korn and Graubard 1998). That is
     known no better than from the few clusters that have any failure, or any success, if those are fewer. Where all
-    do the same, each cluster counts once: that much is certain.
+    do the same, each cluster counts once, large ones more: that much is certain.
 
     Args:
         successes: In each of n clusters ``(n,)``; sums of probabilities, too.
@@ -162,13 +202,13 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
     from scipy.special import stdtrit
 
     share = float(taken.sum()) / total
-    spread = float(np.sum((taken - share * tried) ** 2)) * n / (n - 1) / total**2
-    counted = float(n)
+    spread, freedom = _ratio_spread(taken, tried)
+    counted = fewest = float(total**2 / (tried @ tried))  # as many clusters of one size would say as much
     if 0.0 < share < 1.0 and spread > 0.0:
-        telling = max(min(int(np.sum(taken > 0.0)), int(np.sum(taken < tried))) - 1, 1)
+        telling = max(min(int(np.sum(taken > 0.0)) - 1, int(np.sum(taken < tried)) - 1, freedom), 1)
         few, many = float(stdtrit(telling, _TAILS[1])), float(stdtrit(total - 1.0, _TAILS[1]))
         counted = share * (1.0 - share) / spread * (many / few) ** 2
-    return _wilson(share, float(np.clip(counted, min(n, total), total)))
+    return _wilson(share, float(np.clip(counted, min(fewest, total), total)))
 
 
 def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_RUNS)) -> Ends | None:
@@ -415,7 +455,9 @@ def _estimated(
         if of == "share":  # what was taken, of what was tried, with other numbers tried of each unit
             taken, tried = cube.sum(axis=(2, 3))
             return _with_reason(_ratio(table), clustered_share_interval(taken, tried), table)
-        function = of if callable(of) else _removed if of == "removed" else _ratio
+        if of == "ratio":
+            return _with_reason(_ratio(table), ratio_interval(*table.T), table)
+        function = of if callable(of) else _removed
         return _with_reason(float(function(table)), statistic_interval(table, function), table)
     (values,) = cube
     if of == "share":

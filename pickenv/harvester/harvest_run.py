@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.plant_batch import leaves
-from pickenv.base import Ends, InputError, clustered_share_interval, statistic_interval
+from pickenv.base import Ends, InputError, clustered_share_interval, ratio_interval
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
 from pickenv.harvester.machine import Machine, master_time
 from pickenv.harvester.optimiser import assign
@@ -466,13 +466,10 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
 
     def ratio(part: str, of: str, scale: float = 1.0, *, rest: bool = False) -> Measure:
         """A ratio of sums over trees, or one minus it."""
-        over, under = names.index(part), names.index(of)
-
-        def make(rows: Array) -> float:
-            value = scale * float(rows[:, over].sum()) / max(float(rows[:, under].sum()), 1e-12)
-            return 1.0 - value if rest else value
-
-        return _measure(make(sums), statistic_interval(sums, make))
+        over, under = table[part], table[of]
+        shown = float(over.sum()) / max(float(under.sum()), 1e-12), *(ratio_interval(over, under) or ())
+        value, *ends = (1.0 - scale * number if rest else scale * number for number in shown)
+        return Measure(value, *sorted(ends))
 
     measures = {
         "recovery": _share(table["collected"], table["reachable"]),

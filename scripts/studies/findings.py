@@ -12,16 +12,17 @@ from typing import Any
 import numpy as np
 from train_baselines import calibration_file
 
-from pickenv.agents import ServoReach, Training, roll_out, train
-from pickenv.arm import forward, plant_at
-from pickenv.base import stream
+from pickenv.agents import Training, train
+from pickenv.arm import Array, Pose, forward, joint_jacobian, plant_at, pose_of
+from pickenv.base import mean_interval, stream
 from pickenv.calibration import complete_model, random_joints, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.experiments import CalibrationPlan, PolicySettings, Rows, calibrate_arm, run_policies
-from pickenv.experiments.policies import population_seed
-from pickenv.inspect.colours import policy_colours, policy_label
-from pickenv.inspect.figures.style import WIDTH, new_figure, plain_decades, rgb
-from pickenv.inspect.recordings.details import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK
+from pickenv.experiments.methods import compensators
+from pickenv.inspect.colours import policy_label
+from pickenv.inspect.figures.style import INK, WIDTH, new_figure
+from pickenv.inspect.recordings.details import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK, joints_at
+from pickenv.orchard import capture_probability, load_gripper, misalignment
 
 TRAINED_ON: dict[str, dict[str, Any]] = {
     "calibrated arms": {"compensate": "calibration.npz"},
@@ -31,10 +32,18 @@ TRAINED_ON: dict[str, dict[str, Any]] = {
 WHERE_LS_IS_ENOUGH = "orchard"
 """There drift is what is left, and residual models are left out."""
 
-OPEN_LOOP = ("raw", "ls", "ls_bpnn", "best")
+SEEING = ("raw", "ls", "best")
+ALWAYS = "in every period, raw"
+NEAR, BEHIND = 0.1, 0.1
+"""m; from how far before a fruit an arm looks at it from near, and how far behind the tool its eye sits."""
 
-RMSE_MM = (0.01, 0.03, 0.1, 0.3, 1.0, 2.0, 4.0, 6.0, 10.0)
-"""RMSE of the camera in space: sqrt(3) times its standard deviation per axis."""
+GAIN, PERIODS, PERIOD = 0.3, 40, 0.1
+"""Of the servo: share of the gap it goes at once, how often it looks, and how long a command is held, s."""
+
+ROOM = 0.02
+"""Share of a joint's range that a look from near keeps from its limits."""
+
+GRIPPER = "li_cup"
 
 
 def settings_of(arms: int, episodes: int, epochs: int, seed: int, **changes: Any) -> PolicySettings:
@@ -84,54 +93,110 @@ def carried(
     return reaching(rng, "qiao2026", compensation, str(out), arms, episodes, epochs, folder, seed)
 
 
-def noise(
-    rng: np.random.Generator, plant: str, gain: float, arms: int, episodes: int, epochs: int, folder: str, seed: int
-) -> Any:
-    """One row an arm: mean errors of the raw servo by the camera's RMSE, and of the calibrated arm, blind."""
-    found = {}
-    for compensation in OPEN_LOOP:
-        rows = reaching(rng, plant, compensation, "scripted", arms, episodes, epochs, folder, seed)
-        found[compensation] = np.bincount(rows["arm"], rows["error_mm"]) / episodes
-    for rmse in RMSE_MM:
-        camera = {"feedback": "camera", "camera_noise_mm": float(rmse / np.sqrt(3.0)), "tolerances": "coarse"}
-        servo = roll_out(
-            lambda env, _: ServoReach(env, gain=gain), arms, episodes, seed, plant=plant,
-            population_seed=population_seed(seed), **camera,
-        )  # fmt: skip
-        found[f"{rmse:g}"] = servo.reaches.position_error_mm.reshape(-1, arms).mean(axis=0)
-    return found | {"arm": np.arange(arms)}
+def sight(
+    rng: np.random.Generator, plant: str, arms: int, episodes: int, epochs: int, scatter_mm: list[float],
+    bias_mm: list[float], folder: str, seed: int,
+) -> Any:  # fmt: skip
+    """What the same eye at the tool is worth, by how it is used: a row for each arm, use, scatter and bias.
+
+    The eye looks once from home, once from near, or in every period; what it says of the fruit is the believed arm's
+    pose at the look and the fruit as seen from there. Once seen, a blind arm goes there. Seen in every period, the raw
+    arm is led by a servo. The eye's bias, of the hand-eye calibration, is one vector of each arm, and its scatter
+    grows with the distance.
+    """
+    settings = settings_of(arms, episodes, epochs, seed)
+    plants, kept = settings.population(plant, seed), Path(folder) / "calibrations"
+    nominal, gripper = plants.arm.nominal, load_gripper(GRIPPER)
+    goals = random_joints(nominal, episodes * arms, rng).reshape(episodes, arms, -1)
+    cells = np.stack(np.meshgrid(scatter_mm, bias_mm, indexing="ij"), -1).reshape(-1, 1, 2) * 1e-3 / np.sqrt(3.0)
+    scatter, bias = cells[..., :1] / (NEAR + BEHIND), cells[..., 1:] * rng.standard_normal((arms, 3))
+    room = ROOM * (nominal.upper - nominal.lower)
+    low, high = nominal.lower + room, nominal.upper - room
+    home = np.broadcast_to((nominal.lower + nominal.upper) / 2, (len(cells), arms, nominal.joints))
+    behind = {"raw": None} | {name: compensators(plants, name, settings.plan, kept) for name in SEEING if name != "raw"}
+
+    def moved(state: Any, q: Array, by: Any, time: float = PERIODS * PERIOD) -> tuple[Any, Pose]:
+        """The arms after a command that was corrected where they are calibrated; a blind one may come to rest."""
+        if by is not None:
+            q = np.stack([correct(q[:, i]) for i, correct in enumerate(by)], axis=1)
+        state, frame = plants.advance(np, state, list(np.moveaxis(q, -1, 0)), time)
+        return state, pose_of(frame)
+
+    def seen(true: Pose, q: Array, fruit: Array, noise: Array) -> Array:
+        """Where the fruit is for an arm that believes to stand where its nominal twin does."""
+        gap = fruit - true.position
+        away = np.linalg.norm(gap, axis=-1, keepdims=True) + BEHIND
+        there = np.einsum("...ji,...j->...i", true.rotation, gap) + bias + scatter * away * noise
+        thought = forward(nominal, q)
+        return thought.position + np.einsum("...ij,...j->...i", thought.rotation, there)
+
+    ends: dict[str, list[Pose]] = {}
+    targets = forward(nominal, goals)
+    for k, goal in enumerate(goals):
+        fruit, aim = targets.position[k], targets.rotation[k]
+        at = np.broadcast_to(goal, home.shape)
+        near = goal
+        for _ in range(4):  # as near to there as the joints let it come, with room for a correction
+            near = np.clip(joints_at(nominal, near, fruit - NEAR * aim[..., 2]), low, high)
+        noise = rng.standard_normal((2, *home.shape[:2], 3))
+        for name, by in behind.items():
+            for where, q, eye in (("afar", home, noise[0]), ("near", np.broadcast_to(near, home.shape), noise[1])):
+                state, true = moved(plants.initial_state(np, list(np.moveaxis(q, -1, 0))), q, by)
+                place = seen(true, q, fruit, eye)
+                there = joints_at(nominal, at.reshape(-1, nominal.joints), place.reshape(-1, 3)).reshape(at.shape)
+                end = moved(state, there, by)[1]
+                ends.setdefault(f"once from {where}, {policy_label(name)}", []).append(end)
+        q = np.broadcast_to(near, home.shape)
+        state, true = moved(plants.initial_state(np, list(np.moveaxis(q, -1, 0))), q, None)
+        for _ in range(PERIODS):
+            step = seen(true, q, fruit, rng.standard_normal(true.position.shape)) - forward(nominal, q).position
+            inverse = np.linalg.pinv(joint_jacobian(nominal, q)[..., :3, :])
+            q = np.clip(q + GAIN * np.einsum("...ij,...j->...i", inverse, step), nominal.lower, nominal.upper)
+            state, true = moved(state, q, None, PERIOD)
+        ends.setdefault(ALWAYS, []).append(true)
+    parts = []
+    for use, poses in ends.items():
+        offset = targets.position[:, None] - np.stack([pose.position for pose in poses])
+        axis = np.stack([pose.rotation[..., 2] for pose in poses])
+        lying = misalignment(offset, axis, np.broadcast_to(targets.rotation[:, None, :, :, 2], axis.shape))
+        taken = capture_probability(gripper, lying.lateral, lying.axial, lying.angle).mean(axis=0)
+        error = 1e3 * np.linalg.norm(offset, axis=-1).mean(axis=0)
+        levels = (cells[..., 0] * 1e3 * np.sqrt(3.0), cells[..., 1] * 1e3 * np.sqrt(3.0), np.arange(arms))
+        shown = [np.broadcast_to(np.round(level, 9), error.shape).ravel() for level in levels]
+        parts.append((np.full(error.size, use), *shown, error.ravel(), taken.ravel()))
+    names = ("use", "scatter_mm", "bias_mm", "arm", "error_mm", "taken")
+    return {name: np.concatenate(each) for name, each in zip(names, zip(*parts, strict=True), strict=True)}
 
 
-def noise_curves(rows: Rows) -> Any:
-    """What the raw servo leaves by the camera's RMSE, beside the open loop, one panel for each plant."""
-    plants, colours = rows.levels("plant"), dict(zip(OPEN_LOOP, rgb(policy_colours(OPEN_LOOP)), strict=True))
-    with new_figure(WIDTH, 3.4) as figure:
-        panels: Any = figure.subplots(1, len(plants), sharey=True, squeeze=False)[0]
-        for axis, (plant,) in zip(panels, plants, strict=True):
-            for (gain,), line in zip(rows.levels("gain"), (":", "--", "-"), strict=False):
-                some = rows.where(plant=plant, gain=gain)
-                axis.plot(
-                    RMSE_MM, [some[f"{rmse:g}"].mean() for rmse in RMSE_MM], line, color="0.2", label=f"gain {gain:g}"
-                )
-            for key, colour in colours.items():
-                axis.axhline(some[key].mean(), color=colour, label=f"open loop, {policy_label(key)}")
-            axis.set(xscale="log", yscale="log", xlabel="RMSE of the camera (mm)", title=plant)
-            for one in (axis.xaxis, axis.yaxis):
-                plain_decades(one)
-        panels[0].set_ylabel("mean position error (mm)")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+def sight_map(rows: Rows) -> Any:
+    """What an arm that looks once leaves more than one that looks always: a panel for each plant and calibration."""
+    plants = [plant for (plant,) in rows.levels("plant")]
+    uses = [f"once from {where}, {policy_label(name)}" for where in ("afar", "near") for name in SEEING[1:]]
+    x, y = (sorted({value for (value,) in rows.levels(name)}) for name in ("scatter_mm", "bias_mm"))
+    with new_figure(WIDTH, 2.2 * len(plants) + 0.6) as figure:
+        panels: Any = figure.subplots(len(plants), len(uses), sharex=True, sharey=True, squeeze=False)
+        for line, plant in zip(panels, plants, strict=True):
+            for axis, use in zip(line, uses, strict=True):
+                shown = np.empty((len(y), len(x)))
+                for j, i in np.ndindex(shown.shape):
+                    both = [rows.where(plant=plant, use=u, scatter_mm=x[i], bias_mm=y[j]) for u in (use, ALWAYS)]
+                    more = both[0]["error_mm"] - both[1]["error_mm"]
+                    shown[j, i] = more.mean()
+                    low, high = mean_interval(more) or (-np.inf, np.inf)
+                    words = f"{shown[j, i]:.1f}" if low > 0.0 or high < 0.0 else "0"
+                    dark = "white" if shown[j, i] > 1.8 else INK
+                    axis.text(i, j, words, ha="center", va="center", fontsize=7, color=dark)
+                picture = axis.imshow(shown, origin="lower", aspect="auto", cmap="Oranges", vmin=0.0, vmax=3.0)
+                axis.grid(visible=False)
+                axis.set_xticks(range(len(x)), [f"{value:g}" for value in x])
+                axis.set_yticks(range(len(y)), [f"{value:g}" for value in y])
+            line[0].set_ylabel(f"{plant}\nbias (mm)")
+        for axis, use in zip(panels[0], uses, strict=True):
+            axis.set_title(use, fontsize=8)
+        for axis in panels[-1]:
+            axis.set_xlabel("scatter (mm)")
+        figure.colorbar(picture, ax=panels, label="more than looking in every period (mm)", shrink=0.6, extend="max")
     return figure
-
-
-def crossing(table: np.ndarray) -> float:
-    """RMSE of the camera, mm, at which a servo is as bad as the open loop; of rows (open loop, servo by RMSE)."""
-    mean = table.mean(axis=0)
-    gap, x = np.log(mean[1:] / mean[0]), np.log(RMSE_MM)
-    above = np.flatnonzero((gap[:-1] < 0) & (gap[1:] >= 0))
-    if not len(above):
-        return float("nan")
-    i = int(above[0])
-    return float(x[i] - gap[i] * (x[i + 1] - x[i]) / (gap[i + 1] - gap[i]))
 
 
 def day(rng: np.random.Generator, arms: int, picks: int, epochs: int, seed: int) -> Any:

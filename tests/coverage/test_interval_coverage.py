@@ -17,8 +17,8 @@ from pickenv.base import (
     crossed_interval,
     mean_interval,
     quantile_interval,
+    ratio_interval,
     share_interval,
-    statistic_interval,
 )
 
 Draw = Callable[[np.random.Generator, int], np.ndarray]
@@ -48,15 +48,35 @@ def test_mean_over_few_runs(repeats: Any) -> None:
 
 
 @pytest.mark.parametrize("trees", [LEAST, 30])
-def test_ratio_of_sums_over_trees(repeats: Any, trees: int) -> None:
+def test_picks_per_hour_over_trees(repeats: Any, trees: int) -> None:
     def draw(rng: np.random.Generator) -> Any:
         fruit = rng.poisson(20, trees)
-        seconds = 30.0 + fruit * rng.normal(4.0, 0.5, trees)
-        return statistic_interval(
-            np.stack([fruit, seconds], axis=1), lambda rows: 3600 * rows[:, 0].sum() / rows[:, 1].sum()
-        )
+        return ratio_interval(3600.0 * fruit, 30.0 + fruit * rng.normal(4.0, 0.5, trees))
 
     repeats.check(draw, 3600 * 20 / (30 + 20 * 4.0), share=0.2)
+
+
+SIZES: dict[str, Draw] = {
+    "any from 1 to 80": lambda rng, n: rng.integers(1, 81, n),
+    "most small, some large": lambda rng, n: np.clip(np.round(np.exp(rng.normal(2.0, 1.2, n))), 1, 80).astype(int),
+}
+"""Fruit of clusters that are most unlike."""
+
+
+@pytest.mark.parametrize("clusters", [LEAST, 24, 64])
+@pytest.mark.parametrize("sizes", SIZES)
+@pytest.mark.parametrize("statistic", ["rate", "share of one half", "share of four fifths"])
+def test_ratios_over_unequal_clusters(repeats: Any, statistic: str, sizes: str, clusters: int) -> None:
+    """Clusters that differ much in what they give, and in their size: 92 to 98 % hold; of ten shares 98.1 %."""
+    share = {"rate": 0.0, "share of one half": 0.5, "share of four fifths": 0.8}[statistic]
+
+    def draw(rng: np.random.Generator) -> Any:
+        tried = SIZES[sizes](rng, clusters)
+        if not share:
+            return ratio_interval(tried * np.exp(0.5 * rng.normal(size=clusters)), tried)
+        return clustered_share_interval(rng.binomial(tried, rng.beta(share, 1.0 - share, clusters)), tried)
+
+    repeats.check(draw, share or np.exp(0.125), most=0.985 if clusters == LEAST else 0.98, share=0.5, least=0.92)
 
 
 @pytest.mark.parametrize(("trials", "share"), [(100, 0.5), (100, 0.9), (1000, 0.954), (40, 0.5)])
