@@ -57,3 +57,12 @@ def test_seeds_of_any_size_are_taken():
     assert seed_word(5) == 5
     assert 0 <= seed_word(2**200 + 1) < 2**64
     assert seed_word(2**64 + 1) != seed_word(2**65 + 1)
+
+
+def test_normal_numbers_that_follow_one_another_share_nothing():
+    """Neither they nor their squares go together: each is made of two even numbers of its own."""
+    key = episode_key(NUMPY, np.arange(100_000, dtype=np.uint64), np.zeros(100_000, np.uint64))
+    drawn = np.array([normal(NUMPY, key, draw) for draw in range(4)])
+    found = np.corrcoef(np.concatenate([drawn, drawn**2, np.abs(drawn) * drawn]))
+    apart = np.tile(np.eye(4), (3, 3)) == 0.0
+    assert np.abs(found[apart]).max() < 5.0 / np.sqrt(100_000)

@@ -119,6 +119,15 @@ def test_another_board_is_named_as_such() -> None:
         find_corners(BOARDS["charuco"], surrounded(shown), "7.png")
 
 
+@pytest.mark.parametrize(("number", "words"), [(23, "too few to tell a corner"), (24, "but of another board")])
+def test_one_marker_is_of_the_board_if_the_board_has_its_number(number: int, words: str) -> None:
+    """A board of 6 by 8 squares has the markers 0 to 23."""
+    cv2 = pytest.importorskip("cv2")
+    marker = cv2.aruco.generateImageMarker(opencv_board(BOARDS["charuco"]).getDictionary(), number, 120)
+    with pytest.raises(InputError, match=words):
+        find_corners(BOARDS["charuco"], np.pad(marker, 150, constant_values=255), "7.png")
+
+
 def test_pages_keep_the_scale(tmp_path: Path) -> None:
     board = BOARDS["charuco"]
     path = write_board(board, tmp_path / "board.pdf", margin=0.015)
