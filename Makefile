@@ -10,6 +10,7 @@
 #   make package              wheel and source archive, built twice and compared, and looked through: dist/
 #   make licences             the licence of every installed package, as a table
 #   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
+#   make claims               draw ten numbers that the pages print, make them again at a fresh seed: docs/claims.md
 #   make mutants              change the lines that make numbers, one at a time: docs/mutants.md says what the tests
 #                             did not notice and the score by room. An hour or two; goes on where it was;
 #                             ARGS="--sample 9" for so many of each room, 0 for all, ARGS="--room plant" for one room
@@ -40,7 +41,7 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 TEST_ENVIRONMENT := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo docs links package licences test test-slow test-lowest test-referees test-browser coverage-of-intervals lint format benchmark mutants clean
+.PHONY: demo claims docs links package licences test test-slow test-lowest test-referees test-browser coverage-of-intervals lint format benchmark mutants clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
@@ -66,6 +67,9 @@ test-lowest:
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser
 	$(PYTEST) -m browser tests/browser tests/inspect --durations=5 $(ARGS)
+
+claims: $(RUNTIME)
+	$(TEST_ENVIRONMENT) $(BIN)/python scripts/claims.py check $(ARGS)
 
 docs: $(DOCS)
 	$(TEST_ENVIRONMENT) $(BIN)/python -m sphinx -W --keep-going -q -b html docs docs/_build/html $(ARGS)

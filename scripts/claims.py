@@ -1,0 +1,228 @@
+"""Do the numbers hold? The ledger of numbers that pages print, drawn from and made again.
+
+    python scripts/claims.py keep RESULT.json...    the numbers of full runs (`pickenv experiment FILE --json`)
+    python scripts/claims.py check                  draw ten rows, make them again at a fresh seed, say how many held
+    python scripts/claims.py pages                  print the tables of the pages anew from the ledger
+
+`docs/claims.toml` says which experiment makes the numbers of which page, at which smaller size they are made again,
+over what they vary and on which constants they depend. A number that is made again from fewer units varies more than
+the first; it is held where both lie no farther apart than the root mean square of their intervals' half widths, on the
+side of each. Of 95 % intervals about 83 % are then due, whatever the sizes.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import typer
+
+from pickenv.base import InputError, listed, share_interval, toml_of, write_json, write_text
+from pickenv.experiments import load_experiment, run
+from pickenv.experiments.experiment_file import plain_estimates
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+LEDGER, RECORD, PAGE = DOCS / "claims.toml", DOCS / "_static/claims.json", DOCS / "claims.md"
+DUE = 0.834
+"""Share that is due: two numbers differ by sqrt(2) of what one varies by."""
+
+HOW = (
+    "Numbers are drawn from a ledger and made again with other arms, fruit and looks. A number that is made again from "
+    "fewer units varies more than the first: it is held where both lie no farther apart than the root mean square of "
+    "their intervals' half widths."
+)
+WHERE = (
+    "[claims.json](_static/claims.json) holds every number, and each that was made again, with its seed. `make claims` "
+    'draws ten more; `make claims ARGS="--count 40 --seed 7"` draws others. '
+    "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made."
+)
+
+MARK = re.compile(r"(<!-- claims: (\{.*\}) -->\n\n).*?(\n<!-- end of claims -->)", re.S)
+app = typer.Typer(add_completion=False)
+Row = dict[str, Any]
+
+
+def entries() -> dict[str, Row]:
+    """The ledger's experiments by the name of their file."""
+    return {Path(entry["file"]).stem: entry for entry in toml_of(LEDGER)[0]["experiment"]}
+
+
+def record() -> dict[str, list[Row]]:
+    """Rows, and what was made again: "rows" and "again"."""
+    content: dict[str, list[Row]] = json.loads(RECORD.read_text(encoding="utf-8"))
+    return content
+
+
+def rows_of(result: Mapping[str, Any]) -> list[Row]:
+    """The rows of an experiment's JSON that have an interval with both ends, each with its levels."""
+    rows = []
+    for table in result["tables"]:
+        for row in table["rows"]:
+            levels = {k: v for k, v in row.items() if k not in ("value", "ci95", "no_interval", "std", "range")}
+            if row["ci95"] and None not in row["ci95"] and row["ci95"][0] < row["ci95"][1]:
+                about = {"experiment": result["experiment"], "title": table["title"], "levels": levels}
+                rows.append(about | {"value": row["value"], "ci95": row["ci95"]})
+    return rows
+
+
+def key_of(row: Mapping[str, Any]) -> str:
+    """What a row is known by."""
+    levels = ", ".join(f"{name} {value}" for name, value in row["levels"].items())
+    return f"{row['experiment']}: {row['title']}: {levels}"
+
+
+def holds(first: Mapping[str, Any], again: Mapping[str, Any]) -> bool:
+    """Whether two numbers with intervals agree."""
+    one, other = sorted((first, again), key=lambda row: float(row["value"]))
+    reach = (one["ci95"][1] - one["value"], other["value"] - other["ci95"][0])
+    return bool(other["value"] - one["value"] <= np.sqrt(np.mean(np.square(reach))))
+
+
+def made_again(row: Row, entry: Row, seed: int) -> Row:
+    """The same row at another seed and the cheap size; of every factor only the levels that it needs are measured."""
+    path = ROOT / entry["file"]
+    file = load_experiment(path)
+    number = next(number for number in file.numbers if number.title == row["title"])
+    changes, begin = dict(entry["cheap"]), time.perf_counter()
+    settings = {name: levels for name, levels in toml_of(path)[0]["settings"].items() if isinstance(levels, list)}
+    for name, levels in {**file.experiment.factors, **settings}.items():
+        if needed := {row["levels"].get(name), (number.against or {}).get(name)} - {None}:
+            changes[name] = [level for level in levels if level in needed]
+    experiment = load_experiment(path, seed=seed, changes=changes)
+    tables = plain_estimates(experiment.estimates(run(experiment.experiment)))
+    found = rows_of({"experiment": row["experiment"], "tables": tables})
+    match = [each for each in found if key_of(each) == key_of(row)]
+    if not match:
+        raise InputError(f"{entry['file']} makes no row '{key_of(row)}' at its cheap size; give more units in {LEDGER}")
+    return match[0] | {"seconds": round(time.perf_counter() - begin, 1)}
+
+
+@app.command()
+def keep(results: list[Path]) -> None:
+    """Put the numbers of full runs into the ledger, in the place of those of the same experiments."""
+    known = entries()
+    kept = record() if RECORD.is_file() else {"rows": [], "again": []}
+    for path in results:
+        result = json.loads(path.read_text(encoding="utf-8"))
+        if result["experiment"] not in known:
+            raise InputError(f"{LEDGER} has no experiment {result['experiment']}; it has {listed(known)}")
+        entry = known[result["experiment"]]
+        printed = entry.get("levels", {})
+        new = [
+            row | {"page": entry["page"], "seed": result["seed"]}
+            for row in rows_of(result)
+            if row["title"] in entry["titles"]
+            and all(row["levels"][name] in levels for name, levels in printed.items())
+        ]
+        kept["rows"] = [row for row in kept["rows"] if row["experiment"] != result["experiment"]] + new
+        again = {key_of(row) for row in kept["rows"]}
+        kept["again"] = [row for row in kept["again"] if row["claim"] in again]
+    write_json(RECORD, kept)
+    write_text(PAGE, page_of(kept, known))
+
+
+@app.command()
+def check(count: int = 10, seed: int | None = None) -> None:
+    """Draw rows, make them again, and add to the record which of them held; the seed is the date's if left out."""
+    known, kept = entries(), record()
+    seed = int(datetime.now(UTC).strftime("%Y%m%d")) if seed is None else seed
+    drawn = np.random.default_rng(seed).choice(len(kept["rows"]), min(count, len(kept["rows"])), replace=False)
+    for row in (kept["rows"][number] for number in drawn):
+        again = made_again(row, known[row["experiment"]], seed)
+        found = {"claim": key_of(row), "seed": seed, "held": holds(row, again)}
+        kept["again"].append(found | {name: again[name] for name in ("value", "ci95", "seconds")})
+        word = "held  " if found["held"] else "MISSED"
+        print(f"{word} {shown(row)} again {shown(again)}, {again['seconds']} s: {key_of(row)}")
+        write_json(RECORD, kept)
+        write_text(PAGE, page_of(kept, known))
+    print(sentence(kept["again"]))
+
+
+@app.command()
+def pages() -> None:
+    """Print the tables between the marks of every page anew."""
+    kept = record()
+    for path in sorted(DOCS.glob("*.md")):
+        text = path.read_text(encoding="utf-8")
+        new = MARK.sub(lambda found: found[1] + table_of(kept["rows"], json.loads(found[2])) + found[3], text)
+        if new != text:
+            write_text(path, new)
+            print(f"wrote {path}")
+
+
+def shown(row: Mapping[str, Any], digits: int = 2, scale: float = 1.0) -> str:
+    """A number with its interval."""
+    value, low, high = (f"{scale * number:.{digits}f}" for number in (row["value"], *row["ci95"]))
+    return f"{value} ({low} to {high})"
+
+
+def table_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
+    """A table of the ledger's rows.
+
+    Args:
+        rows: The ledger's.
+        asked: "experiment" and "title"; "by", the levels that stand in the lines, with those that are shown; "across",
+            the level whose values are the columns; "digits" and "scale".
+    """
+    some = [row for row in rows if (row["experiment"], row["title"]) == (asked["experiment"], asked["title"])]
+    across, by = asked["across"], asked["by"]
+    columns = list(dict.fromkeys(row["levels"][across] for row in some))
+    cells: dict[tuple[Any, ...], dict[str, str]] = {}
+    for row in some:
+        line = tuple(row["levels"][name] for name in by)
+        if all(value in by[name] or not by[name] for name, value in zip(by, line, strict=True)):
+            number = shown(row, asked.get("digits", 2), asked.get("scale", 1.0))
+            cells.setdefault(line, {})[row["levels"][across]] = number
+    names = {name: name.removesuffix("_mm").replace("_", " ") for name in by}
+    lines = [[*names.values(), *map(str, columns)], ["---"] * (len(by) + len(columns))]
+    for line, found in cells.items():
+        words = [f"{value:g}" if isinstance(value, float) else str(value) for value in line]
+        lines.append([*words, *(found.get(column, "") for column in columns)])
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def sentence(again: Sequence[Row]) -> str:
+    """The running share."""
+    if not again:
+        return "Nothing was made again yet."
+    held = sum(row["held"] for row in again)
+    low, high = share_interval(held, len(again))
+    return (
+        f"{held} of {len(again)} numbers held when they were made again, {100 * held / len(again):.0f} % "
+        f"({100 * low:.0f} to {100 * high:.0f}); about {100 * DUE:.0f} % are due, as both numbers vary."
+    )
+
+
+def page_of(kept: Mapping[str, Sequence[Row]], known: Mapping[str, Row]) -> str:
+    """The page "Do the numbers hold?"."""
+    lines = ["| page | experiment | numbers | made again | held | over what they vary | what they depend on |",
+             "|---|---|--:|--:|--:|---|---|"]  # fmt: skip
+    for name, entry in known.items():
+        numbers = [row for row in kept["rows"] if row["experiment"] == name]
+        again = [row for row in kept["again"] if row["claim"].startswith(f"{name}: ")]
+        page = f"[{entry['page'].removesuffix('.md')}]({entry['page']})"
+        counts = (len(numbers), len(again), sum(row["held"] for row in again))
+        words = [page, f"`{entry['file']}`", *map(str, counts), entry["varies"], entry["depends"]]
+        lines.append(f"| {' | '.join(words)} |")
+    table = "\n".join(lines)
+    return f"""# Do the numbers hold?
+
+{sentence(kept["again"])}
+
+{HOW}
+
+{table}
+
+{WHERE}
+"""
+
+
+if __name__ == "__main__":
+    app()
