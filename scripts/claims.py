@@ -60,15 +60,19 @@ def record() -> dict[str, list[Row]]:
     return content
 
 
-def rows_of(result: Mapping[str, Any]) -> list[Row]:
-    """The rows of an experiment's JSON that have an interval with both ends, each with its levels."""
+def rows_of(result: Mapping[str, Any], certain: bool = False) -> list[Row]:
+    """The rows of an experiment's JSON that have an interval with both ends, each with its levels.
+
+    Where all units are equal there is none; such rows are left out unless ``certain``, and end where they begin.
+    """
     rows = []
     for table in result["tables"]:
         for row in table["rows"]:
             levels = {k: v for k, v in row.items() if k not in ("value", "ci95", "no_interval", "std", "range")}
-            if row["ci95"] and None not in row["ci95"] and row["ci95"][0] < row["ci95"][1]:
+            ends = row["ci95"] or ([row["value"]] * 2 if certain else [None])
+            if None not in ends and (certain or ends[0] < ends[1]):
                 about = {"experiment": result["experiment"], "title": table["title"], "levels": levels}
-                rows.append(about | {"value": row["value"], "ci95": row["ci95"]})
+                rows.append(about | {"value": row["value"], "ci95": ends})
     return rows
 
 
@@ -97,7 +101,7 @@ def made_again(row: Row, entry: Row, seed: int) -> Row:
             changes[name] = [level for level in levels if level in needed]
     experiment = load_experiment(path, seed=seed, changes=changes)
     tables = plain_estimates(experiment.estimates(run(experiment.experiment)))
-    found = rows_of({"experiment": row["experiment"], "tables": tables})
+    found = rows_of({"experiment": row["experiment"], "tables": tables}, certain=True)
     match = [each for each in found if key_of(each) == key_of(row)]
     if not match:
         raise InputError(f"{entry['file']} makes no row '{key_of(row)}' at its cheap size; give more units in {LEDGER}")
