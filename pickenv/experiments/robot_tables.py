@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from pickenv.base import listed
 from pickenv.experiments.engine import Rows, with_interval
 from pickenv.experiments.gains import LEARNT, LS
 from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench, bench_row
@@ -97,51 +98,83 @@ def _peer_rows(peers: Rows) -> list[dict[str, Any]]:
     return rows
 
 
-def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, float | int | None]:
-    """How well gains were predicted, over all sets, splits and models.
+def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """How well gains were predicted on blocks, of every model beside who knows only the other robots.
 
     Args:
         gains: Rows of the table "gains".
+
+    Returns:
+        "sets" and "gains" counted on blocks; "models", for each its "robots" and how far, in percentage points, the
+        twin is from what was measured, "median_points" and "worst_points", beside the mean of the other robots,
+        "null_median_points" and "null_worst_points" (None of a single one); "learnt_on_blocks" and "sign_right", how
+        often a learnt residual's sign is.
     """
-    pairs = [(gain["predicted_reduction"], gain["measured_reduction"]) for gain in gains]
-    apart = [100.0 * abs(predicted - measured) for predicted, measured in pairs]
+    blocks = [gain for gain in gains if gain["split"] != "random"]
+    models = []
+    for model in dict.fromkeys(gain["model"] for gain in blocks):
+        some = [gain for gain in blocks if gain["model"] == model]
+        predicted = np.array([gain["predicted_reduction"] for gain in some])
+        measured = np.array([gain["measured_reduction"] for gain in some])
+        apart = 100.0 * np.abs(predicted - measured)
+        others = (measured.sum() - measured) / max(len(some) - 1, 1)
+        null = 100.0 * np.abs(others - measured) if len(some) > 1 else None
+        figures = {"median_points": float(np.median(apart)), "worst_points": float(apart.max())}
+        figures["null_median_points"] = None if null is None else float(np.median(null))
+        figures["null_worst_points"] = None if null is None else float(null.max())
+        models.append({"model": model, "robots": len(some)} | figures)
     signs = [
-        (predicted > 0.0) == (measured > 0.0)
-        for gain, (predicted, measured) in zip(gains, pairs, strict=True)
-        if gain["split"] != "random" and gain["model"] in LEARNT
+        (gain["predicted_reduction"] > 0.0) == (gain["measured_reduction"] > 0.0)
+        for gain in blocks
+        if gain["model"] in LEARNT
     ]
     return {
-        "sets": len({gain["robot"] for gain in gains}),
-        "gains": len(gains),
-        "median_absolute_difference_points": float(np.quantile(apart, 0.5)) if apart else None,
-        "ninth_decile_points": float(np.quantile(apart, 0.9)) if apart else None,
+        "sets": len({gain["robot"] for gain in blocks}),
+        "gains": len(blocks),
+        "models": models,
         "learnt_on_blocks": len(signs),
         "sign_right": float(np.mean(signs)) if signs else None,
     }
 
 
 def agreement_words(bench: Bench) -> str:
-    """How well gains were predicted, in a sentence or two; empty where none was asked for."""
+    """How well gains were predicted, in a few sentences; empty where none was asked for."""
     if not bench.gains:
         return ""
-    words = agreement(bench.gains)
+    found = agreement(bench.gains)
     used = {
         gain["robot"]: f"{gain['rows']}" + f" of {gain['rows_in_file']}" * (gain["rows_in_file"] > gain["rows"])
         for gain in bench.gains
     }
     refused = sum(gain["refused_draws"] for gain in bench.gains if gain["model"] == LS)
-    signs = words["sign_right"]
-    sign = "The sign of what a learnt residual does on blocks is right in"
-    right = "" if signs is None else f" {sign} {100.0 * signs:.0f} %."
-    sets = "set" if words["sets"] == 1 else "sets"
     anew = f" ({refused} could not be calibrated, and others were drawn in their place)" if refused else ""
     return (
-        f"{words['gains']} gains on {words['sets']} {sets} of rows: predicted and measured are "
-        f"{words['median_absolute_difference_points']:.1f} percentage points apart in the median, "
-        f"{words['ninth_decile_points']:.1f} in the worst tenth.{right} {bench.settings.folds} folds, "
-        f"{bench.settings.draws} arms drawn for each{anew}. Rows used, equally spaced in the file: "
-        f"{', '.join(f'{robot} {rows}' for robot, rows in used.items())}."
+        f"{points_words(found)}{bench.settings.folds} folds, {bench.settings.draws} arms drawn for each{anew}. Rows "
+        f"used, equally spaced in the file: {', '.join(f'{robot} {rows}' for robot, rows in used.items())}."
     )
+
+
+def points_words(found: Mapping[str, Any]) -> str:
+    """The figures of `agreement` in words; empty where no blocks were held out."""
+    if not found["gains"]:
+        return ""
+    said, promised, idle = [], [], []
+    for row in found["models"]:
+        null = row["null_median_points"]
+        beside = "" if null is None else f", the others' mean {null:.1f} (at most {row['null_worst_points']:.1f})"
+        said.append(f"{row['model']} {row['median_points']:.1f} (at most {row['worst_points']:.1f}){beside}")
+        if null is not None:
+            (promised if row["median_points"] < null else idle).append(row["model"])
+    sets = "set" if found["sets"] == 1 else "sets"
+    words = (
+        f"{found['gains']} gains on blocks of {found['sets']} {sets} of rows. Percentage points between a twin's "
+        f"prediction and what was measured, the median: {'; '.join(said)}. "
+    )
+    if idle:
+        words += f"Of {listed(idle)} a twin promises nothing: the mean of the other robots is as near. "
+    if found["sign_right"] is not None:
+        words += f"The sign of what a learnt residual does is right in {100.0 * found['sign_right']:.0f} %. "
+    return words
 
 
 def gain_cells(bench: Bench) -> list[tuple[str, ...]]:

@@ -1,0 +1,120 @@
+"""What findings depend on: constants that nobody measured, half as large and half as large again. Simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from findings import GRIPPER, settings_of
+
+from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_of
+from pickenv.base import InputError
+from pickenv.calibration import random_joints
+from pickenv.experiments.methods import kept_calibration
+from pickenv.experiments.policies import population_seed
+from pickenv.orchard import capture_probability, load_gripper, misalignment
+
+CONSTANTS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "ground stiffness": {"base_tilt": ("stiffness",)},
+    "stiffness of joints, slides and boom": {
+        "joint_compliance": ("stiffness",),
+        "slide_compliance": ("bearings.stiffness",),
+        "boom_bending": ("flexural_rigidity",),
+        "boom_couple": ("flexural_rigidity",),
+        "boom_torsion": ("torsional_rigidity",),
+    },
+    "play and friction": {
+        "backlash": ("width",),
+        "stick_band": ("forward", "backward"),
+        "roller_play": ("clearance",),
+    },
+    "warming up": {"thermal_growth": ("initial_rise", "final_rise")},
+    "waves of the drives": {
+        "drive_harmonics": ("harmonics.amplitude",),
+        "transmission_error": ("harmonics.amplitude",),
+    },
+    "fine structure": {"local_structure": ("std",)},
+}
+AS_SHIPPED = "as shipped"
+REST = 6.0
+"""s; as long as an arm has for a reach."""
+
+
+def fits(plant: str, constant: str, times: float, **_: Any) -> bool:
+    """Constants that the plant has; as shipped once."""
+    if constant == AS_SHIPPED:
+        return times == 1.0
+    return times != 1.0 and any(load_plant(plant).effect(name) is not None for name in CONSTANTS[constant])
+
+
+def changed(plant: Plant, constant: str, times: float) -> Plant:
+    """The plant with a group of its constants multiplied."""
+
+    def product(value: Any) -> Any:
+        return tuple(times * part for part in value) if isinstance(value, tuple) else times * value
+
+    effects = []
+    for name, fields in CONSTANTS.get(constant, {}).items():
+        effect: Any = plant.effect(name)
+        for field in fields if effect is not None else ():
+            whole, _, part = field.partition(".")
+            value = getattr(effect, whole)
+            if part:
+                value = tuple(replace(item, **{part: product(getattr(item, part))}) for item in value)
+            effect = replace(effect, **{whole: value if part else product(value)})
+        effects += [] if effect is None else [effect]
+    return plant.with_effect(*effects)
+
+
+def measure(
+    rng: np.random.Generator, plant: str, constant: str, times: float, arms: int, episodes: int, folder: str, seed: int
+) -> dict[str, np.ndarray]:
+    """A row for each arm: what it leaves raw and with LS, what an instrument in time changes, what Li's cup takes."""
+    draws = np.random.default_rng(population_seed(seed))
+    plants = draw_plants(changed(load_plant(plant), constant, times), load_tolerances("coarse"), arms, draws)
+    nominal, gripper = plants.arm.nominal, load_gripper(GRIPPER)
+    goals = random_joints(nominal, episodes * arms, rng).reshape(episodes, arms, -1)
+    targets = forward(nominal, goals)
+    home = np.broadcast_to((nominal.lower + nominal.upper) / 2, goals.shape)
+
+    def ended(by: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Mean error, mm, and share taken ``(arms,)``, of reaches from home that a calibration corrects."""
+        q = goals if by is None else np.stack([correct(goals[:, i]) for i, correct in enumerate(by)], axis=1)
+        state = plants.initial_state(np, list(np.moveaxis(home, -1, 0)))
+        pose = pose_of(plants.advance(np, state, list(np.moveaxis(q, -1, 0)), REST)[1])
+        offset = targets.position - pose.position
+        lying = misalignment(offset, pose.rotation[..., 2], targets.rotation[..., 2])
+        taken = capture_probability(gripper, lying.lateral, lying.axial, lying.angle)
+        return 1e3 * np.linalg.norm(offset, axis=-1).mean(axis=0), taken.mean(axis=0)
+
+    def calibrated(instrument: str | None) -> list[Any]:
+        """Corrections by least squares, in this order; an arm whose rows are refused stays as it is."""
+        plan, corrections = settings_of(arms, 1, 1, seed, instrument=instrument).plan, []
+        for number in range(arms):
+            try:
+                kept = kept_calibration(Path(folder) / "calibrations", plant_at(plants, number), "ls", plan, number)
+                corrections.append(kept.compensator())
+            except InputError:
+                corrections.append(np.asarray)
+        return corrections
+
+    in_time = calibrated(None)
+    (raw, raw_taken), (ls, ls_taken) = ended(None), ended(in_time)
+    at_rest, _ = ended(calibrated("ideal"))
+    refused = np.array([correct is np.asarray for correct in in_time], dtype=float)
+    numbers = {
+        "raw_mm": raw,
+        "ls_mm": ls,
+        "instrument_mm": ls - at_rest,
+        "more_taken": ls_taken - raw_taken,
+        "refused": refused,
+    }
+    return numbers | {"arm": np.arange(arms)}
+
+
+def share_gone(table: np.ndarray) -> float:
+    """The share of the first column's mean that the second has no more ``(arms, 2)``."""
+    return float(1.0 - table[:, 1].mean() / table[:, 0].mean())
