@@ -44,7 +44,7 @@ WHERE = (
     "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made."
 )
 
-MARK = re.compile(r"(<!-- claims: (\{.*\}) -->\n\n).*?(\n<!-- end of claims -->)", re.S)
+MARK = re.compile(r"(<!-- claims: (\{[^\n]*\}) -->\n\n).*?(\n<!-- end of claims -->)", re.S)
 app = typer.Typer(add_completion=False)
 Row = dict[str, Any]
 
@@ -134,13 +134,17 @@ def keep(results: list[Path]) -> None:
 
 @app.command()
 def check(count: int = 10, seed: int | None = None) -> None:
-    """Draw rows, make them again, and add to the record which of them held; the seed is the date's if left out."""
+    """Draw rows, make them again, and add to the record which of them held; the seed is the date's if left out.
+
+    Each row has a seed of its own, for rows of one seed share its arms and miss together.
+    """
     known, kept = entries(), record()
     seed = int(datetime.now(UTC).strftime("%Y%m%d")) if seed is None else seed
     drawn = np.random.default_rng(seed).choice(len(kept["rows"]), min(count, len(kept["rows"])), replace=False)
-    for row in (kept["rows"][number] for number in drawn):
-        again = made_again(row, known[row["experiment"]], seed)
-        found = {"claim": key_of(row), "seed": seed, "held": holds(row, again)}
+    for number in drawn.tolist():
+        row, own = kept["rows"][number], int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+        again = made_again(row, known[row["experiment"]], own)
+        found = {"claim": key_of(row), "seed": own, "held": holds(row, again)}
         kept["again"].append(found | {name: again[name] for name in ("value", "ci95", "seconds")})
         word = "held  " if found["held"] else "MISSED"
         print(f"{word} {shown(row)} again {shown(again)}, {again['seconds']} s: {key_of(row)}")

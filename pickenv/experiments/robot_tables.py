@@ -119,7 +119,10 @@ def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
         apart = 100.0 * np.abs(predicted - measured)
         others = (measured.sum() - measured) / max(len(some) - 1, 1)
         null = 100.0 * np.abs(others - measured) if len(some) > 1 else None
-        figures = {"median_points": float(np.median(apart)), "worst_points": float(apart.max())}
+        figures: dict[str, float | None] = {
+            "median_points": float(np.median(apart)),
+            "worst_points": float(apart.max()),
+        }
         figures["null_median_points"] = None if null is None else float(np.median(null))
         figures["null_worst_points"] = None if null is None else float(null.max())
         models.append({"model": model, "robots": len(some)} | figures)
@@ -158,13 +161,14 @@ def points_words(found: Mapping[str, Any]) -> str:
     """The figures of `agreement` in words; empty where no blocks were held out."""
     if not found["gains"]:
         return ""
-    said, promised, idle = [], [], []
+    said: list[str] = []
+    idle: list[str] = []
     for row in found["models"]:
         null = row["null_median_points"]
         beside = "" if null is None else f", the others' mean {null:.1f} (at most {row['null_worst_points']:.1f})"
         said.append(f"{row['model']} {row['median_points']:.1f} (at most {row['worst_points']:.1f}){beside}")
-        if null is not None:
-            (promised if row["median_points"] < null else idle).append(row["model"])
+        if null is not None and row["median_points"] >= null:
+            idle.append(row["model"])
     sets = "set" if found["sets"] == 1 else "sets"
     words = (
         f"{found['gains']} gains on blocks of {found['sets']} {sets} of rows. Percentage points between a twin's "

@@ -33,7 +33,7 @@ CONSTANTS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     },
     "warming up": {"thermal_growth": ("initial_rise", "final_rise")},
     "waves of the drives": {
-        "drive_harmonics": ("harmonics.amplitude",),
+        "drive_harmonics": ("spread.std", "harmonics.amplitude"),
         "transmission_error": ("harmonics.amplitude",),
     },
     "fine structure": {"local_structure": ("std",)},
@@ -101,10 +101,9 @@ def measure(
                 corrections.append(np.asarray)
         return corrections
 
-    in_time = calibrated(None)
-    (raw, raw_taken), (ls, ls_taken) = ended(None), ended(in_time)
-    at_rest, _ = ended(calibrated("ideal"))
-    refused = np.array([correct is np.asarray for correct in in_time], dtype=float)
+    in_time, ideal = calibrated(None), calibrated("ideal")
+    (raw, raw_taken), (ls, ls_taken), (at_rest, _) = ended(None), ended(in_time), ended(ideal)
+    refused = np.array([np.asarray in pair for pair in zip(in_time, ideal, strict=True)], dtype=float)
     numbers = {
         "raw_mm": raw,
         "ls_mm": ls,
