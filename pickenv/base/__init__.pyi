@@ -40,6 +40,7 @@ from .intervals import (
     ratio_interval as ratio_interval,
     share_interval as share_interval,
     statistic_interval as statistic_interval,
+    unseen_share as unseen_share,
 )
 from .limits import (
     DO_NOT_USE as DO_NOT_USE,

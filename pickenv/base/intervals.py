@@ -362,6 +362,7 @@ def estimate(
     of: str | float | Callable[[NDArray[np.float64]], Any] = "mean",
     against: Mapping[str, Any] | None = None,
     least: int = LEAST,
+    lost: float | None = None,
 ) -> list[dict[str, Any]]:
     """Numbers with their intervals, of rows.
 
@@ -376,10 +377,13 @@ def estimate(
             means ``(units, values)``.
         against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
         least: Fewest units for an interval of a mean.
+        lost: Values above it are lost, and their share is told apart from the mean of the others: one in twenty that is
+            ten times as large makes most of a mean, and few units do not show it.
 
     Returns:
-        For each combination the columns of ``by``; "estimate", an `Estimate`; and "units", the mean of each unit's
-        values ``(units,)``, which say how units differ, or None for a function of several columns.
+        For each combination the columns of ``by``; "estimate", an `Estimate`; "units", the mean of each unit's values
+        ``(units,)``, which say how units differ, or None for a function of several columns; "runs", the same of the
+        second column of ``over``, where there is one; and "lost", an `Estimate` of the lost share, where it is asked.
 
     Raises:
         ValueError: If not every unit was measured equally often at a combination, those of a difference are not the
@@ -387,6 +391,8 @@ def estimate(
     """
     names = [value] if isinstance(value, str) else list(value)
     _check_asked(names, by, over, of, against)
+    if lost is not None and (of != "mean" or len(names) > 1 or len(over) > 1 or against is not None):
+        raise ValueError("what is lost is told apart from a mean of one column, over one column; leave the rest out")
     arrays = {name: np.asarray(columns[name]) for name in (*by, *over, *names)}
     for name in names:
         if absent := int(np.sum(~np.isfinite(np.asarray(arrays[name], dtype=float)))):
@@ -410,9 +416,32 @@ def estimate(
                 raise ValueError(f"{key} and {base} were not measured on the same {apart[0]}")
             both = [np.broadcast_to(base_cube, cube.shape), cube]
             cube = np.concatenate(both) if of == "removed" else cube - base_cube
+        levels = dict(zip(by, key, strict=True))
+        if lost is not None:
+            numbers.append(levels | _without_lost(cube[0, :, 0], lost, least))
+            continue
         units = cube[0].mean(axis=(1, 2)) if len(cube) == 1 else None
-        numbers.append(dict(zip(by, key, strict=True)) | {"estimate": _estimated(cube, of, least), "units": units})
+        runs = cube[0].mean(axis=(0, 2)) if len(cube) == 1 and len(over) == 2 else None
+        numbers.append(levels | {"estimate": _estimated(cube, of, least), "units": units, "runs": runs})
     return numbers
+
+
+def _without_lost(values: NDArray[np.float64], lost: float, least: int) -> dict[str, Any]:
+    """The mean of values ``(units, repeats)`` that are not lost, and the share of those that are."""
+    gone = values > lost
+    kept = (~gone).sum(axis=1)
+    means = np.where(gone, 0.0, values).sum(axis=1)[kept > 0] / kept[kept > 0]
+    share = _with_reason(
+        float(gone.mean()), clustered_share_interval(gone.sum(axis=1), values.shape[1], least), values[:, :1], least
+    )
+    if not len(means):
+        return {"estimate": Estimate(float("nan"), None, "all are lost"), "units": means, "runs": None, "lost": share}
+    return {"estimate": mean_estimate(means[:, None, None], least), "units": means, "runs": None, "lost": share}
+
+
+def unseen_share(runs: int) -> float:
+    """The largest share of runs that may fail though none of so many did, at 95 %: five trainings rule out 45 %."""
+    return float(1.0 - 0.05 ** (1.0 / runs))
 
 
 def _check_asked(

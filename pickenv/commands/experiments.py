@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from typer import Argument, Option
 
-from pickenv.base import InputError, check_limit, locked, require, separate
+from pickenv.base import InputError, check_limit, locked, require, separate, unseen_share
 from pickenv.commands.showing import Save, deliver, print_table, progress_bars, with_options
 
 if TYPE_CHECKING:
@@ -80,6 +80,10 @@ def experiment(
                 continue
             heads, cells = number_table(number, estimates["rows"])
             print_table(estimates["title"], heads, cells, words=number.by)
+            runs = max(0 if row["runs"] is None else len(row["runs"]) for row in estimates["rows"])
+            if runs > 1:
+                hidden = f"a failure of fewer than {100.0 * unseen_share(runs):.0f} % of them may be unseen"
+                print(f"runs: the least, the median and the largest of {runs}; {hidden}")
         for title, count, of in counts:
             if of:
                 print(f"{title}: {count} of {of} intervals hold another seed's number; about 83 % are due")

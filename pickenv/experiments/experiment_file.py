@@ -33,6 +33,8 @@ from itertools import permutations
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+
 from pickenv.agents.policies.foreign import faults_in
 from pickenv.base import WHOLE, Check, Estimate, InputError, Unit, estimate, file_sha256, listed, toml_of, toml_table
 from pickenv.base.intervals import LEAST
@@ -84,6 +86,7 @@ class Number:
         across: The column of ``by`` whose levels stand side by side; all in lines when left out.
         margin: Differences whose whole interval lies within it "carry over"; a verdict stands beside each where given.
         least: Fewest units for an interval of a mean, where they are runs whose means are nearly normal.
+        lost: Values above it are lost; their share stands beside the mean of the others.
         spread: Whether the standard deviation and the range of the units' means are shown beside each number.
         digits: After the point.
         scale: Factor on what is shown, such as 100 for percent.
@@ -104,6 +107,7 @@ class Number:
     where: Annotated[dict[str, Any], TABLE] | None = None
     across: Annotated[str, WORD] | None = None
     least: Annotated[int, WHOLE.at_least(2)] = LEAST
+    lost: float | None = None
     spread: bool = False
     margin: Annotated[float, Unit().positive] | None = None
     digits: Annotated[int, WHOLE.within(0, 9)] = 2
@@ -164,7 +168,8 @@ class ExperimentFile:
             levels = {n: tuple(v) if isinstance(v, list) else v for n, v in (number.where or {}).items()}
             try:
                 some = rows.where(**levels)
-                made_of = estimate(some.columns, number.value, number.by, number.over, of, number.against, number.least)
+                asked = (number.value, number.by, number.over, of, number.against, number.least, number.lost)
+                made_of = estimate(some.columns, *asked)
             except KeyError as error:
                 columns = listed(rows.columns)
                 raise InputError(f"{self.path}: no column {error} for '{number.title}'; there are {columns}") from error
@@ -304,6 +309,10 @@ def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
         number, units = row["estimate"], row["units"]
         levels = {name: value for name, value in row.items() if name not in ("estimate", "units")}
         levels |= {"value": number.value, "ci95": number.ends, "no_interval": number.missing}
+        if row["runs"] is not None and len(row["runs"]) > 1:
+            levels |= {"runs": row["runs"].tolist()}
+        if "lost" in row:
+            levels |= {"lost": row["lost"].value, "lost_ci95": row["lost"].ends}
         if units is not None and len(units) > 1:
             levels |= {"std": float(units.std(ddof=1)), "range": [float(units.min()), float(units.max())]}
         return levels
@@ -345,8 +354,14 @@ def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[lis
     sign = "+" if number.against and number.of != "removed" else ""
     form = f"{sign}.{number.digits}f"
 
-    def said(estimate: Estimate) -> str:
+    def said(row: Mapping[str, Any]) -> str:
+        estimate: Estimate = row["estimate"]
         text = with_interval(estimate.value, estimate.ci95, number.digits, number.scale, sign)
+        if row["runs"] is not None and len(row["runs"]) > 1:  # five of which one fails have a mean that says little
+            least, middle, most = (f"{number.scale * value:{form}}" for value in np.quantile(row["runs"], (0, 0.5, 1)))
+            text += f", runs {least}, {middle}, {most}"
+        if "lost" in row:
+            text += f", lost {with_interval(row['lost'].value, row['lost'].ci95, 1, 100.0, unit=' %')}"
         if number.margin is None or estimate.ci95 is None:
             return text
         return f"{text}: {estimate.verdict(number.margin)}"
@@ -355,7 +370,7 @@ def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[lis
     if number.across is None:
         heads, cells = [*names, "number (95 % interval)"], []
         for row in rows:
-            cells.append([*(str(row[name]) for name in names), said(row["estimate"])])
+            cells.append([*(str(row[name]) for name in names), said(row)])
             if number.spread and row["units"] is not None:
                 of_units = number.scale * row["units"]
                 deviation = of_units.std(ddof=1) if len(of_units) > 1 else 0.0
@@ -364,6 +379,6 @@ def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[lis
     columns = list(dict.fromkeys(row[number.across] for row in rows))
     lines: dict[tuple[str, ...], dict[Any, str]] = {}
     for row in rows:
-        lines.setdefault(tuple(str(row[name]) for name in names), {})[row[number.across]] = said(row["estimate"])
+        lines.setdefault(tuple(str(row[name]) for name in names), {})[row[number.across]] = said(row)
     cells = [[*key, *(line.get(column, "") for column in columns)] for key, line in lines.items()]
     return [*names, *(str(column) for column in columns)], cells

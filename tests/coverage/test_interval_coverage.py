@@ -15,6 +15,7 @@ from pickenv.base import (
     LEAST_RUNS,
     clustered_share_interval,
     crossed_interval,
+    estimate,
     mean_interval,
     quantile_interval,
     ratio_interval,
@@ -77,6 +78,22 @@ def test_ratios_over_unequal_clusters(repeats: Any, statistic: str, sizes: str, 
         return clustered_share_interval(rng.binomial(tried, rng.beta(share, 1.0 - share, clusters)), tried)
 
     repeats.check(draw, share or np.exp(0.125), most=0.985 if clusters == LEAST else 0.98, share=0.5, least=0.92)
+
+
+@pytest.mark.parametrize("arms", [LEAST, 24, 64])
+@pytest.mark.parametrize("what", ["mean of those not lost", "share lost"])
+def test_lost_reaches_stand_apart(repeats: Any, what: str, arms: int) -> None:
+    """One reach in twenty ends ten times as far off: of ten arms the plain mean's interval holds the mean in half."""
+    kept = float(np.exp(0.125))
+
+    def draw(rng: np.random.Generator) -> Any:
+        bad = np.exp(0.5 * rng.normal(size=(arms, 1))) * np.ones((1, 8))
+        error = np.where(rng.random((arms, 8)) < 0.05, 1000.0, bad)
+        columns = {"arm": np.repeat(np.arange(arms), 8), "error_mm": error.ravel()}
+        (row,) = estimate(columns, "error_mm", lost=500.0)
+        return row["lost" if what == "share lost" else "estimate"].ci95
+
+    repeats.check(draw, 0.05 if what == "share lost" else kept, most=0.98, share=0.2, least=0.92)
 
 
 @pytest.mark.parametrize(("trials", "share"), [(100, 0.5), (100, 0.9), (1000, 0.954), (40, 0.5)])

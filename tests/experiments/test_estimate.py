@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.stats import trim_mean
 
-from pickenv.base import clustered_share_interval, crossed_interval, interquartile_estimate, mean_interval
+from pickenv.base import clustered_share_interval, crossed_interval, interquartile_estimate, mean_interval, unseen_share
 from pickenv.experiments import Rows, estimate
 
 ARMS, FRUIT = 12, 5
@@ -155,3 +155,31 @@ def test_rows_of_an_experiment_are_columns():
     assert one["estimate"] == other["estimate"]
     assert one["units"].mean() == pytest.approx(one["estimate"].value)
     assert len(Rows.of({"error_mm": 1.5, "method": "raw"})) == 1
+
+
+def test_what_is_lost_stands_beside_the_mean_of_the_rest():
+    columns = {
+        "arm": np.repeat(np.arange(12), 4),
+        "error_mm": np.tile([1.0, 2.0, 3.0, 90.0], 12) + np.repeat(np.arange(12), 4),
+    }
+    (row,) = estimate(columns, "error_mm", lost=50.0)
+    assert row["estimate"].value == pytest.approx(2.0 + 5.5) and row["lost"].value == 0.25
+    assert row["lost"].ci95[0] < 0.25 < row["lost"].ci95[1]
+    (all_lost,) = estimate(columns, "error_mm", lost=0.5)
+    assert all_lost["lost"].value == 1.0 and all_lost["estimate"].missing == "all are lost"
+    with pytest.raises(ValueError, match="of one column"):
+        estimate(columns, "error_mm", of="share", lost=50.0)
+
+
+def test_runs_are_told_one_by_one_and_few_hide_a_failure():
+    """Of five trainings the worst stands beside the mean, and five without a failure rule out few."""
+    rng = np.random.default_rng(4)
+    arm, training = (axis.ravel() for axis in np.meshgrid(np.arange(12), np.arange(5), indexing="ij"))
+    columns = {
+        "arm": arm,
+        "training": training,
+        "error_mm": np.where(training == 3, 5.0, 1.0) + 0.1 * rng.normal(size=60),
+    }
+    (row,) = estimate(columns, "error_mm", over=("arm", "training"))
+    assert row["runs"].argmax() == 3 and np.median(row["runs"]) == pytest.approx(1.0, abs=0.1)
+    assert unseen_share(5) == pytest.approx(0.451, abs=1e-3) and (1.0 - unseen_share(5)) ** 5 == pytest.approx(0.05)
