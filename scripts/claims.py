@@ -36,7 +36,7 @@ DUE = 0.834
 HOW = (
     "Numbers are drawn from a ledger and made again with other arms, fruit and looks. A number that is made again from "
     "fewer units varies more than the first: it is held where both lie no farther apart than the root mean square of "
-    "their intervals' half widths."
+    "their intervals' half widths. Numbers of one page share arms, and so hold or miss together."
 )
 WHERE = (
     "[claims.json](_static/claims.json) holds every number, and each that was made again, with its seed. `make claims` "
