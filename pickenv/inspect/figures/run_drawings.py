@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from pickenv.arm import Array
 from pickenv.base import clustered_share_interval
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
-from pickenv.inspect.figures import field_figure, plot_calibration, plot_errors, plot_policies
+from pickenv.inspect.figures import plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, ViewErrors
 from pickenv.inspect.runs.matters import gripped, gripper_curves
@@ -122,7 +122,7 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
     reaches: dict[str, Any] = {"counted": "reaches"}
     attitude = {"quantity": "attitude error", "unit": "deg", **reaches}
     drawings: list[Drawing | NotDrawn] = [
-        captioned("error_fields", field_figure.error_fields, comparison),
+        captioned("error_fields", plot_errors.error_fields, comparison),
         captioned("error_slices", plot_errors.error_slices, comparison.grid.points, fields, step=comparison.grid.step),
     ]
     if not len(comparison.grid.points):
@@ -179,7 +179,7 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
 
 def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
     """Figures of views with their reprojection errors; none without views."""
-    figures = {"corner_errors": field_figure.corner_errors, "view_errors": field_figure.view_errors}
+    figures = {"corner_errors": plot_errors.corner_errors, "view_errors": plot_errors.view_errors}
     return [captioned(name, draw, views) for name, draw in figures.items()] if views else []
 
 

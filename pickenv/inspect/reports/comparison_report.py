@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pickenv.inspect.figures import plot_policies
-from pickenv.inspect.figures.field_figure import error_fields
+from pickenv.inspect.figures.plot_errors import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs import comparison_summary as summary

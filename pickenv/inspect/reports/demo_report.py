@@ -16,8 +16,8 @@ from pickenv.calibration import Calibration
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.inspect.colours import policy_colours, viridis
-from pickenv.inspect.figures.field_figure import field_gain, thinned
 from pickenv.inspect.figures.plot_calibration import joint_ranges
+from pickenv.inspect.figures.plot_errors import field_gain, thinned
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
 from pickenv.inspect.reports.report_words import between, estimated, named_values, percent

@@ -31,7 +31,7 @@ from pickenv.inspect import (
 )
 from pickenv.inspect.colours import arm_colour, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
-from pickenv.inspect.figures.field_figure import field_gain, round_down, thinned
+from pickenv.inspect.figures.plot_errors import field_gain, round_down, thinned
 from pickenv.inspect.figures.style import WIDTH
 from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
 

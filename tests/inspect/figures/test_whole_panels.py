@@ -26,8 +26,8 @@ from pickenv.inspect import (
     error_slices,
 )
 from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, Rgb, viridis
-from pickenv.inspect.figures import field_figure, plot_harvest, plot_policies
-from pickenv.inspect.figures.field_figure import field_gain
+from pickenv.inspect.figures import plot_errors, plot_harvest, plot_policies
+from pickenv.inspect.figures.plot_errors import field_gain
 from pickenv.inspect.figures.style import INK
 from pickenv.inspect.runs.calibration_trace import ViewErrors
 from pickenv.inspect.runs.saved import eye_direction, shown_box
@@ -203,7 +203,7 @@ def assert_arrows(axes: Any, view: ViewErrors, gain: float, top: float, thicknes
 
 def test_corner_errors() -> None:
     shown = views(3)
-    figure = field_figure.corner_errors(shown)
+    figure = plot_errors.corner_errors(shown)
     axes, bar = figure.axes
     assert sized(figure) == pytest.approx([7.2, 7.2 * 0.72 * 0.75 + 0.6])
     assert (axes.get_xlabel(), axes.get_ylabel(), bar.get_ylabel()) == ("u (px)", "v (px)", "error (px)")
@@ -216,18 +216,18 @@ def test_corner_errors() -> None:
     assert_arrows(axes, whole, gain, top, 1.0)
     assert not bar.spines["outline"].get_visible()
     none = [replace(view, errors=np.full_like(view.errors, 0.0)) for view in shown]
-    (arrows,) = [c for c in field_figure.corner_errors(none).axes[0].collections if isinstance(c, Quiver)]
+    (arrows,) = [c for c in plot_errors.corner_errors(none).axes[0].collections if isinstance(c, Quiver)]
     assert 1 / arrows.scale == pytest.approx(5e10) and arrows.get_clim() == (0.0, 1e-9)
     for nothing in ([], [replace(shown[0], found=np.zeros((0, 2)), errors=np.zeros((0, 2)))]):
         with pytest.raises(InputError, match="no corner to draw"):
-            field_figure.corner_errors(nothing)
+            plot_errors.corner_errors(nothing)
 
 
 @pytest.mark.parametrize("count", [1, 4, 11])
 def test_view_errors(count: int, tmp_path: Any) -> None:
     Image.fromarray(np.arange(640 * 480, dtype=np.uint32).reshape(480, 640).astype(np.uint8)).save(tmp_path / "p.png")
     shown = views(count, tmp_path / "p.png")
-    figure = field_figure.view_errors(shown)
+    figure = plot_errors.view_errors(shown)
     worst = sorted(shown, key=lambda view: np.sum(view.errors**2), reverse=True)[:9]
     rows = (len(worst) + 2) // 3
     assert sized(figure) == pytest.approx([7.2, rows * (0.9 * 2.4 * 0.75 + 0.2) + 1.1])
@@ -250,7 +250,7 @@ def test_view_errors(count: int, tmp_path: Any) -> None:
     ends = " to ".join(dict.fromkeys(f"{view.rms:.3g}" for view in (worst[0], worst[-1])))
     assert figure.get_suptitle() == f"The worst views: {ends} px RMS; errors drawn ×{gain:g}"
     assert bar.get_xlabel() == "error (px)" and not bar.spines["outline"].get_visible()
-    assert all(not axes.get_images() for axes in field_figure.view_errors(views(count)).axes[:-1])
+    assert all(not axes.get_images() for axes in plot_errors.view_errors(views(count)).axes[:-1])
 
 
 @pytest.mark.parametrize("scenes", [1, 2])
