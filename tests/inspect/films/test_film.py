@@ -118,7 +118,7 @@ def test_each_grasp_is_an_attempt_that_is_taken_or_not(many):
 def test_the_stage_shows_arm_ghost_and_misses_of_the_run():
     episodes = run(many=True)
     plan = plan_film(episodes)
-    film_set = FilmSet(episodes, plan, HALF, dark=False)
+    film_set = FilmSet(episodes, plan, dark=False)
     frame = plan.frames[-1]
     for side, held in enumerate(episodes.policies):
         stage = film_stage(film_set, frame, side)

@@ -46,7 +46,7 @@ def plan(episodes: RecordedEpisodes) -> FilmPlan:
 def test_each_half_says_whose_it_is_what_is_picked_and_how_far_it_is(
     episodes: RecordedEpisodes, plan: FilmPlan
 ) -> None:
-    film_set = FilmSet(episodes, plan, (400, 360), dark=False)
+    film_set = FilmSet(episodes, plan, dark=False)
     for frame in plan.frames:
         for side, (miss, ends) in enumerate(((7.0, 6), (2.0, 5))):
             half = film_stage(film_set, frame, side)
