@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from pickenv.base import InputError
 from pickenv.harvester import Measure
-from pickenv.inspect import CycleCurve, JointCurves, error_by_condition, error_slices
+from pickenv.inspect import JointCurves, error_by_condition, error_slices
 from pickenv.inspect.colours import ORANGE, policy_colours
 from pickenv.inspect.figures import plot_harvest, plot_policies
 from pickenv.inspect.figures.plot_estimates import METHODS
@@ -155,8 +155,8 @@ def test_a_harvesters_titles_say_how_wide_how_far_and_how_many() -> None:
 
 
 def test_a_policys_titles_say_where_it_ends_drifts_and_is_worst() -> None:
-    curves = [CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)), CycleCurve("ppo", "LS", np.full(50, 7.0)),
-              CycleCurve("scripted", "LS", np.geomspace(300, 0.25, 60))]  # fmt: skip
+    curves = {("scripted", "raw"): np.geomspace(300, 2, 60), ("ppo", "LS"): np.full(50, 7.0),
+              ("scripted", "LS"): np.geomspace(300, 0.25, 60)}  # fmt: skip
     for said, wanted in (("", "scripted after 3.0 s"), ("field", "scripted on field after 3.0 s")):
         (axes,) = plot_policies.accuracy_against_cycle_time(curves, 0.05, title=said).axes
         assert title(axes) == f"{wanted}: raw 2.0, LS 0.25 mm"

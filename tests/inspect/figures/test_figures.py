@@ -12,7 +12,6 @@ from pickenv.base import InputError
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
-    CycleCurve,
     JointCurves,
     PickedTree,
     error_fields,
@@ -52,7 +51,7 @@ TREE = PickedTree(
 )
 CURVES = JointCurves(X, {"master d2": X, "master theta1": X, "left d4": 0.5 * X}, ("master theta1",))
 AGGREGATES = {"plant": {"mean": {"scripted": {"raw": (2.0, (1.0, None)), "LS": (0.5, (0.4, 0.6)), "GP": (0.1, None)}}}}
-CYCLES = [CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)), CycleCurve("ppo", "LS", np.geomspace(300, 0.5, 50))]
+CYCLES = {("scripted", "raw"): np.geomspace(300, 2, 60), ("ppo", "LS"): np.geomspace(300, 0.5, 50)}
 
 PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
     "per pose": (lambda: plot_errors.error_per_pose(ERRORS), ("(number)", "(mm)")),
