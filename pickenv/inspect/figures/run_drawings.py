@@ -46,8 +46,20 @@ CAPTIONS = {
     "described well enough; arrows without one are noise.",
     "view_errors": "The views with the largest errors. Where all arrows of a view agree, its pose is at fault.",
     "joint_coverage": "How the poses fill the joint ranges: each joint's distribution, and each pair of joints.",
+    "distance_over_time": "Distance between tool and fruit in every episode, and what the gripper forgives.",
+    "misses_by_fruit": "Where the gripper closed, how far each policy was from the fruit; the same fruit for all.",
+    "difference_map": "Which of two policies misses less at each goal, in layers of the workspace seen from above.",
+    "pose_accuracy": "Pose accuracy AP and repeatability RP at the five poses of ISO 9283.",
+    "drift": "Pose accuracy at P1 over the hours after the cold arm was switched on.",
+    "error_by_condition": "Mean position error under each condition, the others as at the reference; bands are 95 % "
+    "intervals.",
+    "gantt": "What each arm did on one tree.",
+    "pick_map": "The fruit of one tree by the arm that collected it, and the zones from which they were picked.",
+    "throughput": "Picks per hour against the number of arms, the machine perfectly known, with 95 % intervals where "
+    "there are ten trees or more.",
+    "joint_curves": "How the joints move from the start to a pick point and on to three fruit.",
 }
-"""What the figures of reaches and of calibrations show, by name."""
+"""What a figure of a run shows, by name."""
 
 
 @dataclass(frozen=True)
