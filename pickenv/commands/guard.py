@@ -13,6 +13,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -99,8 +100,6 @@ def _fault(error: Exception) -> int:
 
 
 def _end(code: int, words: str) -> int:
-    try:
+    with suppress(OSError):  # where nobody hears that either, the exit code says it
         print(words, file=sys.stderr, flush=True)
-    except OSError:  # nobody hears that either; the exit code says it
-        return code
     return code

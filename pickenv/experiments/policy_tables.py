@@ -288,12 +288,12 @@ def cycle_figure(rows: Rows, plant: str) -> Figure:
 
     Policies with a camera are shown on raw arms only, for there all compensations look alike.
     """
-    curves = []
+    curves = {}
     for key in rows.where(plant=plant).levels(*CELL):
         policy, compensation, feedback, _ = key
         if policy != "random" and (feedback != "camera" or compensation == "raw"):
             way = cell_of(rows, key)["way_mm"].mean(axis=0)
-            curves.append(plot_policies.CycleCurve(policy, policy_label(compensation), way[np.isfinite(way)]))
+            curves[policy, policy_label(compensation)] = way[np.isfinite(way)]
     return plot_policies.accuracy_against_cycle_time(curves, CONTROL_PERIOD, title=plant)
 
 

@@ -1,8 +1,3 @@
-from .figures.field_figure import (
-    corner_errors as corner_errors,
-    error_fields as error_fields,
-    view_errors as view_errors,
-)
 from .figures.plot_calibration import (
     joint_coverage as joint_coverage,
     joint_ranges as joint_ranges,
@@ -12,12 +7,15 @@ from .figures.plot_calibration import (
     uncertainty_map as uncertainty_map,
 )
 from .figures.plot_errors import (
+    corner_errors as corner_errors,
     error_against as error_against,
     error_by_method as error_by_method,
     error_cumulative as error_cumulative,
+    error_fields as error_fields,
     error_histogram as error_histogram,
     error_per_pose as error_per_pose,
     error_slices as error_slices,
+    view_errors as view_errors,
 )
 from .figures.plot_estimates import error_by_condition as error_by_condition, estimates_figure as estimates_figure
 from .figures.plot_harvest import (
@@ -29,7 +27,6 @@ from .figures.plot_harvest import (
     workspace_cloud as workspace_cloud,
 )
 from .figures.plot_policies import (
-    CycleCurve as CycleCurve,
     accuracy_against_cycle_time as accuracy_against_cycle_time,
     accuracy_by_pose as accuracy_by_pose,
     accuracy_drift as accuracy_drift,

@@ -27,6 +27,8 @@ FAINT = 0.42
 """Opacity of the ghost."""
 THICKNESS = 0.028
 """Radius of the first link, as a share of the arm's length; the last one has `TAPER` of it."""
+WALL = 0.0035
+"""Thickness of a drawn cup's wall, m."""
 CUP_RADIUS = 0.0375
 """Of a cup that takes a fruit of 60 mm, where a picture is told of no other, m."""
 FOOT = 1.9
@@ -105,30 +107,30 @@ def ghost_points(geometry: Geometry, command: ArrayLike, tool: Array, believed: 
     return true_points(geometry, command, tool + GAIN * (believed - tool))
 
 
-def ghost_solids(look: ArmLook, points: Array, colour: Rgb = GHOST) -> Solids:
+def ghost_solids(look: ArmLook, points: Array) -> Solids:
     """An arm that is seen through."""
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
-    tip = Balls(points[-1:], 0.95 * look.radius[-1:], rgba(colour, 1, FAINT))
-    return Solids((Rods(start, end, 0.8 * look.radius, rgba(colour, len(start), FAINT)),), (tip,))
+    tip = Balls(points[-1:], 0.95 * look.radius[-1:], rgba(GHOST, 1, FAINT))
+    return Solids((Rods(start, end, 0.8 * look.radius, rgba(GHOST, len(start), FAINT)),), (tip,))
 
 
-def cup_solids(tool: Array, axis: Array, radius: float, colour: Rgb = GRIPPER, wall: float = 0.0035) -> Solids:
+def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
     """A cup that opens along ``axis`` and holds the lower half of a fruit at ``tool``."""
     deep = 1.15 * radius
-    inner = radius - wall
+    inner = radius - WALL
     across = [0.4 * radius, 0.7 * radius, radius, radius, radius, inner, inner, inner, 0.6 * radius, 0.0]
     heights = deep * np.array([-1.35, -1.0, -0.55, 0.0, 0.0, 0.0, 0.0, -0.5, -0.9, -1.0])
-    return Solids(meshes=(turned(np.column_stack([across, heights]), tool, axis, colour),))
+    return Solids(meshes=(turned(np.column_stack([across, heights]), tool, axis, GRIPPER),))
 
 
-def hand_solids(tool: Array, axis: Array, radius: float, closed: bool, colour: Rgb = GRIPPER) -> Solids:
+def hand_solids(tool: Array, axis: Array, radius: float, closed: bool) -> Solids:
     """Three fingers around a fruit at ``tool``."""
     out = ring_around(axis, 3)
     palm = tool - 1.6 * radius * axis
     knuckle, tip = palm + 0.7 * radius * out, tool + (0.75 if closed else 1.25) * radius * out + 0.5 * radius * axis
     middle = tool + (1.1 if closed else 1.4) * radius * out - 0.7 * radius * axis
     start, end = np.concatenate([knuckle, middle]), np.concatenate([middle, tip])
-    fingers = Rods(start, end, np.full(6, 0.2 * radius), rgba(colour, 6))
+    fingers = Rods(start, end, np.full(6, 0.2 * radius), rgba(GRIPPER, 6))
     return Solids((fingers,), (Balls(palm[None], np.array([0.75 * radius]), rgba(JOINT, 1)),))
 
 

@@ -112,7 +112,7 @@ def ring_around(axis: Array, count: int) -> Array:
     return np.asarray(np.cos(turn) * x + np.sin(turn) * np.cross(axis, x))
 
 
-def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, opacity: float = 1.0, around: int = 24) -> Mesh:
+def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, around: int = 24) -> Mesh:
     """A surface of revolution.
 
     Args:
@@ -120,7 +120,6 @@ def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, opacity: 
         point: Where height is zero ``(3,)``, m.
         axis: Unit vector in which height grows ``(3,)``.
         colour: Red, green, blue.
-        opacity: 0 to 1.
         around: Corners around the axis.
     """
     outline, ring = np.asarray(profile, dtype=float), ring_around(axis, around)
@@ -133,7 +132,7 @@ def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, opacity: 
         low, high = k * around, (k + 1) * around
         faces += [np.stack([low + i, low + j, high + j], -1), np.stack([low + i, high + j, high + i], -1)]
     corners = corners.reshape(-1, 3)
-    return Mesh(corners, np.concatenate(faces), rgba(colour, len(corners), opacity))
+    return Mesh(corners, np.concatenate(faces), rgba(colour, len(corners)))
 
 
 def chequered(low: ArrayLike, high: ArrayLike, height: float, square: float, colours: tuple[Rgb, Rgb]) -> Mesh:

@@ -15,7 +15,7 @@ from pickenv.arm import Array
 from pickenv.orchard import load_look, sample_leaves
 from pickenv.pictures.arm_shapes import JOINT, Solids
 from pickenv.pictures.solids import chequered, leaf_mesh, rod_triangles, turned
-from pickenv.pictures.stage import Balls, Eye, Mesh, Rgb, Rods, rgba
+from pickenv.pictures.stage import Balls, Eye, Mesh, Rods, rgba
 
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
 BARK, STEM = (122, 92, 66), (104, 84, 52)
@@ -106,6 +106,6 @@ def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: 
     return Solids((slats, *balls.rods), balls.balls)
 
 
-def fruit_colours(count: int, colour: Rgb = RIPE) -> Array:
-    """One colour for ``count`` fruit, (count, 3), to be changed for some of them."""
-    return np.tile(np.array(colour), (count, 1))
+def fruit_colours(count: int) -> Array:
+    """The colour of ripe fruit for ``count`` of them, (count, 3), to be changed for some."""
+    return np.tile(np.array(RIPE), (count, 1))

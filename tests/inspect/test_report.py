@@ -32,9 +32,8 @@ from pickenv.inspect import (
     new_figure,
     trace_drawings,
 )
-from pickenv.inspect.reports.demo_report import demo_verdict, page as demo_report
-from pickenv.inspect.reports.report_interactive import field_spec, library, pose_spec
-from pickenv.inspect.reports.report_page import Part
+from pickenv.inspect.reports.demo_report import demo_verdict, field_spec, page as demo_report, pose_spec
+from pickenv.inspect.reports.report_page import Part, library
 
 VOID = {"meta", "link", "img", "br"}
 

@@ -5,8 +5,7 @@ Each function takes plain arrays and returns a matplotlib figure.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Array
 from pickenv.base import InputError
 from pickenv.inspect.colours import GREY, RED, policy_colours
 from pickenv.inspect.figures import style
@@ -112,21 +110,6 @@ Estimated = tuple[float, tuple[float | None, float | None] | None]
 """A number and the ends of its 95 % interval: an open end is None, and so is an interval that cannot be given."""
 
 
-@dataclass(frozen=True, eq=False)
-class CycleCurve:
-    """The error over a cycle.
-
-    Attributes:
-        policy: Gives the line's pattern.
-        compensation: Gives its colour.
-        error_mm: Mean error after each step ``(T,)``.
-    """
-
-    policy: str
-    compensation: str
-    error_mm: Array
-
-
 def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> Figure:
     """Figures of errors with 95 % intervals, on a logarithmic axis; an arrow where the data bound no end.
 
@@ -219,11 +202,14 @@ def _seen_to(curves: Mapping[str, tuple[ArrayLike, ArrayLike]], farthest: float)
     return 1.3 * max(half, farthest, 1.0)
 
 
-def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, title: str = "") -> Figure:
+def accuracy_against_cycle_time(
+    curves: Mapping[tuple[str, str], ArrayLike], period: float, *, title: str = ""
+) -> Figure:
     """Mean error if the pick were made after each step, and the best of all curves so far.
 
     Args:
-        curves: One per policy and compensation, of equal length.
+        curves: Mean error after each step ``(T,)``, mm, of each policy with each compensation, by the labels of both;
+            the policy gives the line's pattern, the compensation its colour.
         period: Time of a step, s.
         title: Added to the title, such as the plant's name.
 
@@ -232,22 +218,21 @@ def accuracy_against_cycle_time(curves: Sequence[CycleCurve], period: float, *, 
     """
     if not curves:
         raise InputError("there is no curve to draw; give at least one")
-    series = style.finite_series({f"{c.policy}, {c.compensation}": c.error_mm for c in curves})
+    series = style.finite_series({", ".join(labels): error for labels, error in curves.items()})
     errors = [error.clip(SMALLEST) for error in series.values()]
-    patterns = dict(zip(dict.fromkeys(c.policy for c in curves), style.LINES * len(curves), strict=False))
-    colours = style.shades(dict.fromkeys(c.compensation for c in curves))
+    patterns = dict(zip(dict.fromkeys(policy for policy, _ in curves), style.LINES * len(curves), strict=False))
+    colours = style.shades(dict.fromkeys(compensation for _, compensation in curves))
     shortest = min(map(len, errors))
     times = period * np.arange(1, 1 + max(map(len, errors)))
     with style.new_figure(style.WIDTH, 3.2) as figure:
         axes = figure.add_subplot(xlabel="cycle time (s)", ylabel="mean position error (mm)", yscale="log")
-        ends = {}
-        for curve, error in zip(curves, errors, strict=True):
-            look = {"linestyle": patterns[curve.policy], "color": colours[curve.compensation]}
-            axes.plot(times[: len(error)], error, **look)
-            if curve.policy == curves[0].policy:
-                ends[curve.compensation] = float(error[-1])
+        first, ends = next(iter(patterns)), {}
+        for (policy, compensation), error in zip(curves, errors, strict=True):
+            axes.plot(times[: len(error)], error, linestyle=patterns[policy], color=colours[compensation])
+            if policy == first:
+                ends[compensation] = float(error[-1])
         front = np.minimum.accumulate(np.min([error[:shortest] for error in errors], axis=0))
-        policy = f"{curves[0].policy} on {title}" if title else curves[0].policy
+        policy = f"{first} on {title}" if title else first
         style.headline(axes, f"{policy} after {period * len(errors[0]):.1f} s: {style.change(ends, 'mm')}", beside=1.2)
         grey = style.rgb([GREY])[0]
         axes.plot(times[:shortest], front, color=grey, linewidth=6, zorder=0, label="best so far")

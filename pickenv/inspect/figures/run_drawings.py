@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from pickenv.arm import Array
 from pickenv.base import clustered_share_interval
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
-from pickenv.inspect.figures import field_figure, plot_calibration, plot_errors, plot_policies
+from pickenv.inspect.figures import plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, ViewErrors
 from pickenv.inspect.runs.matters import gripped, gripper_curves
@@ -46,8 +46,20 @@ CAPTIONS = {
     "described well enough; arrows without one are noise.",
     "view_errors": "The views with the largest errors. Where all arrows of a view agree, its pose is at fault.",
     "joint_coverage": "How the poses fill the joint ranges: each joint's distribution, and each pair of joints.",
+    "distance_over_time": "Distance between tool and fruit in every episode, and what the gripper forgives.",
+    "misses_by_fruit": "Where the gripper closed, how far each policy was from the fruit; the same fruit for all.",
+    "difference_map": "Which of two policies misses less at each goal, in layers of the workspace seen from above.",
+    "pose_accuracy": "Pose accuracy AP and repeatability RP at the five poses of ISO 9283.",
+    "drift": "Pose accuracy at P1 over the hours after the cold arm was switched on.",
+    "error_by_condition": "Mean position error under each condition, the others as at the reference; bands are 95 % "
+    "intervals.",
+    "gantt": "What each arm did on one tree.",
+    "pick_map": "The fruit of one tree by the arm that collected it, and the zones from which they were picked.",
+    "throughput": "Picks per hour against the number of arms, the machine perfectly known, with 95 % intervals where "
+    "there are ten trees or more.",
+    "joint_curves": "How the joints move from the start to a pick point and on to three fruit.",
 }
-"""What the figures of reaches and of calibrations show, by name."""
+"""What a figure of a run shows, by name."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +134,7 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
     reaches: dict[str, Any] = {"counted": "reaches"}
     attitude = {"quantity": "attitude error", "unit": "deg", **reaches}
     drawings: list[Drawing | NotDrawn] = [
-        captioned("error_fields", field_figure.error_fields, comparison),
+        captioned("error_fields", plot_errors.error_fields, comparison),
         captioned("error_slices", plot_errors.error_slices, comparison.grid.points, fields, step=comparison.grid.step),
     ]
     if not len(comparison.grid.points):
@@ -179,7 +191,7 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
 
 def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
     """Figures of views with their reprojection errors; none without views."""
-    figures = {"corner_errors": field_figure.corner_errors, "view_errors": field_figure.view_errors}
+    figures = {"corner_errors": plot_errors.corner_errors, "view_errors": plot_errors.view_errors}
     return [captioned(name, draw, views) for name, draw in figures.items()] if views else []
 
 

@@ -253,13 +253,11 @@ class FilmSet:
     Attributes:
         episodes: The run's episodes.
         plan: The film's frames.
-        size: Width and height of one half, px.
         dark: Whether the background is dark.
     """
 
     episodes: RecordedEpisodes
     plan: FilmPlan
-    size: tuple[int, int]
     dark: bool
 
     @cached_property
@@ -315,7 +313,7 @@ class FilmSet:
         ahead = np.array([ahead[0], ahead[1], 0.0]) / max(float(np.hypot(ahead[0], ahead[1])), 1e-9)
         side = np.cross([0.0, 0.0, 1.0], ahead)
         points = np.concatenate([self.points, self.points + np.array([0.0, 0.0, 0.06])])
-        return fitted_eye(points, -0.9 * ahead + 0.75 * side + np.array([0.0, 0.0, 0.42]), self.size)
+        return fitted_eye(points, -0.9 * ahead + 0.75 * side + np.array([0.0, 0.0, 0.42]), HALF)
 
     @cached_property
     def still(self) -> tuple[Mesh, ...]:
@@ -356,7 +354,7 @@ def film_stage(film_set: FilmSet, frame: FilmFrame, side: int) -> Stage:
     )
     label = "no grasp yet" if caption.miss_mm is None else f"miss {caption.miss_mm:.1f} mm"
     dial = Dial(_marks_mm(film_set, side, frame.episode, now), film_set.episodes.tolerance_mm, colour, label)
-    return Stage(film_set.eye, *solids, film_set.still, words, dial, film_set.size, film_set.dark)
+    return Stage(film_set.eye, *solids, film_set.still, words, dial, HALF, film_set.dark)
 
 
 def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, moment: int, colour: Rgb) -> Solids:
@@ -396,7 +394,7 @@ def _fruit(film_set: FilmSet, side: int, episode: int, now: int, picked: int) ->
     parts = [
         fruit_solids(places[hanging], FRUIT, colours[hanging]),
         fruit_solids(places[loose], FRUIT, colours[loose], stems=False),
-        crate(film_set.eye, film_set.size, picked, FRUIT, film_set.ground),
+        crate(film_set.eye, HALF, picked, FRUIT, film_set.ground),
     ]
     if film_set.plan.reaching:
         parts += [sprig(place, FRUIT) for place in film_set.fruit[episode][:1]]
@@ -484,7 +482,7 @@ def film_pictures(
     episodes: RecordedEpisodes, plan: FilmPlan, *, dark: bool = False, progress: Progress | None = None
 ) -> Iterator[Pixels]:
     """The frames of a film, ``(height, width, 3)``."""
-    film_set = FilmSet(episodes, plan, HALF, dark)
+    film_set = FilmSet(episodes, plan, dark)
     width = len(plan.policies) * (HALF[0] + GAP) - GAP
     plant = f", plant {episodes.plant_name}" if episodes.plant_name else ""
     below = strip(

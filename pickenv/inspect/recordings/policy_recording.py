@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 
 from pickenv.arm import Array
 from pickenv.inspect.colours import WHITE, lane, policy_colours
-from pickenv.inspect.figures.field_figure import field_gain
+from pickenv.inspect.figures.plot_errors import field_gain
 from pickenv.inspect.recordings.episode_entities import (
     EYE,
     GAIN,

@@ -200,9 +200,9 @@ def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
     return rr.DynamicArchetype("PickError", components=_readings(vectors, unit))
 
 
-def reading_columns(vectors: Array, unit: str = "mm") -> Iterable[rr.ComponentColumn]:
-    """`reading` with one row per moment."""
-    return rr.DynamicArchetype.columns("PickError", components=_readings(vectors, unit))
+def reading_columns(vectors: Array) -> Iterable[rr.ComponentColumn]:
+    """`reading` in mm with one row per moment."""
+    return rr.DynamicArchetype.columns("PickError", components=_readings(vectors, "mm"))
 
 
 def _readings(vectors: Array, unit: str) -> dict[str, Any]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from pickenv.inspect.figures import plot_policies
-from pickenv.inspect.figures.field_figure import error_fields
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn
+from pickenv.inspect.figures.plot_errors import error_fields
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
@@ -21,16 +21,8 @@ def drawings(run: Run) -> Drawings:
 def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
     """Every figure of a comparison of policies."""
     drawings: list[Drawing | NotDrawn] = [
-        Drawing(
-            "distance_over_time",
-            "Distance between tool and fruit in every episode, and what the gripper forgives.",
-            lambda: plot_policies.distance_over_time(episodes),
-        ),
-        Drawing(
-            "misses_by_fruit",
-            "Where the gripper closed, how far each policy was from the fruit; the same fruit for all.",
-            lambda: plot_policies.misses_by_fruit(episodes),
-        ),
+        captioned("distance_over_time", plot_policies.distance_over_time, episodes),
+        captioned("misses_by_fruit", plot_policies.misses_by_fruit, episodes),
     ]
     if not isinstance(episodes, Comparison):
         return [*drawings, NotDrawn("error_fields", MISSING)]
@@ -42,13 +34,7 @@ def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
         )
     )
     if len(episodes.policies) > 1:
-        drawings.append(
-            Drawing(
-                "difference_map",
-                "Which of two policies misses less at each goal, in layers of the workspace seen from above.",
-                lambda: plot_policies.difference_map(episodes),
-            )
-        )
+        drawings.append(captioned("difference_map", plot_policies.difference_map, episodes))
     return drawings
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pickenv.inspect.figures import plot_estimates
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings
+from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.reports.report_words import estimated
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_conditions
@@ -20,13 +20,7 @@ HELD_OUT = "held-out sessions"
 def drawings(run: Run) -> Drawings:
     """The figure of a study's run folder."""
     sweeps = load_conditions(run)["sweeps"]
-    return [
-        Drawing(
-            "error_by_condition",
-            "Mean position error under each condition, the others as at the reference; bands are 95 % intervals.",
-            lambda: plot_estimates.error_by_condition(sweeps, SWEEPS),
-        )
-    ]
+    return [captioned("error_by_condition", plot_estimates.error_by_condition, sweeps, SWEEPS)]
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:

@@ -9,7 +9,7 @@ from pickenv.base.intervals import LEAST
 from pickenv.harvester import Measure
 from pickenv.harvester.machine import dense_workspace
 from pickenv.inspect.figures import plot_harvest
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
@@ -40,33 +40,20 @@ def drawings(run: Run) -> Drawings:
     arms = trace.cloud.shape[1]
     trees = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
     return [
-        Drawing("gantt", "What each arm did on one tree.", lambda: plot_harvest.gantt(trees, arms)),
-        Drawing(
-            "pick_map",
-            "The fruit of one tree by the arm that collected it, and the zones from which they were picked.",
-            lambda: plot_harvest.pick_map(trees),
-        ),
+        captioned("gantt", plot_harvest.gantt, trees, arms),
+        captioned("pick_map", plot_harvest.pick_map, trees),
         Drawing(
             "funnel",
             f"From fruit present to fruit collected, over {trace.tree_count} simulated trees.",
             lambda: plot_harvest.funnel_bars(trace.funnels),
         ),
-        Drawing(
-            "throughput",
-            "Picks per hour against the number of arms, the machine perfectly known, with 95 % intervals where there "
-            "are ten trees or more.",
-            lambda: plot_harvest.throughput_by_arms(trace.throughput),
-        ),
+        captioned("throughput", plot_harvest.throughput_by_arms, trace.throughput),
         Drawing(
             "workspace",
             "Where the cups get to, at joints drawn evenly within the limits.",
             lambda: plot_harvest.workspace_cloud(trace.cloud, (dense_workspace(),)),
         ),
-        Drawing(
-            "joint_curves",
-            "How the joints move from the start to a pick point and on to three fruit.",
-            lambda: plot_harvest.joint_displacements(trace.curves),
-        ),
+        captioned("joint_curves", plot_harvest.joint_displacements, trace.curves),
     ]
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pickenv.inspect.figures import plot_policies
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings
+from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.reports.report_words import estimated
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_iso9283
@@ -24,16 +24,8 @@ def drawings(run: Run) -> Drawings:
     )
     drift = {name: test["drift_accuracy_mm"] for name, test in controllers.items()}
     return [
-        Drawing(
-            "pose_accuracy",
-            "Pose accuracy AP and repeatability RP at the five poses of ISO 9283.",
-            lambda: plot_policies.accuracy_by_pose(accuracy, repeatability),
-        ),
-        Drawing(
-            "drift",
-            "Pose accuracy at P1 over the hours after the cold arm was switched on.",
-            lambda: plot_policies.accuracy_drift(result["raw"]["drift_hours"], drift),
-        ),
+        captioned("pose_accuracy", plot_policies.accuracy_by_pose, accuracy, repeatability),
+        captioned("drift", plot_policies.accuracy_drift, result["raw"]["drift_hours"], drift),
     ]
 
 

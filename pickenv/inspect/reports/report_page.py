@@ -6,24 +6,30 @@ Every text is escaped once, by the templates. A page is light or dark as the rea
 from __future__ import annotations
 
 import base64
+import gzip
+import io
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from pickenv.calibration.assessment.quality import AxisErrors
 from pickenv.calibration.assessment.screen import is_number
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
-from pickenv.inspect.reports.report_interactive import library
-from pickenv.inspect.reports.report_svg import inline_svg
+from pickenv.inspect.figures.style import THEME, style
 from pickenv.inspect.reports.report_words import named_values
 from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
+PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
+"""Sizes at which a figure's text is as large as the page's, and still legible: a small screen scrolls then."""
 HERE = Path(__file__).parent / "templates"
 TONES = ("good", "care", "bad", "note")
 """The last for what is neither good nor bad: no requirement was stated."""
@@ -208,7 +214,7 @@ def _templates() -> Environment:
         undefined=StrictUndefined,
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    environment.globals["library"] = library
+    environment.globals |= {"library": library, "largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
     environment.filters |= {
         "base64": lambda content: base64.b64encode(content).decode(),
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
@@ -216,6 +222,37 @@ def _templates() -> Environment:
         "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
     }
     return environment
+
+
+def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
+    """A figure for an HTML page: the inside of an SVG element in the page's colours, its width and height in points.
+
+    Args:
+        figure: The figure, drawn in the house's style.
+        name: Goes before its ids, so that several figures share a page.
+    """
+    buffer = io.StringIO()
+    undated = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with style(**{"svg.fonttype": "none"}):
+        figure.savefig(buffer, format="svg", transparent=True, metadata=undated)
+    text = buffer.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>|<style.*?</style>|<!--.*?-->", "", text[text.index("<svg") :], flags=re.S)
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    text = re.sub(r'href="#', f'href="#{name}-', text)
+    text = text.replace("url(#", f"url(#{name}-")
+    for colour, variable in THEME.items():
+        text = text.replace(colour, f"var({variable})")
+    text = re.sub(r"\s*\n\s*", "\n", text)
+    width, height = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text).groups()  # type: ignore[union-attr]
+    inside = text[text.index(">") + 1 : text.rindex("</svg>")].strip()
+    return Markup(inside), float(width), float(height)
+
+
+@cache
+def library() -> str:
+    """Plotly's library, packed, for pages with interactive figures."""
+    plotly = (files("plotly") / "package_data" / "plotly.min.js").read_bytes()
+    return base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
 
 
 def plain_report(

@@ -42,12 +42,12 @@ def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, 
     return {name: (CURVE_MM, capture_probability(load_gripper(name), CURVE_MM * 1e-3, 0.0, 0.0)) for name in names}
 
 
-def gripped(comparison: Comparison, names: tuple[str, ...] = GRIPPERS) -> dict[str, Gripped]:
+def gripped(comparison: Comparison) -> dict[str, Gripped]:
     """The fruit of each reach as it lies in the true tool, by policy label.
 
     The tool is as the true arm holds it; it should point as the nominal arm does at the first policy's command.
     """
-    grippers: dict[str, Gripper] = {name: load_gripper(name) for name in names}
+    grippers: dict[str, Gripper] = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
     by_policy = {}
     for policy in comparison.policies:

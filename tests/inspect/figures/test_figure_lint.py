@@ -19,12 +19,12 @@ from pickenv.experiments.robots import learnable
 from pickenv.inspect import Drawing, Run, drawings_of, read_run
 from pickenv.inspect.figures import plot_calibration, style
 from pickenv.inspect.figures.run_drawings import Drawings
-from pickenv.inspect.reports import report_svg
+from pickenv.inspect.reports import report_page
 from tests.experiments.conftest import SMALL
 from tests.experiments.synthetic import FRUIT, rows_of
 from tests.inspect.figures.figure_lint import DARK, contrast_of, figure_faults, heading_of, linting
 
-CSS = Path(report_svg.__file__).parent / "templates/report.css"
+CSS = Path(report_page.__file__).parent / "templates/report.css"
 RAW, LS, GREY = "#e69f00", "#0072b2", "#96969e"
 
 
@@ -59,10 +59,10 @@ def faults(drawings: Drawings | Mapping[str, Callable[[], Figure]]) -> list[str]
 def test_what_is_written_or_set_into_a_page_is_judged(tmp_path: Path) -> None:
     with linting() as faults:
         style.save_figure(sound(), tmp_path / "one.svg")
-        report_svg.inline_svg(sound(), "two")
+        report_page.inline_svg(sound(), "two")
         assert faults == []
         style.save_figure(lines(raw=(LS, [1.0, 2.0])), tmp_path / "three.svg")
-        report_svg.inline_svg(lines(raw=(LS, [1.0, 2.0])), "four")
+        report_page.inline_svg(lines(raw=(LS, [1.0, 2.0])), "four")
     assert faults == ["Raw errs 2 mm: 'raw' has the colour #0072b2, not its own"] * 2
     style.save_figure(lines(raw=(LS, [1.0, 2.0])), tmp_path / "five.svg")
     assert len(faults) == 2

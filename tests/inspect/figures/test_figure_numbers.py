@@ -22,7 +22,6 @@ from matplotlib.quiver import Quiver
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
-    CycleCurve,
     JointCurves,
     PickedTree,
     comparison_drawings,
@@ -31,7 +30,7 @@ from pickenv.inspect import (
 )
 from pickenv.inspect.colours import arm_colour, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
-from pickenv.inspect.figures.field_figure import field_gain, round_down, thinned
+from pickenv.inspect.figures.plot_errors import field_gain, round_down, thinned
 from pickenv.inspect.figures.style import WIDTH
 from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
 
@@ -342,21 +341,21 @@ def test_success_points_are_the_policies_own(comparison: Comparison) -> None:
 
 
 def test_cycle_time() -> None:
-    curves = [
-        CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)),
-        CycleCurve("ppo", "LS", np.geomspace(200, 0.5, 50)),
-        CycleCurve("scripted", "LS", np.geomspace(300, 1e-5, 60)),
-    ]
+    curves = {
+        ("scripted", "raw"): np.geomspace(300, 2, 60),
+        ("ppo", "LS"): np.geomspace(200, 0.5, 50),
+        ("scripted", "LS"): np.geomspace(300, 1e-5, 60),
+    }
     figure = plot_policies.accuracy_against_cycle_time(curves, 0.05)
     (axes,) = figure.axes
     colours = dict(zip(("raw", "LS"), [np.array(c) / 255 for c in policy_colours(["raw", "LS"])], strict=True))
     lines = [line for line in axes.get_lines() if len(np.asarray(line.get_xdata()))]
-    for curve, line in zip(curves, lines, strict=False):
-        assert same(colour_of(line), colours[curve.compensation])
-        np.testing.assert_allclose(line.get_xdata(), 0.05 * np.arange(1, len(curve.error_mm) + 1))
-        np.testing.assert_allclose(line.get_ydata(), np.maximum(curve.error_mm, 1e-3))
+    for ((_, compensation), error), line in zip(curves.items(), lines, strict=False):
+        assert same(colour_of(line), colours[compensation])
+        np.testing.assert_allclose(line.get_xdata(), 0.05 * np.arange(1, len(error) + 1))
+        np.testing.assert_allclose(line.get_ydata(), np.maximum(error, 1e-3))
     assert lines[0].get_linestyle() == lines[2].get_linestyle() != lines[1].get_linestyle()
-    best = [min(max(c.error_mm[k], 1e-3) for c in curves) for k in range(50)]
+    best = [min(max(error[k], 1e-3) for error in curves.values()) for k in range(50)]
     (front,) = [line for line in lines if line.get_label() == "best so far"]
     np.testing.assert_allclose(front.get_ydata(), [min(best[: k + 1]) for k in range(50)])
 

@@ -17,7 +17,6 @@ from pickenv.base import InputError
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
-    CycleCurve,
     JointCurves,
     PickedTree,
     error_by_condition,
@@ -59,7 +58,7 @@ TREE = PickedTree(
 )
 CURVES = JointCurves(X, {"master d2": X, "master theta1": X, "left d4": 0.5 * X}, ("master theta1",))
 AGGREGATES = {"plant": {"mean": {"scripted": {"raw": (2.0, (1.0, None)), "LS": (0.5, (0.4, 0.6)), "GP": (0.1, None)}}}}
-CYCLES = [CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)), CycleCurve("ppo", "LS", np.geomspace(300, 0.5, 50))]
+CYCLES = {("scripted", "raw"): np.geomspace(300, 2, 60), ("ppo", "LS"): np.geomspace(300, 0.5, 50)}
 
 PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
     "per pose": (lambda: plot_errors.error_per_pose(ERRORS), ("(number)", "(mm)")),
@@ -418,8 +417,8 @@ def test_a_harvesters_titles_say_how_wide_how_far_and_how_many() -> None:
 
 
 def test_a_policys_titles_say_where_it_ends_drifts_and_is_worst() -> None:
-    curves = [CycleCurve("scripted", "raw", np.geomspace(300, 2, 60)), CycleCurve("ppo", "LS", np.full(50, 7.0)),
-              CycleCurve("scripted", "LS", np.geomspace(300, 0.25, 60))]  # fmt: skip
+    curves = {("scripted", "raw"): np.geomspace(300, 2, 60), ("ppo", "LS"): np.full(50, 7.0),
+              ("scripted", "LS"): np.geomspace(300, 0.25, 60)}  # fmt: skip
     for said, wanted in (("", "scripted after 3.0 s"), ("field", "scripted on field after 3.0 s")):
         (axes,) = plot_policies.accuracy_against_cycle_time(curves, 0.05, title=said).axes
         assert title(axes) == f"{wanted}: raw 2.0, LS 0.25 mm"

@@ -27,7 +27,7 @@ from pickenv.inspect import (
     view_errors,
 )
 from pickenv.inspect.colours import viridis
-from pickenv.inspect.figures.field_figure import MOST_VIEWS, faint_picture
+from pickenv.inspect.figures.plot_errors import MOST_VIEWS, faint_picture
 from pickenv.inspect.runs.calibration_trace import views_of
 from pickenv.inspect.runs.saved import load_numbers, save_numbers
 

@@ -18,7 +18,6 @@ from pickenv.base import InputError
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
-    CycleCurve,
     JointCurves,
     PickedTree,
     error_by_condition,
@@ -26,8 +25,8 @@ from pickenv.inspect import (
     error_slices,
 )
 from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, Rgb, viridis
-from pickenv.inspect.figures import field_figure, plot_harvest, plot_policies
-from pickenv.inspect.figures.field_figure import field_gain
+from pickenv.inspect.figures import plot_errors, plot_harvest, plot_policies
+from pickenv.inspect.figures.plot_errors import field_gain
 from pickenv.inspect.figures.style import INK
 from pickenv.inspect.runs.calibration_trace import ViewErrors
 from pickenv.inspect.runs.saved import eye_direction, shown_box
@@ -203,7 +202,7 @@ def assert_arrows(axes: Any, view: ViewErrors, gain: float, top: float, thicknes
 
 def test_corner_errors() -> None:
     shown = views(3)
-    figure = field_figure.corner_errors(shown)
+    figure = plot_errors.corner_errors(shown)
     axes, bar = figure.axes
     assert sized(figure) == pytest.approx([7.2, 7.2 * 0.72 * 0.75 + 0.6])
     assert (axes.get_xlabel(), axes.get_ylabel(), bar.get_ylabel()) == ("u (px)", "v (px)", "error (px)")
@@ -216,18 +215,18 @@ def test_corner_errors() -> None:
     assert_arrows(axes, whole, gain, top, 1.0)
     assert not bar.spines["outline"].get_visible()
     none = [replace(view, errors=np.full_like(view.errors, 0.0)) for view in shown]
-    (arrows,) = [c for c in field_figure.corner_errors(none).axes[0].collections if isinstance(c, Quiver)]
+    (arrows,) = [c for c in plot_errors.corner_errors(none).axes[0].collections if isinstance(c, Quiver)]
     assert 1 / arrows.scale == pytest.approx(5e10) and arrows.get_clim() == (0.0, 1e-9)
     for nothing in ([], [replace(shown[0], found=np.zeros((0, 2)), errors=np.zeros((0, 2)))]):
         with pytest.raises(InputError, match="no corner to draw"):
-            field_figure.corner_errors(nothing)
+            plot_errors.corner_errors(nothing)
 
 
 @pytest.mark.parametrize("count", [1, 4, 11])
 def test_view_errors(count: int, tmp_path: Any) -> None:
     Image.fromarray(np.arange(640 * 480, dtype=np.uint32).reshape(480, 640).astype(np.uint8)).save(tmp_path / "p.png")
     shown = views(count, tmp_path / "p.png")
-    figure = field_figure.view_errors(shown)
+    figure = plot_errors.view_errors(shown)
     worst = sorted(shown, key=lambda view: np.sum(view.errors**2), reverse=True)[:9]
     rows = (len(worst) + 2) // 3
     assert sized(figure) == pytest.approx([7.2, rows * (0.9 * 2.4 * 0.75 + 0.2) + 1.1])
@@ -250,7 +249,7 @@ def test_view_errors(count: int, tmp_path: Any) -> None:
     ends = " to ".join(dict.fromkeys(f"{view.rms:.3g}" for view in (worst[0], worst[-1])))
     assert figure.get_suptitle() == f"The worst views: {ends} px RMS; errors drawn ×{gain:g}"
     assert bar.get_xlabel() == "error (px)" and not bar.spines["outline"].get_visible()
-    assert all(not axes.get_images() for axes in field_figure.view_errors(views(count)).axes[:-1])
+    assert all(not axes.get_images() for axes in plot_errors.view_errors(views(count)).axes[:-1])
 
 
 @pytest.mark.parametrize("scenes", [1, 2])
@@ -305,10 +304,10 @@ def test_success_against_misalignment() -> None:
 
 
 def test_cycle_time() -> None:
-    curves = [
-        CycleCurve("ppo", "raw", np.geomspace(300, 2, 60)), CycleCurve("scripted", "LS", np.geomspace(200, 1e-5, 50)),
-        CycleCurve("ppo", "LS", np.geomspace(100, 0.5, 60)),
-    ]  # fmt: skip
+    curves = {
+        ("ppo", "raw"): np.geomspace(300, 2, 60), ("scripted", "LS"): np.geomspace(200, 1e-5, 50),
+        ("ppo", "LS"): np.geomspace(100, 0.5, 60),
+    }  # fmt: skip
     figure = plot_policies.accuracy_against_cycle_time(curves, 0.05, title="field")
     (axes,) = figure.axes
     assert sized(figure) == pytest.approx([7.2, 3.2]) and axes.get_yscale() == "log"
@@ -316,23 +315,24 @@ def test_cycle_time() -> None:
     said = "ppo on field after 3.0 s: raw 2.0, LS 0.50\u00a0mm"
     assert axes.get_title("left").split("\n") == wrap(said, int((7.2 - 1.2 - 0.75) / 0.083))
     assert legend(figure) == ["best so far", "ppo", "scripted", "raw", "LS"]
-    for line, curve, pattern, colour in zip(
-        axes.get_lines(), curves, ("-", "--", "-"), (ORANGE, BLUE, BLUE), strict=False
+    for line, error, pattern, colour in zip(
+        axes.get_lines(), curves.values(), ("-", "--", "-"), (ORANGE, BLUE, BLUE), strict=False
     ):
-        count = len(curve.error_mm)
-        wanted = np.stack([0.05 * np.arange(1, count + 1), np.maximum(curve.error_mm, 1e-3)], axis=1)
+        count = len(error)
+        wanted = np.stack([0.05 * np.arange(1, count + 1), np.maximum(error, 1e-3)], axis=1)
         np.testing.assert_allclose(xy(line), wanted)
         assert (line.get_linestyle(), to_rgb(line.get_color())) == (pattern, share(colour))
     front = axes.get_lines()[3]
-    least = np.min([np.maximum(c.error_mm[:50], 1e-3) for c in curves], axis=0)
+    least = np.min([np.maximum(error[:50], 1e-3) for error in curves.values()], axis=0)
     best = [least[: k + 1].min() for k in range(50)]
     np.testing.assert_allclose(xy(front), np.stack([0.05 * np.arange(1, 51), best], axis=1))
     assert (to_rgb(front.get_color()), front.get_linewidth(), front.get_zorder()) == (share(GREY), 6, 0)
     with pytest.raises(InputError, match="no curve to draw"):
-        plot_policies.accuracy_against_cycle_time([], 0.1)
-    long = replace(curves[0], policy="a policy with a rather long name that")
-    (axes,) = plot_policies.accuracy_against_cycle_time([long, replace(curves[2], policy=long.policy)], 0.05).axes
-    words = f"{long.policy} after 3.0 s: raw 2.0, LS 0.50\u00a0mm"
+        plot_policies.accuracy_against_cycle_time({}, 0.1)
+    long = "a policy with a rather long name that"
+    ends = {(long, name): curves["ppo", name] for name in ("raw", "LS")}
+    (axes,) = plot_policies.accuracy_against_cycle_time(ends, 0.05).axes
+    words = f"{long} after 3.0 s: raw 2.0, LS 0.50\u00a0mm"
     assert axes.get_title("left").split("\n") == wrap(words, 63)
 
 

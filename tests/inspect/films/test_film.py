@@ -122,7 +122,7 @@ def test_each_grasp_is_an_attempt_that_is_taken_or_not(many):
 def test_the_stage_shows_arm_ghost_and_misses_of_the_run():
     episodes = run(many=True)
     plan = plan_film(episodes)
-    film_set = FilmSet(episodes, plan, HALF, dark=False)
+    film_set = FilmSet(episodes, plan, dark=False)
     frame = plan.frames[-1]
     for side, held in enumerate(episodes.policies):
         stage = film_stage(film_set, frame, side)
@@ -235,7 +235,7 @@ def plan(episodes: RecordedEpisodes) -> FilmPlan:
 def test_each_half_says_whose_it_is_what_is_picked_and_how_far_it_is(
     episodes: RecordedEpisodes, plan: FilmPlan
 ) -> None:
-    film_set = FilmSet(episodes, plan, (400, 360), dark=False)
+    film_set = FilmSet(episodes, plan, dark=False)
     for frame in plan.frames:
         for side, (miss, ends) in enumerate(((7.0, 6), (2.0, 5))):
             half = film_stage(film_set, frame, side)

@@ -15,6 +15,7 @@ from pickenv.inspect import RecordedEpisodes, RecordedPolicy, film
 from pickenv.inspect.colours import RED
 from pickenv.inspect.films import film as film_module
 from pickenv.inspect.films.film import (
+    HALF,
     Attempt,
     FilmPlan,
     FilmSet,
@@ -153,7 +154,7 @@ def film_set() -> FilmSet:
     raw = of_tracks([[A] * 6 + [B] * 4, [C] * 4], [{3: 2.0, 8: 9.0}, {3: 4.0}], [{5: 1}, {3: 1}])
     ls = of_tracks([[A] * 4 + [near] * 6, [C] * 4], [{3: 1.0, 8: 1.5}, {3: 0.5}], [{3: 1, 8: 1}, {3: 1}], label="LS")
     episodes = run_of(raw, ls)
-    return FilmSet(episodes, plan_film(episodes, seconds=6.0), (400, 360), dark=False)
+    return FilmSet(episodes, plan_film(episodes, seconds=6.0), dark=False)
 
 
 def frame_at(plan: FilmPlan, episode: int, moment: int):
@@ -184,7 +185,7 @@ def test_the_ground_lies_at_least_200_mm_below_all_and_at_halves_of_a_metre(film
 
 
 def test_everything_is_in_sight_of_an_eye_behind_the_arm(film_set):
-    columns, rows, depth = film_set.eye.project(film_set.points, film_set.size).T
+    columns, rows, depth = film_set.eye.project(film_set.points, HALF).T
     assert (depth > 0).all() and columns.min() >= 0 and columns.max() <= 400 and rows.min() >= 0 and rows.max() <= 360
     gaze = film_set.eye.target - film_set.eye.position
     ahead = np.concatenate([film_set.fruit[0], film_set.fruit[1]]).mean(axis=0)[:2]
@@ -238,7 +239,7 @@ def test_a_reach_has_its_fruit_with_a_sprig_and_a_crate():
     episodes = run_of(of_tracks([[A] * 6], [{5: 3.0}], [{5: 1}]))
     plan = plan_film(episodes, seconds=2.0)
     for moment, picked in ((0, 0), (5, 1)):
-        stage = film_stage(FilmSet(episodes, plan, (400, 360), dark=False), frame_at(plan, 0, moment), 0)
+        stage = film_stage(FilmSet(episodes, plan, dark=False), frame_at(plan, 0, moment), 0)
         hanging, held, crate = stage.balls[-3:]
         assert (len(hanging.centre), len(held.centre), len(crate.centre)) == (1 - picked, picked, picked)
         drawn = sprig(np.array(A), 0.06)
