@@ -44,6 +44,9 @@ WHERE = (
     "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made."
 )
 
+FIGURES = ("value", "ci95", "no_interval", "std", "range", "runs", "lost", "lost_ci95")
+"""What a row of an experiment's JSON says beside its levels."""
+
 MARK = re.compile(r"(<!-- claims: (\{[^\n]*\}) -->\n\n).*?(\n<!-- end of claims -->)", re.S)
 app = typer.Typer(add_completion=False)
 Row = dict[str, Any]
@@ -68,7 +71,7 @@ def rows_of(result: Mapping[str, Any], certain: bool = False) -> list[Row]:
     rows = []
     for table in result["tables"]:
         for row in table["rows"]:
-            levels = {k: v for k, v in row.items() if k not in ("value", "ci95", "no_interval", "std", "range")}
+            levels = {k: v for k, v in row.items() if k not in FIGURES}
             ends = row["ci95"] or ([row["value"]] * 2 if certain else [None])
             if None not in ends and (certain or ends[0] < ends[1]):
                 about = {"experiment": result["experiment"], "title": table["title"], "levels": levels}

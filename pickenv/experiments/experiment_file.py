@@ -307,7 +307,7 @@ def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
 
     def plain(row: Mapping[str, Any]) -> dict[str, Any]:
         number, units = row["estimate"], row["units"]
-        levels = {name: value for name, value in row.items() if name not in ("estimate", "units")}
+        levels = {name: value for name, value in row.items() if name not in ("estimate", "units", "runs", "lost")}
         levels |= {"value": number.value, "ci95": number.ends, "no_interval": number.missing}
         if row["runs"] is not None and len(row["runs"]) > 1:
             levels |= {"runs": row["runs"].tolist()}

@@ -68,7 +68,7 @@ def test_every_row_can_be_made_again(claims):
 
 MADE = """
 title = "toy"
-measure = "toy.py:measure"
+measure = "claimed_toy.py:measure"
 [units]
 arm = 40
 [factors]
@@ -88,11 +88,11 @@ def measure(rng, arm, method, load):
 
 
 def test_a_row_is_made_again_from_its_levels_alone_at_another_seed(claims, tmp_path, monkeypatch):
-    (tmp_path / "toy.toml").write_text(MADE, encoding="utf-8")
-    (tmp_path / "toy.py").write_text(CODE, encoding="utf-8")
+    (tmp_path / "claimed_toy.toml").write_text(MADE, encoding="utf-8")
+    (tmp_path / "claimed_toy.py").write_text(CODE, encoding="utf-8")
     monkeypatch.setattr(claims, "ROOT", tmp_path)
-    row = {"experiment": "toy", "title": "Error (mm)", "levels": {"method": "ls", "load": 1.0}}
-    again = claims.made_again(row, {"file": "toy.toml", "cheap": {"arm": 20}}, 5)
-    other = claims.made_again(row, {"file": "toy.toml", "cheap": {"arm": 20}}, 6)
+    row = {"experiment": "claimed_toy", "title": "Error (mm)", "levels": {"method": "ls", "load": 1.0}}
+    again = claims.made_again(row, {"file": "claimed_toy.toml", "cheap": {"arm": 20}}, 5)
+    other = claims.made_again(row, {"file": "claimed_toy.toml", "cheap": {"arm": 20}}, 6)
     assert again["levels"] == row["levels"] and 0.0 < again["value"] < 2.0 and again["value"] != other["value"]
     assert again["ci95"][0] < again["value"] < again["ci95"][1]
