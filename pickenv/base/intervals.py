@@ -372,9 +372,9 @@ def estimate(
         by: Columns that name a number; one number for each combination of theirs, in the order of the rows.
         over: One or two columns of what was drawn, which the intervals are over; rows that agree in these are averaged.
         of: "mean"; "share" of chances or successes, or of what two columns took and tried; "ratio" of two columns'
-            sums; "removed", the share of the mean at the levels of ``against`` that is gone; "interquartile", the mean
-            of the middle half of the units; a probability, for that quantile over units; or a function of the units'
-            means ``(units, values)``.
+            sums; "removed", the share of the mean at the levels of ``against``, or of the first of two columns, that is
+            gone; "interquartile", the mean of the middle half of the units; a probability, for that quantile over
+            units; or a function of the units' means ``(units, values)``.
         against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
         least: Fewest units for an interval of a mean.
         lost: Values above it are lost, and their share is told apart from the mean of the others: one in twenty that is
@@ -454,12 +454,16 @@ def _check_asked(
         raise ValueError(f"against names {unknown[0]}, which is none of the columns of by, {list(by)}")
     if callable(of):
         return
-    if len(names) != 1 and not (len(names) == 2 and of in ("share", "ratio")):
-        raise ValueError(f"'{of}' is of one column, not of {names}; give share or ratio of two, or a function of them")
+    if len(names) != 1 and not (len(names) == 2 and of in ("share", "ratio", "removed")):
+        raise ValueError(
+            f"'{of}' is of one column, not of {names}; give share, ratio or removed of two, or a function of them"
+        )
     if of == "ratio" and len(names) != 2:
         raise ValueError(f"'ratio' is of two columns, not of {names}")
-    if of == "removed" and against is None:
-        raise ValueError("'removed' wants against: the levels of which a share is gone")
+    if of == "removed" and (against is None) == (len(names) == 1):
+        raise ValueError(
+            "'removed' wants against, the levels of which a share is gone, or two columns: before and after"
+        )
 
 
 def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> NDArray[np.float64]:

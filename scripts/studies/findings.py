@@ -93,6 +93,14 @@ def carried(
     return reaching(rng, "qiao2026", compensation, str(out), arms, episodes, epochs, folder, seed)
 
 
+def judged(end: Pose, wanted: Pose) -> tuple[Array, Array]:
+    """How far ends are from where they should be, mm, and the chance that Li's cup takes the fruit there ``(...)``."""
+    offset, axis = wanted.position - end.position, end.rotation[..., 2]
+    lying = misalignment(offset, axis, np.broadcast_to(wanted.rotation[..., 2], axis.shape))
+    taken = capture_probability(load_gripper(GRIPPER), lying.lateral, lying.axial, lying.angle)
+    return 1e3 * np.linalg.norm(offset, axis=-1), taken
+
+
 def sight(
     rng: np.random.Generator, plant: str, arms: int, episodes: int, epochs: int, scatter_mm: list[float],
     bias_mm: list[float], folder: str, seed: int,
@@ -106,7 +114,7 @@ def sight(
     """
     settings = settings_of(arms, episodes, epochs, seed)
     plants, kept = settings.population(plant, seed), Path(folder) / "calibrations"
-    nominal, gripper = plants.arm.nominal, load_gripper(GRIPPER)
+    nominal = plants.arm.nominal
     goals = random_joints(nominal, episodes * arms, rng).reshape(episodes, arms, -1)
     cells = np.stack(np.meshgrid(scatter_mm, bias_mm, indexing="ij"), -1).reshape(-1, 1, 2) * 1e-3 / np.sqrt(3.0)
     scatter, bias = cells[..., :1] / (NEAR + BEHIND), cells[..., 1:] * rng.standard_normal((arms, 3))
@@ -154,13 +162,10 @@ def sight(
             q = np.clip(q + GAIN * np.einsum("...ij,...j->...i", inverse, step), nominal.lower, nominal.upper)
             state, true = moved(state, q, None, PERIOD)
         ends.setdefault(ALWAYS, []).append(true)
-    parts = []
+    parts, wanted = [], Pose(targets.position[:, None], targets.rotation[:, None])
     for use, poses in ends.items():
-        offset = targets.position[:, None] - np.stack([pose.position for pose in poses])
-        axis = np.stack([pose.rotation[..., 2] for pose in poses])
-        lying = misalignment(offset, axis, np.broadcast_to(targets.rotation[:, None, :, :, 2], axis.shape))
-        taken = capture_probability(gripper, lying.lateral, lying.axial, lying.angle).mean(axis=0)
-        error = 1e3 * np.linalg.norm(offset, axis=-1).mean(axis=0)
+        end = Pose(*(np.stack([getattr(pose, part) for pose in poses]) for part in ("position", "rotation")))
+        error, taken = (each.mean(axis=0) for each in judged(end, wanted))
         levels = (cells[..., 0] * 1e3 * np.sqrt(3.0), cells[..., 1] * 1e3 * np.sqrt(3.0), np.arange(arms))
         shown = [np.broadcast_to(np.round(level, 9), error.shape).ravel() for level in levels]
         parts.append((np.full(error.size, use), *shown, error.ravel(), taken.ravel()))

@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from findings import GRIPPER, settings_of
+from findings import judged, settings_of
 
 from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_of
 from pickenv.base import InputError
 from pickenv.calibration import random_joints
 from pickenv.experiments.methods import kept_calibration
 from pickenv.experiments.policies import population_seed
-from pickenv.orchard import capture_probability, load_gripper, misalignment
 
 CONSTANTS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "ground stiffness": {"base_tilt": ("stiffness",)},
@@ -75,7 +74,7 @@ def measure(
     """A row for each arm: what it leaves raw and with LS, what an instrument in time changes, what Li's cup takes."""
     draws = np.random.default_rng(population_seed(seed))
     plants = draw_plants(changed(load_plant(plant), constant, times), load_tolerances("coarse"), arms, draws)
-    nominal, gripper = plants.arm.nominal, load_gripper(GRIPPER)
+    nominal = plants.arm.nominal
     goals = random_joints(nominal, episodes * arms, rng).reshape(episodes, arms, -1)
     targets = forward(nominal, goals)
     home = np.broadcast_to((nominal.lower + nominal.upper) / 2, goals.shape)
@@ -85,10 +84,8 @@ def measure(
         q = goals if by is None else np.stack([correct(goals[:, i]) for i, correct in enumerate(by)], axis=1)
         state = plants.initial_state(np, list(np.moveaxis(home, -1, 0)))
         pose = pose_of(plants.advance(np, state, list(np.moveaxis(q, -1, 0)), REST)[1])
-        offset = targets.position - pose.position
-        lying = misalignment(offset, pose.rotation[..., 2], targets.rotation[..., 2])
-        taken = capture_probability(gripper, lying.lateral, lying.axial, lying.angle)
-        return 1e3 * np.linalg.norm(offset, axis=-1).mean(axis=0), taken.mean(axis=0)
+        error, taken = judged(pose, targets)
+        return error.mean(axis=0), taken.mean(axis=0)
 
     def calibrated(instrument: str | None) -> list[Any]:
         """Corrections by least squares, in this order; an arm whose rows are refused stays as it is."""
@@ -112,8 +109,3 @@ def measure(
         "refused": refused,
     }
     return numbers | {"arm": np.arange(arms)}
-
-
-def share_gone(table: np.ndarray) -> float:
-    """The share of the first column's mean that the second has no more ``(arms, 2)``."""
-    return float(1.0 - table[:, 1].mean() / table[:, 0].mean())

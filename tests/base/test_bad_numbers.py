@@ -1,5 +1,6 @@
 """Every option that takes a number refuses what is none in one sentence that names it, before any file is read."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -29,17 +30,15 @@ def test_options_are_found() -> None:
     assert {name for name, _ in _numeric()} == set(NAMES)
 
 
-def _refused(
-    words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> str:
+def _refused(words: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch, typed: Callable[..., Any]) -> str:
     """The one sentence of a command that is refused and writes nothing; what it reads does not exist."""
     command: Any = typer.main.get_command(cli.app).commands[words[0]]  # type: ignore[attr-defined]
     missing = [str(folder / "missing.npz") for p in command.params if p.param_type_name == "argument" and p.required]
     arm = ["--arm", "qiao2026"] if any("--arm" in p.opts for p in command.params) else []
     monkeypatch.chdir(folder)
-    monkeypatch.setattr("sys.argv", ["pickenv", words[0], *missing, *arm, *words[1:]])
-    assert guard.guarded(cli._run) == guard.BAD_INPUT
-    sentence = capsys.readouterr().err
+    ended = typed(words[0], *missing, *arm, *words[1:])
+    assert ended.returncode == guard.BAD_INPUT
+    sentence: str = ended.stderr
     assert sentence.count("error:") == 1
     assert not list(folder.iterdir())
     return sentence
@@ -53,9 +52,9 @@ def test_no_number_is_refused_by_name(
     value: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    typed: Callable[..., Any],
 ) -> None:
-    assert option in _refused([name, f"{option}={value}"], tmp_path, monkeypatch, capsys)
+    assert option in _refused([name, f"{option}={value}"], tmp_path, monkeypatch, typed)
 
 
 @pytest.mark.parametrize(("name", "option"), _numeric())
@@ -67,11 +66,11 @@ def test_numbers_without_sense_end_in_one_sentence(
     value: float,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    typed: Callable[..., Any],
 ) -> None:
     """Negative, denormal, huge: the sentence is the option's, or the missing file's where the number has a sense."""
     assume((name, option) != ("plan-poses", "--seed") or not (value > 0 and value.is_integer()))  # it would plan
-    _refused([name, f"{option}={value!r}"], tmp_path, monkeypatch, capsys)
+    _refused([name, f"{option}={value!r}"], tmp_path, monkeypatch, typed)
 
 
 def _written() -> list[tuple[str, str]]:
@@ -92,7 +91,7 @@ def test_a_folder_is_no_file_to_write(
     folder: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    typed: Callable[..., Any],
 ) -> None:
-    sentence = _refused([name, option, folder], tmp_path, monkeypatch, capsys)
+    sentence = _refused([name, option, folder], tmp_path, monkeypatch, typed)
     assert f"cannot write {folder}: it is a folder" in sentence

@@ -183,3 +183,12 @@ def test_runs_are_told_one_by_one_and_few_hide_a_failure():
     (row,) = estimate(columns, "error_mm", over=("arm", "training"))
     assert row["runs"].argmax() == 3 and np.median(row["runs"]) == pytest.approx(1.0, abs=0.1)
     assert unseen_share(5) == pytest.approx(0.451, abs=1e-3) and (1.0 - unseen_share(5)) ** 5 == pytest.approx(0.05)
+
+
+def test_what_is_removed_is_the_same_of_two_columns_as_against_a_level():
+    rng = np.random.default_rng(5)
+    before, after = rng.lognormal(1.0, 0.3, 12), rng.lognormal(0.0, 0.3, 12)
+    (one,) = estimate({"arm": np.arange(12), "before": before, "after": after}, ["before", "after"], of="removed")
+    columns = {"arm": np.tile(np.arange(12), 2), "way": np.repeat(["raw", "ls"], 12), "mm": np.r_[before, after]}
+    (other,) = estimate(columns, "mm", ["way"], of="removed", against={"way": "raw"})
+    assert one["estimate"] == other["estimate"]

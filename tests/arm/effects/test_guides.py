@@ -118,7 +118,7 @@ def test_bending_couple_and_twist_are_those_of_a_beam_of_finite_elements(q, bare
     load, bending = LOAD, replace(BENT["boom_bending"], end_mass=hung - LOAD.payload)
     found = arm(load, bare, **(BENT | {"boom_bending": bending})).tool_pose(q)
     sag = np.linalg.norm(expected - straight.position)
-    assert sag > 2e-5
+    assert sag > (5e-5 if bare is BARE else 2e-5)  # tilted, less of the weight is across
     np.testing.assert_allclose(found.position, expected, rtol=0, atol=2e-3 * sag)  # small angles, one after the other
     np.testing.assert_allclose(found.rotation, turn @ straight.rotation, rtol=0, atol=2e-6)
 
