@@ -44,7 +44,7 @@ WHERE = (
     "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made."
 )
 
-FIGURES = ("value", "ci95", "no_interval", "std", "range", "runs", "lost", "lost_ci95")
+FIGURES = ("value", "ci95", "no_interval", "std", "range", "runs", "lost", "lost_ci95", "sampled95")
 """What a row of an experiment's JSON says beside its levels."""
 
 MARK = re.compile(r"(<!-- claims: (\{[^\n]*\}) -->\n\n).*?(\n<!-- end of claims -->)", re.S)
@@ -73,9 +73,10 @@ def rows_of(result: Mapping[str, Any], certain: bool = False) -> list[Row]:
         for row in table["rows"]:
             levels = {k: v for k, v in row.items() if k not in FIGURES}
             ends = row["ci95"] or ([row["value"]] * 2 if certain else [None])
-            if None not in ends and (certain or ends[0] < ends[1]):
+            sampled = row.get("sampled95") or ends
+            if None not in (*ends, *sampled) and (certain or sampled[0] < sampled[1]):
                 about = {"experiment": result["experiment"], "title": table["title"], "levels": levels}
-                rows.append(about | {"value": row["value"], "ci95": ends})
+                rows.append(about | {"value": row["value"], "ci95": ends, "sampled95": sampled})
     return rows
 
 
@@ -86,9 +87,9 @@ def key_of(row: Mapping[str, Any]) -> str:
 
 
 def holds(first: Mapping[str, Any], again: Mapping[str, Any]) -> bool:
-    """Whether two numbers with intervals agree."""
+    """Whether two numbers agree, with their intervals over arms: constants are those of the design both times."""
     one, other = sorted((first, again), key=lambda row: float(row["value"]))
-    reach = (one["ci95"][1] - one["value"], other["value"] - other["ci95"][0])
+    reach = (one["sampled95"][1] - one["value"], other["value"] - other["sampled95"][0])
     return bool(other["value"] - one["value"] <= np.sqrt(np.mean(np.square(reach))))
 
 

@@ -18,8 +18,9 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 from pickenv.base.errors import InputError
 
 Purpose = Literal[
-    "arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps", "leaderboard", "datasets"
-]
+    "arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps", "leaderboard", "datasets",
+    "constants",
+]  # fmt: skip
 """What a stream is drawn for."""
 
 

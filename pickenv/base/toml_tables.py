@@ -207,6 +207,16 @@ def _once(values: Any, _context: Any) -> Any:
 
 
 ONCE = Then(_once)
+
+
+def _in_order(ends: Any, _context: Any) -> Any:
+    """Refuse a range that ends before it begins."""
+    if ends[0] > ends[1]:
+        raise fault("the lower number first")
+    return ends
+
+
+IN_ORDER = Then(_in_order)
 """A list that is not empty and has no entry twice."""
 
 LINE = Check(lambda value: isinstance(value, str) and value.isprintable(), "a text of one line")

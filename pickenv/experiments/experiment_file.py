@@ -68,6 +68,9 @@ def _is_named(value: Any) -> bool:
     return isinstance(value, str) and len(value.split(":")) == 2
 
 
+LEAST_DRAWS = 39
+"""Draws of constants whose range holds another with 95 %."""
+
 FUNCTION = Check(_is_named, '"file.py:function" or "package.module:function"')
 
 
@@ -87,6 +90,9 @@ class Number:
         margin: Differences whose whole interval lies within it "carry over"; a verdict stands beside each where given.
         least: Fewest units for an interval of a mean, where they are runs whose means are nearly normal.
         lost: Values above it are lost; their share stands beside the mean of the others.
+        draws: The unit whose level 0 is a design as shipped and whose others are draws of its constants
+            (`pickenv.arm.plant.plant_file.with_drawn_constants`): of a number that was measured at `LEAST_DRAWS` of
+            them or more, the interval holds what another draw gives.
         spread: Whether the standard deviation and the range of the units' means are shown beside each number.
         digits: After the point.
         scale: Factor on what is shown, such as 100 for percent.
@@ -108,6 +114,7 @@ class Number:
     across: Annotated[str, WORD] | None = None
     least: Annotated[int, WHOLE.at_least(2)] = LEAST
     lost: float | None = None
+    draws: Annotated[str, WORD] | None = None
     spread: bool = False
     margin: Annotated[float, Unit().positive] | None = None
     digits: Annotated[int, WHOLE.within(0, 9)] = 2
@@ -169,7 +176,11 @@ class ExperimentFile:
             try:
                 some = rows.where(**levels)
                 asked = (number.value, number.by, number.over, of, number.against, number.least, number.lost)
-                made_of = estimate(some.columns, *asked)
+                if number.draws is None:
+                    made_of = estimate(some.columns, *asked)
+                else:
+                    made_of = estimate(some.where(**{number.draws: 0}).columns, *asked)
+                    _widen(made_of, some, number.draws, asked)
             except KeyError as error:
                 columns = listed(rows.columns)
                 raise InputError(f"{self.path}: no column {error} for '{number.title}'; there are {columns}") from error
@@ -179,6 +190,24 @@ class ExperimentFile:
                 made_of = [row | {"estimate": row["estimate"].exponential} for row in made_of]
             tables.append({"title": number.title, "rows": made_of})
         return tables
+
+
+def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[Any, ...]) -> None:
+    """Put intervals over draws of constants in the place of those over units, which stay beside them as "sampled".
+
+    The least and the largest of K numbers hold a further one with probability (K - 1) / (K + 1), whatever they are
+    distributed like.
+    """
+    drawn: dict[tuple[Any, ...], list[float]] = {}
+    for (draw,) in measured.levels(draws):
+        for row in estimate(measured.where(**{draws: draw}).columns, *asked) if draw else ():
+            drawn.setdefault(_levels_of(row), []).append(row["estimate"].value)
+    for row in rows:
+        own: Estimate = row["estimate"]
+        if found := drawn.get(_levels_of(row)):
+            ends = (min(found), max(found)) if len(found) >= LEAST_DRAWS else None
+            missing = "" if ends else f"{len(found)} draws of constants are fewer than {LEAST_DRAWS}"
+            row |= {"estimate": Estimate(own.value, ends, missing), "sampled": own}
 
 
 def load_experiment(
@@ -302,15 +331,24 @@ def _origin(function: Callable[..., Any]) -> str:
     return f"{version} {'' if place is None else file_sha256(Path(place))}"
 
 
+MADE = ("estimate", "units", "runs", "lost", "sampled")
+"""What a row of estimates has beside its levels."""
+
+
 def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The tables of `ExperimentFile.estimates` as JSON has them: "value", "ci95", "no_interval", "std" and "range"."""
+    """The tables of `ExperimentFile.estimates` as JSON has them: "value", "ci95", "no_interval", "std" and "range".
+
+    Where "ci95" is over draws of constants, "sampled95" is that over units of the design as shipped.
+    """
 
     def plain(row: Mapping[str, Any]) -> dict[str, Any]:
         number, units = row["estimate"], row["units"]
-        levels = {name: value for name, value in row.items() if name not in ("estimate", "units", "runs", "lost")}
+        levels = {name: value for name, value in row.items() if name not in MADE}
         levels |= {"value": number.value, "ci95": number.ends, "no_interval": number.missing}
         if row["runs"] is not None and len(row["runs"]) > 1:
             levels |= {"runs": row["runs"].tolist()}
+        if "sampled" in row:
+            levels |= {"sampled95": row["sampled"].ends}
         if "lost" in row:
             levels |= {"lost": row["lost"].value, "lost_ci95": row["lost"].ends}
         if units is not None and len(units) > 1:
@@ -337,7 +375,7 @@ def held_by_seeds(by_seed: Sequence[Sequence[Mapping[str, Any]]]) -> list[tuple[
         for first, second in permutations(tables, 2):
             numbers = {_levels_of(row): row["estimate"].value for row in second["rows"]}
             for row in first["rows"]:
-                ends, value = row["estimate"].ci95, numbers.get(_levels_of(row))
+                ends, value = row.get("sampled", row["estimate"]).ci95, numbers.get(_levels_of(row))
                 if ends is not None and value is not None:
                     low, high = (-math.inf if ends[0] is None else ends[0], math.inf if ends[1] is None else ends[1])
                     holding, tried = holding + (low <= value <= high), tried + 1
@@ -346,7 +384,7 @@ def held_by_seeds(by_seed: Sequence[Sequence[Mapping[str, Any]]]) -> list[tuple[
 
 
 def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
-    return tuple(value for name, value in row.items() if name not in ("estimate", "units"))
+    return tuple(value for name, value in row.items() if name not in MADE)
 
 
 def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:

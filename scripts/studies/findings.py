@@ -14,7 +14,7 @@ from train_baselines import calibration_file
 
 from pickenv.agents import Training, train
 from pickenv.arm import Array, Pose, forward, joint_jacobian, plant_at, pose_of
-from pickenv.base import mean_interval, stream
+from pickenv.base import mean_interval, seed_words, stream
 from pickenv.calibration import complete_model, random_joints, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.experiments import CalibrationPlan, PolicySettings, Rows, calibrate_arm, run_policies
@@ -53,29 +53,51 @@ def settings_of(arms: int, episodes: int, epochs: int, seed: int, **changes: Any
     return PolicySettings(arms=arms, episodes=episodes, seeds=(seed,), plan=plan, **changes)
 
 
-def fits(plant: str, compensation: str, policy: str, **levels: Any) -> bool:
+FEWER = 4
+"""A draw of constants has so many times fewer arms than the design as shipped."""
+
+
+def fits(plant: str, compensation: str, policy: str, draw: int, **levels: Any) -> bool:
     """Residual models are for plants whose arms come to rest; with a camera a policy needs none of them."""
     enough = ("raw",) if policy == "oracle" else ("raw", "ls") if plant == WHERE_LS_IS_ENOUGH else (compensation,)
-    return compensation in enough
+    learnt = plant == WHERE_LS_IS_ENOUGH and policy not in ("scripted", "servo")
+    return compensation in enough and not learnt and drawn_on(plant, draw)
 
 
-def fits_adaptive(plant: str, compensation: str, **levels: Any) -> bool:
+def fits_adaptive(plant: str, compensation: str, draw: int, **levels: Any) -> bool:
     """Behind least squares the filter has little to learn but on arms that drift."""
-    return compensation == "raw" or plant == WHERE_LS_IS_ENOUGH
+    return (compensation == "raw" or plant == WHERE_LS_IS_ENOUGH) and drawn_on(plant, draw)
+
+
+def drawn_on(plant: str, draw: int, **levels: Any) -> bool:
+    """Constants are drawn where they decide: of the ground."""
+    return draw == 0 or plant == "orchard"
+
+
+def world(plant: str, draw: int, arms: int, seed: int) -> tuple[str, int, int]:
+    """Name of the plant, number of arms and seed: those asked for, or of a draw of the plant's constants."""
+    if not draw:
+        return plant, arms, seed
+    own = seed_words(stream(seed, "constants", draw), 1)[0] % 10**9
+    return f"{plant}#{own}", max(arms // FEWER, 1), own
 
 
 def reaching(
     rng: np.random.Generator, plant: str, compensation: str, policy: str, arms: int, episodes: int, epochs: int,
-    folder: str, seed: int, feedback: str = "encoders", instrument: str | None = None,
+    folder: str, seed: int, feedback: str = "encoders", instrument: str | None = None, draw: int = 0,
 ) -> Any:  # fmt: skip
     """Reaches of one policy: a row for each arm and fruit, in the order in which it met them."""
-    chosen: dict[str, Any] = {"plants": (plant,), "compensations": (compensation,), "feedback": (feedback,)}
+    name, arms, seed = world(plant, draw, arms, seed)
+    chosen: dict[str, Any] = {"plants": (name,), "compensations": (compensation,), "feedback": (feedback,)}
     settings = settings_of(arms, episodes, epochs, seed, policies=(policy,), instrument=instrument, **chosen)
     rows = run_policies(settings, cache=Path(folder) / "calibrations").columns
     pick, half = rows["episode"] + 1, episodes // 2
     when = np.where(pick == 1, "first pick", np.where(pick <= 8, "picks 2 to 8", "later"))
-    kept = ("arm", "training", "error_mm", *(name for name in rows if name.startswith("chance_")))
-    return {name: rows[name] for name in kept} | {"pick": pick, "when": np.where(pick > half, "second half", when)}
+    kept = ("arm", "training", "error_mm", *(column for column in rows if column.startswith("chance_")))
+    return {column: rows[column] for column in kept} | {
+        "pick": pick,
+        "when": np.where(pick > half, "second half", when),
+    }
 
 
 def carried(
@@ -103,7 +125,7 @@ def judged(end: Pose, wanted: Pose) -> tuple[Array, Array]:
 
 def sight(
     rng: np.random.Generator, plant: str, arms: int, episodes: int, epochs: int, scatter_mm: list[float],
-    bias_mm: list[float], folder: str, seed: int,
+    bias_mm: list[float], folder: str, seed: int, draw: int,
 ) -> Any:  # fmt: skip
     """What the same eye at the tool is worth, by how it is used: a row for each arm, use, scatter and bias.
 
@@ -112,8 +134,9 @@ def sight(
     arm is led by a servo. The eye's bias, of the hand-eye calibration, is one vector of each arm, and its scatter
     grows with the distance.
     """
+    name, arms, seed = world(plant, draw, arms, seed)
     settings = settings_of(arms, episodes, epochs, seed)
-    plants, kept = settings.population(plant, seed), Path(folder) / "calibrations"
+    plants, kept = settings.population(name, seed), Path(folder) / "calibrations"
     nominal = plants.arm.nominal
     goals = random_joints(nominal, episodes * arms, rng).reshape(episodes, arms, -1)
     cells = np.stack(np.meshgrid(scatter_mm, bias_mm, indexing="ij"), -1).reshape(-1, 1, 2) * 1e-3 / np.sqrt(3.0)
@@ -175,6 +198,7 @@ def sight(
 
 def sight_map(rows: Rows) -> Any:
     """What an arm that looks once leaves more than one that looks always: a panel for each plant and calibration."""
+    rows = rows.where(draw=0)
     plants = [plant for (plant,) in rows.levels("plant")]
     uses = [f"once from {where}, {policy_label(name)}" for where in ("afar", "near") for name in SEEING[1:]]
     x, y = (sorted({value for (value,) in rows.levels(name)}) for name in ("scatter_mm", "bias_mm"))
@@ -204,10 +228,11 @@ def sight_map(rows: Rows) -> Any:
     return figure
 
 
-def day(rng: np.random.Generator, arms: int, picks: int, epochs: int, seed: int) -> Any:
+def day(rng: np.random.Generator, draw: int, arms: int, picks: int, epochs: int, seed: int) -> Any:
     """A day in the orchard: the arm warms up and the machine sinks; a row for each method, arm and pick."""
+    name, arms, seed = world("orchard", draw, arms, seed)
     settings = settings_of(arms, 1, epochs, seed)
-    plants = settings.population("orchard", seed)
+    plants = settings.population(name, seed)
     nominal, dt = plants.arm.nominal, DAY_HOURS * 3600.0 / picks
     draws = np.random.default_rng(stream(seed, "picks"))
     goals = random_joints(nominal, picks * arms, draws).reshape(picks, arms, -1)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,32 +9,12 @@ import numpy as np
 from findings import judged, settings_of
 
 from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_of
+from pickenv.arm.plant.plant_file import plant_times
 from pickenv.base import InputError
 from pickenv.calibration import random_joints
 from pickenv.experiments.methods import kept_calibration
 from pickenv.experiments.policies import population_seed
 
-CONSTANTS: Mapping[str, Mapping[str, tuple[str, ...]]] = {
-    "ground stiffness": {"base_tilt": ("stiffness",)},
-    "stiffness of joints, slides and boom": {
-        "joint_compliance": ("stiffness",),
-        "slide_compliance": ("bearings.stiffness",),
-        "boom_bending": ("flexural_rigidity",),
-        "boom_couple": ("flexural_rigidity",),
-        "boom_torsion": ("torsional_rigidity",),
-    },
-    "play and friction": {
-        "backlash": ("width",),
-        "stick_band": ("forward", "backward"),
-        "roller_play": ("clearance",),
-    },
-    "warming up": {"thermal_growth": ("initial_rise", "final_rise")},
-    "waves of the drives": {
-        "drive_harmonics": ("spread.std", "harmonics.amplitude"),
-        "transmission_error": ("harmonics.amplitude",),
-    },
-    "fine structure": {"local_structure": ("std",)},
-}
 AS_SHIPPED = "as shipped"
 REST = 6.0
 """s; as long as an arm has for a reach."""
@@ -46,26 +24,12 @@ def fits(plant: str, constant: str, times: float, **_: Any) -> bool:
     """Constants that the plant has; as shipped once."""
     if constant == AS_SHIPPED:
         return times == 1.0
-    return times != 1.0 and any(load_plant(plant).effect(name) is not None for name in CONSTANTS[constant])
+    return times != 1.0 and any(group.name == constant for group in load_plant(plant).unmeasured)
 
 
 def changed(plant: Plant, constant: str, times: float) -> Plant:
-    """The plant with a group of its constants multiplied."""
-
-    def product(value: Any) -> Any:
-        return tuple(times * part for part in value) if isinstance(value, tuple) else times * value
-
-    effects = []
-    for name, fields in CONSTANTS.get(constant, {}).items():
-        effect: Any = plant.effect(name)
-        for field in fields if effect is not None else ():
-            whole, _, part = field.partition(".")
-            value = getattr(effect, whole)
-            if part:
-                value = tuple(replace(item, **{part: product(getattr(item, part))}) for item in value)
-            effect = replace(effect, **{whole: value if part else product(value)})
-        effects += [] if effect is None else [effect]
-    return plant.with_effect(*effects)
+    """The plant with a group of its constants multiplied; as shipped, none."""
+    return plant if constant == AS_SHIPPED else plant_times(plant, {constant: times})
 
 
 def measure(

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,7 +23,30 @@ from pickenv.arm.effects.residual_field import ResidualField
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
-from pickenv.base import registry
+from pickenv.base import registry, toml_tables
+
+CONSTANTS = toml_tables.Check(
+    lambda names: isinstance(names, list) and all(isinstance(name, str) and "." in name for name in names),
+    'a list of "EFFECT.NUMBER", such as "base_tilt.stiffness"',
+)
+
+
+@toml_tables.toml_table
+class Unmeasured:
+    """Constants of a plant that nobody measured, which are larger or smaller together: [[unmeasured]] of a plant file.
+
+    Attributes:
+        name: What they are.
+        constants: Attributes of effects, such as "base_tilt.stiffness".
+        times: Least and largest multiple of the plant's own numbers that is as likely as any between.
+        source: Why so far.
+    """
+
+    name: Annotated[str, toml_tables.LINE]
+    constants: Annotated[tuple[str, ...], CONSTANTS]
+    times: Annotated[tuple[float, float], toml_tables.NUMBER.positive, toml_tables.IN_ORDER]
+    source: str
+
 
 # What a calibration knows of one arm, and how surely: numbers of which `pickenv.arm.plant.twin_file` makes plants. The
 # arm's numbers are linear in standard normal ones, plus what was not identified: a parameter that the data cannot tell
@@ -115,6 +138,7 @@ class Plant:
         load: Masses for gravity; without them some effects do nothing.
         effects: What else makes it differ, in the order in which it acts from the motors to the tool.
         posterior: How surely a calibration knows all this, where the plant was made of one; else None.
+        unmeasured: Which of its effects' numbers nobody measured.
         ready: The geometry's chain where its numbers were moved or picked (`plant_batch.plants_on`), or None to
             compute it.
 
@@ -128,6 +152,7 @@ class Plant:
     load: Load | None = None
     effects: tuple[Effect, ...] = ()
     posterior: Posterior | None = None
+    unmeasured: tuple[Unmeasured, ...] = ()
     ready: Ready | None = None
 
     def __post_init__(self) -> None:

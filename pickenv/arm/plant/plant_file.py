@@ -6,7 +6,8 @@ without error ("ideal:ur5e"), or for one of a tolerance class ("coarse:ur5e").
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import make_dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -22,12 +23,15 @@ from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.arm_file import load_arm, shipped_arms
 from pickenv.arm.kinematics.forward import chain_of, frames
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.plant.plant import Plant
+from pickenv.arm.plant.plant import Plant, Unmeasured
 from pickenv.arm.plant.tolerances import SizesTable, Tolerances, draw_plants, load_tolerances, shipped_tolerances
 from pickenv.arm.plant.twin_file import read_twin
-from pickenv.base import InputError, is_file, registry, shortened, toml_tables
+from pickenv.base import InputError, is_file, listed, registry, shortened, stream, toml_tables
 
 PLANTS = Path(__file__).parent / "plants"
+
+NUMBERED = re.compile(r"(.+)#(\d{1,9})")
+"""The name of a plant, and the number of a draw of its unmeasured constants."""
 
 NAMED = toml_tables.Check(lambda value: isinstance(value, str), "the name of a shipped arm or a path to an arm file")
 
@@ -62,6 +66,7 @@ def plant_file(effects: tuple[str, ...]) -> Any:
         ("arm", Annotated[Arm, toml_tables.Then(_arm, Annotated[str, NAMED])]),
         ("name", Annotated[str, toml_tables.LINE]),
         ("source", str),
+        ("unmeasured", tuple[Unmeasured, ...], ()),
         *((key, table | None if isinstance(table, type) else table, None) for key, table in optional.items()),
     ]
     return toml_tables.toml_table(make_dataclass("PlantFile", members, frozen=True))
@@ -85,6 +90,9 @@ def read_plant(name: str | Path) -> Plant:
     Raises:
         InputError: If the plant is unknown or a number is impossible; names the file and the key.
     """
+    draw = NUMBERED.fullmatch(str(name))
+    if draw and not is_file(str(name)):
+        return with_drawn_constants(read_plant(draw[1]), int(draw[2]))
     if Path(name).suffix == ".npz":
         return read_twin(name)
     path = toml_tables.file_named("plant", name, PLANTS, ".toml, .npz")
@@ -93,14 +101,75 @@ def read_plant(name: str | Path) -> Plant:
     kind = plant_file(tuple(dict.fromkeys((*shipped_effects(), *foreign))))
     parts = dict(vars(toml_tables.read_toml(kind, path, context={})))
     del parts["source"]
-    arm, called, load = (parts.pop(key) for key in ("arm", "name", "load"))
+    arm, called, load, unmeasured = (parts.pop(key) for key in ("arm", "name", "load", "unmeasured"))
     effects = tuple(effect for effect in parts.values() if effect is not None)
     for effect in effects:
         if effect.needs_load and load is None:
             raise InputError(f"{path}: {effect.name} needs [load], the masses that gravity pulls at")
         if fault := effect.fault(arm):
             raise InputError(f"{path}: {fault}")
-    return Plant(called, arm, arm.nominal if arm.true is None else arm.true, load, effects)
+    plant = Plant(called, arm, arm.nominal if arm.true is None else arm.true, load, effects, unmeasured=unmeasured)
+    try:
+        plant_times(plant, {group.name: 1.0 for group in unmeasured})
+    except AttributeError as error:
+        raise InputError(f"{path}: [[unmeasured]]: {error}") from error
+    return plant
+
+
+# Constants that nobody measured are larger or smaller in the whole design, not from arm to arm: which arms a policy
+# meets is drawn after them. A draw has a number, and a plant of these constants a name: "orchard#3".
+
+
+def plant_times(plant: Plant, times: Mapping[str, float]) -> Plant:
+    """The plant with groups of constants that nobody measured multiplied; those of effects that are off stay off.
+
+    Args:
+        plant: On single numbers.
+        times: Multiples by the names of `Unmeasured` groups.
+
+    Raises:
+        ValueError: If the plant has no such group.
+        AttributeError: If a group names an effect or a number that there is not.
+    """
+    groups = {group.name: group.constants for group in plant.unmeasured}
+    effects = {effect.name: effect for effect in plant.effects}
+    for name, factor in times.items():
+        if name not in groups:
+            raise ValueError(f"plant '{plant.name}' has no unmeasured constants '{name}'; it has {listed(groups)}")
+        for constant in groups[name]:
+            effect, _, number = constant.partition(".")
+            if effect in effects:
+                effects[effect] = _multiplied(effects[effect], number, factor)
+            elif effect not in registry.names("effect"):
+                raise AttributeError(f"there is no effect '{effect}'")
+    return replace(plant, effects=tuple(effects.values()))
+
+
+def _multiplied(thing: Any, path: str, factor: float) -> Any:
+    """A record, or each of several, with the number at this path of attributes multiplied, or all numbers there."""
+    if isinstance(thing, tuple):
+        return tuple(_multiplied(part, path, factor) for part in thing)
+    if not path:
+        return factor * thing
+    name, _, rest = path.partition(".")
+    return replace(thing, **{name: _multiplied(getattr(thing, name), rest, factor)})
+
+
+def with_drawn_constants(plant: Plant, draw: int) -> Plant:
+    """The plant with each group of unmeasured constants multiplied by an even draw from its range.
+
+    Args:
+        plant: On single numbers.
+        draw: Number of the draw, which is its seed.
+
+    Raises:
+        InputError: If every constant of the plant was measured.
+    """
+    if not plant.unmeasured:
+        raise InputError(f"plant '{plant.name}' has no [[unmeasured]] constants to draw; leave out #{draw}")
+    rng = np.random.default_rng(stream(draw, "constants"))
+    times = {group.name: float(rng.uniform(*group.times)) for group in plant.unmeasured}
+    return replace(plant_times(plant, times), name=f"{plant.name}#{draw}")
 
 
 # Plants by name. Of an arm that comes with a plant, that plant's effects are taken. Any other arm is sized by the
@@ -127,7 +196,8 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     Args:
         name: A preset's name, a path to a plant file (.toml) or a twin (.npz), "ideal:ARM", or "CLASS:ARM" with a
             tolerance class and an arm or plant, each by name or path. Of a class, it is the design that arms are drawn
-            from (`draw_arms`).
+            from (`draw_arms`). A plant file's name may end in "#3", or another number: then constants that nobody
+            measured are that draw of theirs (`with_drawn_constants`).
         without: Effects to switch off.
 
     Raises:
@@ -230,8 +300,9 @@ def _split(name: str | Path) -> tuple[str, str]:
 
 def _design(name: str, tolerances: Tolerances) -> Plant:
     """The plant of that name, or one of an arm of that name that the class sizes."""
-    plant_file = name.endswith(".toml") and is_file(name) and "arm" in toml_tables.toml_of(name)[0]
-    if plant_file or name in shipped_plants() or name.endswith(".npz"):
+    file = name.partition("#")[0]
+    plant_file = file.endswith(".toml") and is_file(file) and "arm" in toml_tables.toml_of(file)[0]
+    if plant_file or file in shipped_plants() or name.endswith(".npz"):
         return read_plant(name)
     if tolerances.sizes is None:
         raise InputError(

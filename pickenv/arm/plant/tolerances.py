@@ -71,12 +71,6 @@ class SizesTable:
     warm_up: Annotated[float, toml_tables.HOURS.positive]
 
 
-def _range(rise: Any, _context: Any) -> Any:
-    if rise[0] > rise[1]:
-        raise toml_tables.fault("the lower number first")
-    return rise
-
-
 @toml_tables.toml_table
 class Tolerances:
     """Limits of how far arms of one design may lie from each other; a tolerance file says it in sections.
@@ -100,7 +94,7 @@ class Tolerances:
     distribution: Annotated[Literal["uniform", "normal"], toml_tables.Key(section="lengths")]
     spread: SpreadTable
     temperature_rise: Annotated[
-        tuple[float, float], toml_tables.KELVIN, toml_tables.Then(_range), toml_tables.Key("rise_K", "temperature")
+        tuple[float, float], toml_tables.KELVIN, toml_tables.IN_ORDER, toml_tables.Key("rise_K", "temperature")
     ]
     sizes: SizesTable | None = None
 
