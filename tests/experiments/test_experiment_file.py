@@ -108,6 +108,47 @@ def test_quick_and_changes_take_the_places_of_what_the_file_says(file):
     assert np.ptp(run(quick.experiment).where(arm=4)["error_mm"]) == 0.0
 
 
+DRAWS = """
+[units]
+arm = 12
+draw = 40
+
+[factors]
+ground = ["guessed", "measured"]
+
+[[estimate]]
+title = "Mean error (mm)"
+value = "error_mm"
+by = ["ground"]
+over = ["arm"]
+draws = "draw"
+"""
+DRAWN = """
+def left(rng, arm, draw, ground):
+    return {"error_mm": 2.0 + (draw - 20) * 0.1 * (draw > 0) + 0.01 * rng.normal()}
+
+def fits(arm, draw, ground):
+    return draw == 0 or ground == "guessed"
+"""
+
+
+def test_an_interval_over_draws_of_constants_holds_all_of_them_and_keeps_the_one_over_arms_beside(file):
+    file.write_text(
+        'title = "Ground"\nmeasure = "toy_draws.py:left"\nfits = "toy_draws.py:fits"\n' + DRAWS, encoding="utf-8"
+    )
+    file.with_name("toy_draws.py").write_text(DRAWN, encoding="utf-8")
+    found = load_experiment(file)
+    (table,) = experiment_file.plain_estimates(found.estimates(run(found.experiment)))
+    guessed, measured = table["rows"]
+    assert guessed["value"] == pytest.approx(2.0, abs=0.02)
+    np.testing.assert_allclose(guessed["ci95"], [2.0 - 1.9, 2.0 + 1.9], atol=0.02)
+    assert guessed["sampled95"][0] < guessed["value"] < guessed["sampled95"][1] < guessed["ci95"][1]
+    assert "sampled95" not in measured and np.ptp(measured["ci95"]) < 0.05
+    fewer = load_experiment(file, changes={"draw": 39})
+    (table,) = experiment_file.plain_estimates(fewer.estimates(run(fewer.experiment)))
+    assert table["rows"][0]["ci95"] is None and "38 draws" in table["rows"][0]["no_interval"]
+
+
 def test_screens_and_json_say_the_same_numbers(file):
     found = load_experiment(file)
     tables = found.estimates(run(found.experiment))
