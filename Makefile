@@ -11,9 +11,8 @@
 #   make licences             the licence of every installed package, as a table
 #   make coverage-of-intervals  how often every 95 % interval holds the truth, on data of known truth
 #   make claims               draw ten numbers that the pages print, make them again at a fresh seed: docs/claims.md
-#   make mutants              change the lines that make numbers, one at a time: docs/mutants.md says what the tests
-#                             did not notice and the score by room. An hour or two; goes on where it was;
-#                             ARGS="--sample 9" for so many of each room, 0 for all, ARGS="--room plant" for one room
+#   make mutants              change 120 functions drawn at random, one at a time: docs/mutants.md says what the tests
+#                             did not notice. Two hours; goes on where it was; ARGS="--count 20 --seed 7"
 #   make demo ARGS=--quick    options for the command
 #   make ... PYTHON=python3.12  another Python, for a new .venv
 #   make ... TORCH=cuda       torch with CUDA, or TORCH=cpu without; left out, as the computer has a driver by NVIDIA

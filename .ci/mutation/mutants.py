@@ -1,68 +1,49 @@
-"""Would the tests notice? One operator, number or condition at a time is changed in the lines that make numbers.
+"""Would the tests notice? One operator, number or condition at a time is changed, in functions drawn at random.
 
-mutmut makes the mutants; each is tried in a copy of the project, against the tests of its room alone, and is killed if
-one of them fails or does not end in time. What is written after each mutant is taken up again by the next run: a mutant
-is tried again only if its file has changed or, where it survived, the tests of its room have. Text, messages, what a
-decorator covers and how a drawing looks are left as they are, and so are changes that make no difference
-(mutants_equivalent.toml). A sample's score is kept when its room is done, and stands whatever becomes of the tests; the
-page is made of what is kept.
+A sample is of fixed size, with a seed that is said before: every function of the package is as likely as any other,
+and one change to each that is drawn is tried. There is no drawing again. mutmut makes the changes. Each is tried in a
+copy of the project, test file by test file: first those that name the function, then those that name its module, then
+those of its room, until one fails, does not end in time, or all that take `BUDGET` together have passed. Text,
+messages, what a decorator covers and how a drawing looks are left as they are. Of a survivor that makes no difference
+the record may say why, under "makes_no_difference": it is then left out of the share.
 
-Run: python .ci/mutation/mutants.py [--room NAME]... [--sample N] [--seed S] [--again] [--known]
-     [--json FILE] [--also FILE]... [--page FILE]
+Run: python .ci/mutation/mutants.py [--count N] [--seed S] [--out FILE] [--page FILE]
+A run that was cut off goes on where it was.
 """
 
 from __future__ import annotations
 
-import hashlib
+import ast
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import tempfile
 import time
-import tomllib
 from collections import Counter
-from collections.abc import Iterable, Iterator, Set
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any
 
 import libcst as cst
 import typer
 from libcst.metadata import MetadataWrapper, PositionProvider
-from mutants_score import Equivalents, Score, as_lines, page_of, read_equivalents, score_of, summary_of, table
 from mutants_trials import LIBRARIES, ROOT, WARM, copied_project, run_tests
 from mutmut.mutation import mutators
 from mutmut.mutation.file_mutation import MutationVisitor
 from mutmut.mutation.pragma_handling import IgnoredCode
 
 LEAST_SECONDS, PATIENCE = 120.0, 5.0
-"""A room's tests may take this long, or this many times as long as they do without a mutant."""
-KEPT = Path(__file__).with_name("mutants_kept.json")
-"""Verdicts of today's files, and the scores of samples."""
-
-
-@dataclass(frozen=True)
-class Room:
-    """Lines that make numbers, and the tests that should notice a change in them.
-
-    Attributes:
-        sources: Modules.
-        tests: Test modules, quickest first.
-        most: How many of its mutants are tried, at random, unless a run says otherwise.
-    """
-
-    sources: list[str]
-    tests: list[str]
-    most: int
-
-
-ROOMS = {
-    name: Room(**table)
-    for name, table in tomllib.loads(Path(__file__).with_name("mutants_rooms.toml").read_text(encoding="utf-8")).items()
-}
+"""A file of tests may take this long, or this many times as long as it does without a mutant."""
+BUDGET = 120.0
+"""Seconds, without a mutant, of the test files that one is tried against."""
+PACKAGES = ("pickenv", "calibration", "agents")
+RECORD, PAGE = ROOT / "docs/_static/mutants.json", ROOT / "docs/mutants.md"
 
 
 @dataclass(frozen=True)
@@ -165,6 +146,7 @@ class Changes(MutationVisitor):
         return not said and not is_left(node, self.looks) and node not in self.left and super().on_visit(node)
 
 
+@cache
 def mutants_of(path: str, code: str) -> list[Mutant]:
     """Every mutant of a file, in the order of its lines."""
     wrapper = MetadataWrapper(cst.parse_module(code))
@@ -185,145 +167,141 @@ def mutants_of(path: str, code: str) -> list[Mutant]:
     return found
 
 
-def mutants_in(name: str) -> list[Mutant]:
-    """Every mutant of a room."""
-    return [m for path in ROOMS[name].sources for m in mutants_of(path, (ROOT / path).read_text(encoding="utf-8"))]
+def functions() -> list[tuple[str, str, range]]:
+    """Every function of the package: its file, its name, that of its class in front, and its lines."""
+    found = []
+    for path in sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
+        name = path.relative_to(ROOT).as_posix()
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for owner in (tree, *(node for node in tree.body if isinstance(node, ast.ClassDef))):
+            prefix = f"{owner.name}." if isinstance(owner, ast.ClassDef) else ""
+            for node in owner.body:
+                if isinstance(node, ast.FunctionDef) and node.end_lineno is not None:
+                    found.append((name, prefix + node.name, range(node.lineno, node.end_lineno + 1)))
+    return found
 
 
-def shuffled(name: str, seed: int, equivalents: Equivalents) -> list[Mutant]:
-    """A room's mutants that matter in random order: the first are a sample, and a larger one holds a smaller."""
-    found = mutants_in(name)
-    random.Random(f"{seed} {name}").shuffle(found)
-    return [m for m in found if (m.path, m.text, m.change) not in equivalents]
+def sample(seed: int) -> Iterator[tuple[str, Mutant]]:
+    """Functions in random order, those with nothing to change left out, and one change to each."""
+    drawing = random.Random(seed)
+    order = functions()
+    drawing.shuffle(order)
+    for path, name, lines in order:
+        own = random.Random(f"{seed} {path} {name}")  # whatever becomes of other functions
+        mutants = [m for m in mutants_of(path, (ROOT / path).read_text(encoding="utf-8")) if m.line in lines]
+        if mutants:
+            yield name, own.choice(mutants)
 
 
-def fingerprint(paths: Iterable[Path]) -> str:
-    """Of the contents of files."""
-    return hashlib.sha256(b"\0".join(path.read_bytes() for path in sorted(paths))).hexdigest()[:16]
+def tests_for(path: str, function: str) -> list[str]:
+    """Test files, nearest first: those that name the function, those that name its module, those of its room."""
+    parts = Path(path).parts
+    rooms = ["/".join(parts[start:end]) for start, end in ((1, -1), (0, -1), (1, -2), (0, 1))]
+    words = [function.split(".")[-1], function.split(".")[0], Path(path).stem]
+    near: list[tuple[int, str]] = []
+    for test in sorted((ROOT / "tests").rglob("test_*.py")):
+        text, place = test.read_text(encoding="utf-8"), test.relative_to(ROOT).as_posix()
+        named = [bool(re.search(rf"\b{re.escape(word)}\b", text)) or word in test.stem for word in words]
+        mine = [place.startswith(f"tests/{room}/") for room in rooms if room]
+        score = 8 * named[0] + 4 * named[1] + 4 * named[2] + (8 >> mine.index(True) if True in mine else 0)
+        if score:
+            near.append((-score, place))
+    return [place for _, place in sorted(near)]
 
 
-def nearest_first(path: str, tests: Iterable[str]) -> list[str]:
-    """Test modules, those first that carry the name of the file."""
-    return sorted(tests, key=lambda test: Path(path).stem not in test)
-
-
-def of_todays_files(known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Those verdicts whose file is the same: of survivors too, whatever has become of the tests."""
-    files = {path: fingerprint([ROOT / path]) for room in ROOMS.values() for path in room.sources}
-    return {key: told for key, told in known.items() if told["file"] == files.get(key.split(":")[0])}
-
-
-def still_true(known: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Those verdicts that a new trial would repeat: the file is the same and, of a survivor, the room's tests."""
-    tests = {name: fingerprint(ROOT / test for test in room.tests) for name, room in ROOMS.items()}
-    files = {path: fingerprint([ROOT / path]) for room in ROOMS.values() for path in room.sources}
-    return {
-        key: told
-        for key, told in known.items()
-        if told["file"] == files.get(key.split(":")[0]) and told["tests"] in ("any", tests.get(told["room"]))
-    }
-
-
-def try_room(name: str, mutants: list[Mutant], known: dict[str, dict[str, Any]], copy: Path) -> Iterator[Mutant]:
-    """Try a room's mutants but those ``known``, put the verdicts there, and name each mutant when it has one."""
-    tests = ROOMS[name].tests
-    tests_now = fingerprint(ROOT / test for test in tests)
-    files_now = {path: fingerprint([ROOT / path]) for path in ROOMS[name].sources}
-    limit: float | None = None
-    for mutant in mutants:
-        if mutant.key in known:
-            yield mutant
-            continue
-        if limit is None:
+def verdict_of(mutant: Mutant, tests: list[str], copy: Path, seconds: dict[str, float]) -> str:
+    """What becomes of a mutant: the file of tests that notices it, or "" where it survives."""
+    spent = 0.0
+    for test in tests:
+        if test not in seconds:
             begin = time.monotonic()
-            if run_tests(copy, tests, None) != "passed":
-                raise SystemExit(f"the tests of {name} fail without any mutant; mend them first")
-            limit = max(LEAST_SECONDS, PATIENCE * (time.monotonic() - begin))
-        begin = time.monotonic()
+            passed = run_tests(copy, [test], None) == "passed"
+            seconds[test] = time.monotonic() - begin if passed else float("nan")
+        if not seconds[test] >= 0.0:  # it fails, or holds nothing, without any mutant
+            continue
+        if spent and spent + seconds[test] > BUDGET:
+            continue
+        spent += seconds[test]
         (copy / mutant.path).write_text(mutant.code, encoding="utf-8")
-        verdict = run_tests(copy, nearest_first(mutant.path, tests), limit)
+        said = run_tests(copy, [test], max(LEAST_SECONDS, PATIENCE * seconds[test]))
         shutil.copyfile(ROOT / mutant.path, copy / mutant.path)
-        known[mutant.key] = {
-            "room": name,
-            "verdict": verdict,
-            "file": files_now[mutant.path],
-            "tests": tests_now if verdict == "passed" else "any",
-            "seconds": round(time.monotonic() - begin, 1),
-        }
-        yield mutant
+        if said != "passed":
+            return test if said == "failed" else f"{test}, which did not end in time"
+    return ""
 
 
-def kept_in(files: Iterable[Path]) -> tuple[list[Score], dict[str, dict[str, Any]]]:
-    """Scores of samples, each of the first file that has it, and verdicts, each of the last one, that files hold."""
-    samples: dict[tuple[int | None, str], Score] = {}
-    verdicts: dict[str, dict[str, Any]] = {}
-    for path in files:
-        kept = json.loads(path.read_text(encoding="utf-8"))
-        for told in kept["samples"]:
-            samples.setdefault((told["seed"], told["room"]), Score(**told))
-        verdicts |= kept["mutants"]
-    return list(samples.values()), verdicts
+def page_of(record: Mapping[str, Any]) -> str:
+    """The page: the share with its interval, and what survived."""
+    from pickenv.base import share_interval  # late: see WARM
+
+    tried = record["mutants"]
+    killed = sum(bool(one["noticed_by"]) for one in tried)
+    equivalent = sum(bool(one.get("makes_no_difference")) for one in tried)
+    counted = len(tried) - equivalent
+    low, high = share_interval(killed, counted)
+    rows = [
+        f"| `{one['function']}` | {one['file']} | `{one['change'].replace('|', chr(92) + '|')}` |"
+        for one in tried
+        if not one["noticed_by"] and not one.get("makes_no_difference")
+    ]
+    counts = (
+        f"of {len(tried)} functions drawn with seed {record['seed']}, and never again, {equivalent} changes make no"
+    )
+    share = f"{100 * killed / counted:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+    return PAGE_TEXT.format(counts=counts, counted=counted, killed=killed, share=share, rows="\n".join(rows))
+
+
+PAGE_TEXT = f"""# Would the tests notice?
+
+One operator, number, condition or option is changed in a function that is drawn at random, every function of the
+package as likely as any other: {{counts}} difference; of the other {{counted}} the tests notice {{killed}},
+**{{share}}**.
+
+A change is tried against the tests that name the function, its module or its room, as many as take {BUDGET:.0f} s; the
+other tests might notice more. Tests that are written for a survivor afterwards do not raise the share: only another
+sample does. What survived:
+
+| function | file | change |
+|---|---|---|
+{{rows}}
+
+[mutants.json](_static/mutants.json) says of each which test noticed it. `make mutants` draws a sample whose seed is the
+date's.
+"""
 
 
 def main(
-    room: Annotated[list[str] | None, typer.Option(help=f"One of {', '.join(ROOMS)}; all when left out.")] = None,
-    sample: Annotated[
-        int | None, typer.Option(min=0, help="Mutants of each room, at random; the room's own number, or all with 0.")
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the sample.")] = 0,
-    again: Annotated[bool, typer.Option("--again", help="No sample: try anew what survives in today's files.")] = False,
-    known_only: Annotated[bool, typer.Option("--known", help="Try nothing: the page of what is kept.")] = False,
-    json_file: Annotated[Path, typer.Option("--json", help="Where verdicts and scores are kept.")] = KEPT,
-    also: Annotated[list[Path] | None, typer.Option(help="What other runs kept, taken over.")] = None,
-    page: Annotated[
-        Path, typer.Option(help="The page, its numbers in _static beside it; written when no room is named.")
-    ] = ROOT / "docs/mutants.md",
+    count: Annotated[int, typer.Option(min=1, help="Functions drawn.")] = 120,
+    seed: Annotated[int | None, typer.Option(help="Seed of the sample; the date's, as 20261231, if left out.")] = None,
+    out: Annotated[Path, typer.Option(help="Where verdicts are kept, and taken up again.")] = RECORD,
+    page: Annotated[Path | None, typer.Option(help="The page that is written.")] = PAGE,
 ) -> None:
-    """Change the lines that make numbers, one at a time, and count what the tests notice."""
-    from pickenv.base import write_text  # late: see WARM
+    """Change functions drawn at random, one change each, and count what the tests notice."""
+    from pickenv.base import write_json, write_text  # late: see WARM
 
-    names = room or list(ROOMS)
-    if unknown := set(names) - set(ROOMS):
-        raise SystemExit(f"unknown room '{min(unknown)}'; give one of {', '.join(ROOMS)}")
-    samples, told = kept_in([*([json_file] if json_file.exists() else []), *(also or ())])
-    kept, known, equivalents = of_todays_files(told), still_true(told), read_equivalents()
-    if again:
-        known = {key: verdict for key, verdict in known.items() if verdict["verdict"] != "passed"}
-    json_file.parent.mkdir(parents=True, exist_ok=True)
+    seed = int(time.strftime("%Y%m%d")) if seed is None else seed
+    record: dict[str, Any] = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
+    if record.get("seed") != seed:
+        record = {"seed": seed, "mutants": []}
+    known = {(one["file"], one["function"]) for one in record["mutants"]}
     os.environ |= dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    os.environ |= {
-        "MPLBACKEND": "Agg",
-        "PICKENV_DATA": os.environ.get("PICKENV_DATA") or str(ROOT.parent / "shared/data"),
-    }
+    data = os.environ.get("PICKENV_DATA") or str(ROOT.parent / "shared/data")
+    os.environ |= {"MPLBACKEND": "Agg", "PICKENV_DATA": data}
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
     WARM.set_forkserver_preload(["__main__", *LIBRARIES])
-    mutants = {name: shuffled(name, seed, equivalents) for name in names}
+    seconds: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) if known_only else copied_project(Path(folder))
-        for name in () if known_only else names:
-            drawn = mutants[name][: ROOMS[name].most if sample is None else sample or None]
-            if again:
-                drawn = [m for m in mutants[name] if m.key in kept and kept[m.key]["verdict"] == "passed"]
-            for mutant in try_room(name, drawn, known, copy):
-                kept[mutant.key] = known[mutant.key]
-                if known[mutant.key]["verdict"] == "passed":
-                    print(f"survives: {mutant.key}", flush=True)
-                write_text(json_file, as_lines(samples, kept))
-            verdicts = [kept[mutant.key]["verdict"] for mutant in drawn]
-            if not again and not any((one.seed, one.room) == (seed, name) for one in samples):
-                samples.append(score_of(name, len(mutants[name]), verdicts, seed))
-                write_text(json_file, as_lines(samples, kept))
-            print(f"{name}: {len(verdicts)} tried, {verdicts.count('passed')} survive", flush=True)
-    tried = {name: {m.key: kept[m.key]["verdict"] for m in found if m.key in kept} for name, found in mutants.items()}
-    now = [score_of(name, len(mutants[name]), list(verdicts.values())) for name, verdicts in tried.items() if verdicts]
-    survivors = [key for verdicts in tried.values() for key, verdict in verdicts.items() if verdict == "passed"]
-    print(table(now))
-    print(f"{len(survivors)} survive; each is a test to write, or a change that makes no difference")
-    write_text(json_file, as_lines(samples, kept))
-    if not room:
-        summary = summary_of(now, samples, survivors, equivalents)
-        write_text(page.parent / f"_static/{page.stem}.json", json.dumps(summary, indent=1, ensure_ascii=False) + "\n")
-        write_text(page, page_of(summary))
+        copy = copied_project(Path(folder))
+        for function, mutant in islice(sample(seed), count):
+            if (mutant.path, function) in known:
+                continue
+            noticed = verdict_of(mutant, tests_for(mutant.path, function), copy, seconds)
+            told = {"function": function, "file": mutant.path, "line": mutant.text, "change": mutant.change}
+            record["mutants"].append(told | {"noticed_by": noticed})
+            print(f"{len(record['mutants'])}/{count} {noticed or 'SURVIVES'}: {mutant.key}", flush=True)
+            write_json(out, record)
+    if page is not None:
+        write_text(page, page_of(record))
 
 
 if __name__ == "__main__":
