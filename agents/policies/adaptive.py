@@ -85,8 +85,8 @@ class LookingReach(ScriptedReach):
             self._wanted = self._corrected(self.wanted_joints(reading))
             self._joints: Array = np.zeros_like(reading.joints)
             self._sum: Array = np.zeros_like(camera)
-        action = self.action(self._wanted - reading.joints)
-        self._note(reading, camera, np.abs(action).max(axis=-1) < ARRIVED)
+        action = self.action(self._wanted - self.commanded(reading.joints))
+        self._note(reading, camera, (np.abs(action).max(axis=-1) < ARRIVED) & self.settled)
         return action[0] if np.ndim(observation) == 1 else action
 
     def _corrected(self, joints: Array) -> Array:

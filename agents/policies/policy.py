@@ -113,14 +113,61 @@ def camera_of(reading: ObservationParts, policy: str) -> Array:
 
 
 class ReachController:
-    """The common part of policies that know the nominal arm: its geometry, and joint steps turned into actions."""
+    """The common part of policies that know the nominal arm: its geometry, and joint steps turned into actions.
+
+    Where readings or actions are late, what a reading says is the past, and whoever commands the whole gap from it
+    swings. Joints are then where this controller has sent them: the first reading and its own increments since. It
+    looks again when the arm has stood still for longer than anything is late.
+    """
 
     def __init__(self, env: Any) -> None:
         """Read the nominal geometry and the increments from ``env``, a `pickenv/Reach-v0`, single or native vector."""
         inner = env.unwrapped
         self.geometry: Geometry = inner.plant.arm.nominal
         self.increment = np.array(inner.increment)
+        situation = inner.task.situation
+        self.lag = int(situation.latency.high + situation.delay.high)
+        self.tolerance = COUNTS + 4.0 * situation.joint_noise.high
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin again with the next reading."""
+        self._sent: Array | None = None
+        self._still: Any = 0
+
+    def commanded(self, readings: Array) -> Array:
+        """Joints that the arm has been sent to ``(..., n)``, rad or m; the readings where nothing is late."""
+        if not self.lag:
+            return readings
+        if self._sent is None or self._sent.shape != readings.shape:
+            self._sent, self._still = readings.copy(), np.zeros(readings.shape[:-1], dtype=int)
+        apart = np.abs(readings - self._sent)
+        elsewhere = (apart > (self.lag + 1) * self.increment).any(axis=-1)  # another episode has begun
+        settled = (self._still > self.lag) & (apart > self.tolerance).any(axis=-1)
+        self._sent = np.where((elsewhere | settled)[..., None], readings, self._sent)
+        return self._sent
+
+    @property
+    def settled(self) -> Any:
+        """Whether what is seen now was seen after the arm had come to stand ``(...)``."""
+        return self._still > self.lag if self.lag else True
 
     def action(self, step: Array) -> NDArray[np.float32]:
         """Actions for wanted joint steps ``(..., n)``, rad or m."""
-        return np.asarray((step / self.increment).clip(-1.0, 1.0), dtype=np.float32)
+        shares = np.asarray((step / self.increment).clip(-1.0, 1.0), dtype=np.float32)
+        self.sent(shares)
+        return shares
+
+    def sent(self, shares: NDArray[Any]) -> None:
+        """Take note of shares of the increments ``(..., n)`` that are about to be sent."""
+        if self._sent is not None:
+            moved = self._sent + shares * self.increment
+            self._sent = np.clip(moved, self.geometry.lower, self.geometry.upper)
+            self._still = np.where((np.abs(shares) > STANDING).any(axis=-1), 0, self._still + 1)
+
+
+COUNTS = 2e-5
+"""What encoders count in, halved, rad or m: a settled arm that reads farther from where it was sent is elsewhere."""
+
+STANDING = 1e-3
+"""Shares of the increments below which an arm is said to stand."""

@@ -39,6 +39,7 @@ class ScriptedReach(ReachController):
     def reset(self) -> None:
         """Forget the last episode's fruit."""
         self._wanted = None
+        self.forget()
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """The next action.
@@ -49,7 +50,7 @@ class ScriptedReach(ReachController):
         reading = read_observation(self.geometry, observation)
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
-        return self.action(self._wanted - reading.joints)
+        return self.action(self._wanted - self.commanded(reading.joints))
 
     def wanted_pose(self, reading: ObservationParts) -> Pose:
         """The pose that the tool shall have: the fruit with its attitude."""
@@ -174,7 +175,7 @@ class ServoReach(ScriptedReach):
         if self._correction is not None:
             target = target + np.einsum("...ij,...j->...i", self._back, self._correction)
         target = target.clip(self.geometry.lower, self.geometry.upper)
-        return self.action(target - reading.joints)
+        return self.action(target - self.commanded(reading.joints))
 
 
 # A scripted policy for `pickenv/Pick-v0`: from below, wait until the arm has settled, grasp, twist, retreat. It uses
@@ -241,6 +242,7 @@ class ScriptedPick(ReachController):
 
     def reset(self) -> None:
         """Forget the last canopy."""
+        self.forget()
         self._begin(0)
 
     def _begin(self, count: int) -> None:
@@ -256,6 +258,7 @@ class ScriptedPick(ReachController):
             self._begin(len(values))
         n, rows = self.geometry.joints, np.arange(len(values))
         joints = self.geometry.lower + (values[:, :n] + 1.0) / 2.0 * (self.geometry.upper - self.geometry.lower)
+        joints = self.commanded(joints)
         fruit, turn, still = values[:, n + 3 : n + 6], values[:, n + 9 : n + 12], values[:, n + 12]
         hanging, off = values[:, n + 14] > 0.5, values[:, n + 15] > 0.5
         seeking = ~(hanging | off)
@@ -275,9 +278,10 @@ class ScriptedPick(ReachController):
         closes = hanging | late | (arrived & (still >= self.settle - 1e-3))
         self._spent += 1.0
         away = np.where(stays[:, None], 0.0, goals - joints)
-        if single:
-            return np.asarray([*self._shares(joints[0], away[0]), float(closes[0])], dtype=np.float32)
-        return np.concatenate([self._shares(joints, away), closes[:, None]], axis=-1, dtype=np.float32)
+        shares = self._shares(joints[0], away[0])[None] if single else self._shares(joints, away)
+        self.sent(shares)
+        actions = np.concatenate([shares, closes[:, None]], axis=-1, dtype=np.float32)
+        return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
         """Waypoints: down from the last fruit, below the next one, and up to it."""

@@ -27,6 +27,7 @@ from pickenv.arm import InverseSolution, forward, inverse, joint_jacobian, load_
 from pickenv.base import InputError
 from pickenv.calibration import link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
+from pickenv.envs.shared.situation import make_situation
 from pickenv.inspect import Reaches
 from pickenv.orchard import load_gripper
 from pickenv.wrappers import Scaling, joined_observation
@@ -127,6 +128,7 @@ GOAL = inverse(ARM, forward(ARM, ARM.lower + 0.4 * (ARM.upper - ARM.lower)), att
 def far_reaching():
     """What policies read of an environment, with increments that no step here is cut to."""
     inner = SimpleNamespace(plant=SimpleNamespace(arm=SimpleNamespace(nominal=ARM)), increment=np.full(6, 10.0))
+    inner.task = SimpleNamespace(situation=make_situation())
     return SimpleNamespace(unwrapped=inner)
 
 

@@ -43,9 +43,10 @@ def test_a_vector_of_scripts_acts_as_each_of_them_alone():
     assert held.any()
 
 
-def test_less_gain_comes_to_rest_where_readings_and_actions_are_late():
-    rash, calm = (ways(60, {"gain": gain}, **LATE)[1] for gain in (1.0, 0.3))
-    assert rash["attempted"] == 0 and calm["collected"] == 1
+@pytest.mark.parametrize("late", [{}, LATE, {"latency": 3}, {"action_delay": [0, 4]}], ids=str)
+def test_the_script_takes_a_fruit_however_late_readings_and_actions_are(late):
+    _, info = ways(60, **late)
+    assert (info["attempted"], info["collected"]) == (1, 1)
 
 
 def test_the_tool_stops_as_far_beside_the_fruit_as_it_aims():
@@ -91,14 +92,13 @@ def test_too_few_candidates_are_refused():
 
 @pytest.mark.slow
 def test_learning_gains_on_its_training_canopies():
-    """Where readings and actions are late, and a share of the way is worth more than all of it."""
-    late = {"difficulty": "orchard", "fruit": 5.0}
-    found = search(late, (0,), 4, candidates=16, canopies=2)
+    """Where there is little time, and waiting costs fruit."""
+    haste = {"max_episode_steps": 100}
+    found = search(haste, (0,), 4, candidates=16, canopies=2)
     points = np.repeat([np.zeros(len(KNOBS)), found.learnt[0]], 8, axis=0)
     canopies = [word for number in range(4) for word in seed_words(stream(0, "training", number), 2)]
-    envs = PickVectorEnv(16, **late)
+    envs = PickVectorEnv(16, **haste)
     script, learnt = pick_canopies(ScriptedPick(envs, **arguments_of(points)), envs, canopies * 2)["reward"].reshape(
         2, 8
     )
-    assert (learnt - script).mean() > 0.5
-    assert arguments_of(found.learnt)["gain"] < 1.0
+    assert (learnt - script).mean() > 0.1

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import pickenv  # noqa: F401
-from pickenv.agents import ScriptedReach, read_observation
+from pickenv.agents import AdaptiveReach, ScriptedReach, ServoReach, episode_seeds, read_observation, run_reaches
 from pickenv.arm import forward, pose_error, shipped_arms
 from pickenv.base import InputError
 
@@ -83,3 +83,42 @@ def test_it_finds_joints_for_every_goal_that_an_environment_draws(arm):
 @pytest.mark.parametrize("arm", shipped_arms())
 def test_it_finds_joints_for_thousands_of_goals(arm):
     assert missed(arm, 4000, seed=1) == 0
+
+
+LATE = [
+    {"latency": 4, "action_delay": 3},
+    {"latency": [0, 5], "action_delay": [0, 5]},
+    {"latency": [0, 2], "action_delay": 1, "control_period_s": [0.05, 0.2]},
+]
+
+
+@pytest.mark.parametrize("late", LATE, ids=str)
+@pytest.mark.parametrize("maker", [ScriptedReach, ServoReach, AdaptiveReach])
+def test_who_counts_what_it_sent_ends_where_it_wants_to_however_late_readings_and_actions_are(maker, late):
+    given = {"plant": "ideal", "feedback": "camera", "max_episode_steps": 200, "start_spread": 0.5} | late
+    envs = gym.make_vec("pickenv/Reach-v0", num_envs=40, **given)
+    policy = maker(envs)
+    observation, info = envs.reset(seed=3)
+    for _ in range(199):
+        observation, *_, info = envs.step(policy.act(observation))
+    assert info["position_error_mm"].max() < 0.3
+
+
+def test_alone_and_in_a_vector_it_counts_alike():
+    given = {"plant": "orchard", "latency": 2, "action_delay": 1}
+    env, envs = gym.make("pickenv/Reach-v0", **given), gym.make_vec("pickenv/Reach-v0", num_envs=1, **given)
+    alone, many = ScriptedReach(env), ScriptedReach(envs)
+    one, both = env.reset(seed=5)[0], envs.reset(seed=5)[0]
+    for _ in range(40):
+        action, actions = alone.act(one), many.act(both)
+        np.testing.assert_allclose(action, actions[0], atol=1e-6)
+        one, both = env.step(action)[0], envs.step(actions)[0]
+
+
+def test_noisy_late_readings_cost_less_than_swinging_about_the_goal():
+    """The ladder's rung with every effect: the script is as good there as its first reading and the arm allow."""
+    env = gym.make("pickenv/Reach-v0", difficulty="orchard", split="test")
+    ends = run_reaches(env, ScriptedReach(env), episode_seeds(0, 60)).position_error_mm
+    assert np.median(ends) < 5.0
+    camera = gym.make("pickenv/Reach-v0", difficulty="orchard", split="test", feedback="camera", camera_noise_mm=1.0)
+    assert run_reaches(camera, ServoReach(camera), episode_seeds(0, 60)).position_error_mm.max() < 1.5
