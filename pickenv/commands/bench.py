@@ -85,6 +85,9 @@ def policies(
         Path("runs/policies")
     ),
     plant: Annotated[list[str] | None, Option(help="Plant preset, a task each; may be repeated.")] = None,
+    rung: Annotated[
+        list[str] | None, Option(help="Rung of the ladder with its arms to be judged on, or all; may be repeated.")
+    ] = None,
     arms: Annotated[int | None, Option(help="Arms drawn for each seed.", min=1)] = None,
     episodes: Annotated[int | None, Option(help="Fruits per arm.", min=1)] = None,
     canopies: Annotated[
@@ -112,9 +115,9 @@ def policies(
     settings = replace(
         usual,
         policies=(*usual.policies, *dict.fromkeys(policy or [])),
-        plants=tuple(plant or usual.plants),
+        plants=(*(plant or ()), *policy_tables.rungs(rung or ())) or usual.plants,
         seeds=tuple(range(seeds)),
-        arms=arms or usual.arms,
+        arms=arms or (usual.arms if quick or not rung else policy_tables.ARMS_OF_RUNGS),
         episodes=episodes or usual.episodes,
         canopies=usual.canopies if canopies is None else canopies,
     )

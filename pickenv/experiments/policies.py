@@ -28,6 +28,7 @@ from pickenv.base import InputError, check_limit, file_sha256, seed_words, strea
 from pickenv.base.registry import names, origin
 from pickenv.calibration import Calibration
 from pickenv.envs import PickEnv, ReachVectorEnv
+from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
 from pickenv.experiments import methods
@@ -35,6 +36,9 @@ from pickenv.experiments.engine import Columns, Experiment, Progress, Rows, run
 from pickenv.inspect.runs.recorded_episodes import Reaches
 from pickenv.inspect.runs.run_folder import listed_files
 from pickenv.orchard import load_gripper
+
+RUNG = "rung:"
+"""Before the name of a rung of the ladder, where a plant's may stand."""
 
 CYCLE_MM = 2.0
 """Radius within which a cycle is over, for the cycle time."""
@@ -58,7 +62,8 @@ class PolicySettings:
             several seeds.
         compensations: Methods as of `calibrate_arm`, and "raw".
         feedback: "encoders" (open loop) and "camera".
-        plants: Plant presets.
+        plants: Plant presets; or "rung:orchard" and so on: a rung of the ladder of Reach with its arms to be judged on,
+            the same for every seed.
         grippers: Names of grippers.
         arms: Arms drawn for each plant and seed.
         episodes: Fruits per arm.
@@ -97,9 +102,26 @@ class PolicySettings:
         check_limit("episodes", self.episodes, "episodes")
         check_limit("epochs", self.plan.epochs, "epochs")
 
+    def world(self, plant: str, seed: int, feedback: str = "encoders") -> dict[str, Any]:
+        """Arguments of `pickenv/Reach-v0`: of a plant whose arms the seed draws, or of a rung of the ladder.
+
+        Raises:
+            InputError: If there is no such rung, or it has fewer arms.
+        """
+        noise = self.camera_noise_mm if feedback == "camera" else 0.0
+        own = {"feedback": feedback, "camera_noise_mm": noise, "fruit_noise_mm": self.fruit_noise_mm}
+        if not plant.startswith(RUNG):
+            return own | {"plant": plant, "tolerances": self.tolerances, "population_seed": population_seed(seed)}
+        fixed = on_ladder("Reach", plant.removeprefix(RUNG), "test", {})
+        if self.arms > (most := fixed.get("population", 1)):
+            raise InputError(f"{plant} has {most} arms to be judged on; {self.arms} were asked for")
+        return own | {name: value for name, value in fixed.items() if name not in ("arms", "population")}
+
     def population(self, plant: str, seed: int) -> Plant:
-        """The arms of a plant that a seed draws, as the environments draw them."""
-        return draw_arms(plant, self.tolerances, self.arms, np.random.default_rng(population_seed(seed)))
+        """The arms of a plant that a seed draws, as the environments draw them; of a rung, its own."""
+        world = self.world(plant, seed)
+        draws = np.random.default_rng(world["population_seed"])
+        return draw_arms(world["plant"], world["tolerances"], self.arms, draws)
 
     def levels(self, name: str) -> tuple[Any, ...]:
         """What one of the fields names, each once."""
@@ -137,13 +159,13 @@ def run_policies(
 
     Returns:
         Of reaching a row for each episode: plant, compensation, feedback, policy, seed and training (number of the file
-        of one with several), whether it was ``learned``, ``arm`` (no two seeds share a number) and ``episode``;
-        ``error_mm`` and ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last), ``cycle_steps``
-        until the tool is within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a gripper takes the
-        fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm and gripper, over all canopies:
-        grasps ``attempted``, fruit ``collected`` undamaged, ``picks_per_hour`` of these without the ways between
-        canopies, and sums over grasps of the distance between fruit and true tool (``error_sum_mm``) and of the tool's
-        angle with the vertical (``tilt_sum_deg``).
+        of one with several), whether it was ``learned``, ``arm`` (no two seeds share a number, but on a rung) and
+        ``episode``; ``error_mm`` and ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last),
+        ``cycle_steps`` until the tool is within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a
+        gripper takes the fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm and gripper,
+        over all canopies: grasps ``attempted``, fruit ``collected`` undamaged, ``picks_per_hour`` of these without the
+        ways between canopies, and sums over grasps of the distance between fruit and true tool (``error_sum_mm``) and
+        of the tool's angle with the vertical (``tilt_sum_deg``).
 
     Raises:
         InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.
@@ -225,7 +247,8 @@ def _reaching(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -
         kind = kinds[levels["policy"]]
         behind = levels["compensation"] == "raw" or not kind.raw_only
         has_file = levels["feedback"] in kind.feedback and levels["training"] < (len(kind.files) or 1)
-        return behind and has_file and fits(**levels)
+        sees = settings.world(levels["plant"], levels["seed"], levels["feedback"])["feedback"] == levels["feedback"]
+        return behind and has_file and sees and fits(**levels)
 
     experiment = Experiment(
         "reaching",
@@ -271,7 +294,8 @@ def _reaches(
 ) -> Columns:  # fmt: skip
     """The episodes of one policy; they draw as the environments do, and not from ``rng``."""
     kind, population = kinds[policy], settings.population(plant, seed)
-    noise = float(np.hypot(settings.camera_noise_mm, settings.fruit_noise_mm))
+    world = settings.world(plant, seed, feedback)
+    noise = float(np.hypot(world["camera_noise_mm"] or settings.camera_noise_mm, world["fruit_noise_mm"]))
     rollout = roll_out(
         maker_of((kind.files or (policy,))[training], noise, compensation),
         settings.arms,
@@ -280,19 +304,15 @@ def _reaches(
         compensators=methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept),
         sequential=kind.sequential,
         steps=kind.steps,
-        plant=plant,
-        feedback=feedback,
-        camera_noise_mm=settings.camera_noise_mm if feedback == "camera" else 0.0,
-        fruit_noise_mm=settings.fruit_noise_mm,
-        tolerances=settings.tolerances,
-        population_seed=population_seed(seed),
+        **world,
     )
+    first = 0 if plant.startswith(RUNG) else settings.levels("seeds").index(seed) * settings.arms
     reaches, count = rollout.reaches, len(rollout.arm)
     chances = {f"chance_{name}": rollout.capture(load_gripper(name)) for name in settings.grippers}
     return {
         "policy": np.full(count, policy_name(policy)),
         "learned": np.full(count, bool(kind.files)),
-        "arm": settings.levels("seeds").index(seed) * settings.arms + rollout.arm,
+        "arm": first + rollout.arm,
         "episode": np.arange(count) // settings.arms,
         "error_mm": reaches.position_error_mm,
         "attitude_deg": reaches.attitude_error_deg,

@@ -24,10 +24,11 @@ from pickenv.base import (
     refusing_damage,
     write_json,
 )
+from pickenv.envs.shared.difficulty import LADDER
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.experiments.engine import Rows, interval_words, read_piece, with_interval, write_piece
 from pickenv.experiments.methods import CalibrationPlan
-from pickenv.experiments.policies import PolicySettings, population_seed, run_policies
+from pickenv.experiments.policies import RUNG, PolicySettings, population_seed, run_policies
 from pickenv.inspect import Run
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures import plot_policies
@@ -302,6 +303,9 @@ def cycle_figure(rows: Rows, plant: str) -> Figure:
 LEAST_SEEDS = 5
 """Fewest seeds of a leaderboard."""
 
+ARMS_OF_RUNGS = 16
+"""Arms of a rung, which all seeds share."""
+
 LEADERBOARD = PolicySettings(
     policies=("scripted", "servo", "adaptive", *shipped_baselines()), plants=("qiao2026", "field"), arms=2, episodes=16,
     seeds=tuple(range(LEAST_SEEDS)), canopies=2,
@@ -313,6 +317,12 @@ QUICK = replace(
 """Minutes less, to try things out."""
 
 WORDS = ("policy", "feedback", "compensation")
+
+
+def rungs(names: Sequence[str]) -> tuple[str, ...]:
+    """Rungs of the ladder as `PolicySettings.plants` has them; "all" for each that has more than one arm."""
+    every = [name for name, fixed in LADDER.items() if "arms" in fixed]
+    return tuple(f"{RUNG}{name}" for given in names for name in (every if given == "all" else [given]))
 
 
 def run_leaderboard(settings: PolicySettings, folder: Path, **how: Any) -> list[dict[str, Any]]:

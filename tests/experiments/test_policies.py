@@ -7,6 +7,7 @@ import sys
 from dataclasses import replace
 from importlib.util import find_spec
 
+import gymnasium as gym
 import numpy as np
 import pandas as pd
 import pytest
@@ -16,7 +17,7 @@ from typer.testing import CliRunner
 
 from pickenv.agents import Rollout, load_policy
 from pickenv.agents.evaluation.contenders import kind_of
-from pickenv.arm import load_plant
+from pickenv.arm import load_plant, plant_at
 from pickenv.base import (
     Estimate,
     InputError,
@@ -128,6 +129,7 @@ def test_residual_models_help_beyond_least_squares_and_several_processes_find_th
 
 ON_A_CLUSTER = """
 import sys
+import gymnasium as gym
 import numpy as np
 from pickenv.experiments import PolicySettings, run_policies
 
@@ -437,3 +439,32 @@ def test_trainings_of_several_seeds_are_one_policy(tmp_path):
     replace(policy, record=other).save(tmp_path / "several" / "2" / "policy.npz")
     with pytest.raises(InputError, match="differ in more than their seeds"):
         kind_of(str(tmp_path / "several"))
+
+
+RUNGS = replace(
+    SMALL,
+    policies=("scripted", "servo"),
+    compensations=("raw",),
+    plants=("rung:orchard", "rung:own_eyes"),
+    seeds=(0, 1),
+)
+
+
+def test_on_a_rung_every_seed_meets_the_arms_to_be_judged_on_and_what_the_rung_fixes_is_fixed() -> None:
+    rows = run_policies(RUNGS)
+    assert set(rows.where(plant="rung:own_eyes")["feedback"]) == {"camera"}, "the rung has its own eyes"
+    assert sorted(set(rows["arm"])) == list(range(RUNGS.arms)), "no seed has arms of its own"
+    errors = rows.where(plant="rung:orchard", policy="scripted", feedback="encoders")
+    first, second = (errors.where(seed=seed)["error_mm"] for seed in RUNGS.seeds)
+    assert not np.isclose(first, second).any(), "fruit are each seed's own"
+    env = gym.make("pickenv/Reach-v0", difficulty="orchard", split="test")
+    env.reset(seed=5, options={"arm": 3})
+    own, drawn = env.unwrapped.plant, plant_at(RUNGS.population("rung:orchard", 0), 3)
+    np.testing.assert_allclose(own.geometry.d, drawn.geometry.d, rtol=1e-6)
+
+
+def test_a_rung_without_error_or_with_fewer_arms_is_refused() -> None:
+    with pytest.raises(InputError, match="rung:ideal has 1 arms to be judged on; 10 were asked for"):
+        run_policies(replace(RUNGS, plants=("rung:ideal",)))
+    with pytest.raises(InputError, match="difficulty is 'hard'; give one of ideal, fine"):
+        run_policies(replace(RUNGS, plants=("rung:hard",)))
