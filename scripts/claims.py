@@ -48,6 +48,7 @@ FIGURES = ("value", "ci95", "no_interval", "std", "range", "runs", "lost", "lost
 """What a row of an experiment's JSON says beside its levels."""
 
 MARK = re.compile(r"(<!-- claims: (\{[^\n]*\}) -->\n\n).*?(\n<!-- end of claims -->)", re.S)
+INLINE = re.compile(r"(<!-- claim: (\{[^\n]*?\}) -->).*?(<!-- / -->)", re.S)
 app = typer.Typer(add_completion=False)
 Row = dict[str, Any]
 
@@ -159,20 +160,45 @@ def check(count: int = 10, seed: int | None = None) -> None:
 
 @app.command()
 def pages() -> None:
-    """Print the tables between the marks of every page anew."""
-    kept = record()
-    for path in sorted(DOCS.glob("*.md")):
+    """Print the tables and numbers between the marks of every page anew."""
+    rows = record()["rows"]
+    for path in sorted([*DOCS.glob("*.md"), ROOT / "README.md"]):
         text = path.read_text(encoding="utf-8")
-        new = MARK.sub(lambda found: found[1] + table_of(kept["rows"], json.loads(found[2])) + found[3], text)
+        new = MARK.sub(lambda found: found[1] + table_of(rows, json.loads(found[2])) + found[3], text)
+        new = INLINE.sub(lambda found: found[1] + number_of(rows, json.loads(found[2])) + found[3], new)
         if new != text:
             write_text(path, new)
             print(f"wrote {path}")
 
 
-def shown(row: Mapping[str, Any], digits: int = 2, scale: float = 1.0) -> str:
+def shown(row: Mapping[str, Any], digits: int = 2, scale: float = 1.0, sign: str = "", unit: str = "") -> str:
     """A number with its interval."""
-    value, low, high = (f"{scale * number:.{digits}f}" for number in (row["value"], *row["ci95"]))
-    return f"{value} ({low} to {high})"
+    value, low, high = (f"{scale * number:{sign}.{digits}f}" for number in (row["value"], *row["ci95"]))
+    return f"{value}{unit} ({low} to {high})"
+
+
+def number_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
+    """One number of the ledger in a sentence.
+
+    Args:
+        rows: The ledger's.
+        asked: "of", the experiment; "title", how its title begins; levels by name; and how `shown` shows it.
+
+    Raises:
+        InputError: If no row, or more than one, is meant.
+    """
+    how = {name: asked[name] for name in ("digits", "scale", "sign", "unit") if name in asked}
+    levels = {name: level for name, level in asked.items() if name not in ("of", "title", *how)}
+    meant = [
+        row
+        for row in rows
+        if row["experiment"] == asked["of"]
+        and row["title"].startswith(asked["title"])
+        and levels.items() <= row["levels"].items()
+    ]
+    if len(meant) != 1:
+        raise InputError(f"{len(meant)} rows of the ledger are what {dict(asked)} asks for; name one")
+    return shown(meant[0], **how)
 
 
 def table_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
@@ -181,7 +207,7 @@ def table_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
     Args:
         rows: The ledger's.
         asked: "experiment" and "title"; "by", the levels that stand in the lines, with those that are shown; "across",
-            the level whose values are the columns; "digits" and "scale".
+            the level whose values are the columns; "digits", "scale" and "sign".
     """
     some = [row for row in rows if (row["experiment"], row["title"]) == (asked["experiment"], asked["title"])]
     across, by = asked["across"], asked["by"]
@@ -190,7 +216,7 @@ def table_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
     for row in some:
         line = tuple(row["levels"][name] for name in by)
         if all(value in by[name] or not by[name] for name, value in zip(by, line, strict=True)):
-            number = shown(row, asked.get("digits", 2), asked.get("scale", 1.0))
+            number = shown(row, asked.get("digits", 2), asked.get("scale", 1.0), asked.get("sign", ""))
             cells.setdefault(line, {})[row["levels"][across]] = number
     names = {name: name.removesuffix("_mm").replace("_", " ") for name in by}
     lines = [[*names.values(), *map(str, columns)], ["---"] * (len(by) + len(columns))]

@@ -37,20 +37,20 @@ TRIED = {"unmodelled_std": (0.1e-3, 0.2e-3, 0.5e-3, 1e-3), "prior": (0.5, 1.0, 2
 SHOWN = {"first pick": range(1), "picks 2 to 5": range(1, 5), "picks 11 to 20": range(10, 20)}
 
 
-def task(plant: str, arms: int, number: int) -> SameArmVector:
-    """Fresh arms, all at once; ``number`` 0 to be judged on, 1 to choose settings by."""
-    seed = seed_words(stream(0, "arms", 1 + number), 1)[0]
+def task(plant: str, arms: int, number: int, seed: int) -> SameArmVector:
+    """A seed's fresh arms, all at once; ``number`` 0 to be judged on, 1 to choose settings by."""
+    seed = seed_words(stream(seed, "arms", 1 + number), 1)[0]
     camera: dict[str, Any] = {"feedback": "camera", "camera_noise_mm": CAMERA_MM, "fruit_noise_mm": 0.0}
     drawn = {"arms": "per_episode", "population": arms, "population_seed": seed, "tolerances": "coarse"}
     envs = gym.make_vec("pickenv/Reach-v0", num_envs=arms, plant=plant, **camera, **drawn)
     return SameArmVector(envs, picks=PICKS, window=PICKS, looks=LOOKS)
 
 
-def picked(envs: SameArmVector, make: Any, runs: int) -> Array:
+def picked(envs: SameArmVector, make: Any, runs: int, seed: int) -> Array:
     """Errors ``(arms, runs, picks)`` in mm; the same fruit for everybody."""
     errors = np.zeros((envs.num_envs, runs, PICKS))
     for run in range(runs):
-        seeds = seed_words(stream(0, "picks", run), envs.num_envs)
+        seeds = seed_words(stream(seed, "picks", run), envs.num_envs)
         seen, _ = envs.reset(seed=seeds, options={"arm": np.arange(envs.num_envs)})
         choose = make()
         for pick in range(PICKS):
@@ -100,11 +100,11 @@ class Filtering:
 @cache
 def tuned_filter(arms: int = 12) -> AdaptiveSettings:
     """The settings of the filter that leave least in the second half of a run, on arms that nothing is judged on."""
-    envs = task("qiao2026", arms, 1)
+    envs = task("qiao2026", arms, 1, 0)
     tried = [
         AdaptiveSettings(camera_std=CAMERA_MM * 1e-3, unmodelled_std=u, prior=p) for u, p in product(*TRIED.values())
     ]
-    left = [picked(envs, partial(Filtering, each), 1)[..., PICKS // 2 :].mean() for each in tried]
+    left = [picked(envs, partial(Filtering, each), 1, 0)[..., PICKS // 2 :].mean() for each in tried]
     return tried[int(np.argmin(left))]
 
 
@@ -121,12 +121,14 @@ def fits(training: int, plant: str, policy: str) -> bool:
     return policy in LEARNT or training == 0
 
 
-def measure(rng: np.random.Generator, training: int, plant: str, policy: str, arms: int, runs: int, folder: str) -> Any:
+def measure(
+    rng: np.random.Generator, training: int, plant: str, policy: str, arms: int, runs: int, folder: str, seed: int
+) -> Any:
     """Errors of one policy, a row for each arm, run and pick."""
     make: Any = partial(Filtering, tuned_filter()) if policy == FILTER else lambda: aims_at_the_fruit
     if policy in LEARNT:
         make = partial(Remembering, trained(LEARNT[policy], training, Path(folder)))
-    errors = picked(task(plant, arms, 0), make, runs)
+    errors = picked(task(plant, arms, 0, seed), make, runs, seed)
     arm, run, pick = (index.ravel() for index in np.indices(errors.shape))
     when = np.array([next((name for name, some in SHOWN.items() if k in some), "") for k in pick])
     return {"arm": arm, "run": run, "pick": pick + 1, "when": when, "error_mm": errors.ravel()}

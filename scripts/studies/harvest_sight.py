@@ -14,7 +14,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[2]))
 
-from papers.li2016.comparison import SEED, calibrated_controller, strategies
+from papers.li2016.comparison import calibrated_controller, strategies
 from pickenv.harvester import (
     Controller,
     Strategy,
@@ -30,10 +30,10 @@ from pickenv.harvester import (
 
 
 @cache
-def machine() -> tuple[TrueMachine, dict[str, Strategy]]:
+def machine(seed: int) -> tuple[TrueMachine, dict[str, Strategy]]:
     """The machine as built, and the ways to work it."""
     true = load_true_machine(load_machine())
-    known = calibrated_controller(true, np.random.default_rng(SEED))
+    known = calibrated_controller(true, np.random.default_rng(seed))
     return true, {way.name: way for way in strategies(Controller(true.machine), known)}
 
 
@@ -43,13 +43,13 @@ def fits(canopy: str, vision: str, way: str, detector: str) -> bool:
 
 
 def measure(
-    rng: np.random.Generator, canopy: str, vision: str, way: str, detector: str, trees: int, rendered: int
+    rng: np.random.Generator, canopy: str, vision: str, way: str, detector: str, trees: int, rendered: int, seed: int
 ) -> list[dict[str, Any]]:
     """Fruit at each stage of each tree, and the time that it took."""
-    true, ways = machine()
+    true, ways = machine(seed)
     count = rendered if vision == "rendered" else trees
     strategy, orchard = replace(ways[way], detector=detector), load_orchard(canopy=canopy)
-    done = work_trees(true, strategy, load_picking(), orchard, load_grid(), count=count, seed=SEED, vision=vision)
+    done = work_trees(true, strategy, load_picking(), orchard, load_grid(), count=count, seed=seed, vision=vision)
     return [
         {"tree": number, **funnel([tree]), "hours": tree.seconds / 3600.0, "misled": tree.misled}
         for number, tree in enumerate(done)

@@ -224,14 +224,14 @@ class Measured:
     seen: Sightings
 
 
-def measured(canopy: str, trees: int) -> list[Measured]:
+def measured(canopy: str, trees: int, seed: int) -> list[Measured]:
     """Pictures of ``trees`` trees of a canopy, read by every detector."""
     machine, grid = load_machine(), load_grid()
     orchard = load_orchard(canopy=canopy, fruit_map=FRUIT_MAPS[canopy])
     eyes = [load_eyes("rendered", orchard.canopy, name) for name in DETECTORS]
     parts: list[list[Sightings]] = [[] for _ in eyes]
-    for number, seed in enumerate(np.random.SeedSequence(SEED).spawn(trees)):
-        rng = np.random.default_rng(seed)
+    for number, own in enumerate(np.random.SeedSequence(seed).spawn(trees)):
+        rng = np.random.default_rng(own)
         tree = sample_tree(machine, orchard, rng)
         leaves = tree_leaves(machine, eyes[0], rng)
         zones = cut(grid, *tree.side)
@@ -300,10 +300,11 @@ def main() -> None:
     parser.add_argument(
         "--canopy", action="append", choices=FRUIT_MAPS, help="a canopy, again for another (default all)"
     )
+    parser.add_argument("--seed", type=int, default=SEED, help=f"of trees, leaves and pictures (default {SEED})")
     parser.add_argument("--out", type=Path, help="write the tables here")
     parser.add_argument("--json", type=Path, help="write recall and errors here")
     given = parser.parse_args()
-    found = [one for canopy in given.canopy or FRUIT_MAPS for one in measured(canopy, given.trees)]
+    found = [one for canopy in given.canopy or FRUIT_MAPS for one in measured(canopy, given.trees, given.seed)]
     camera = load_stereo_camera("li2016")
     pixel = 1e3 / (camera.focal_length * camera.baseline)
     print(f"Stereo theory: {pixel:.1f} mm of depth a pixel of disparity at 1 m, {pixel * 1.2**2:.1f} mm at 1.2 m; "
@@ -315,6 +316,7 @@ def main() -> None:
         write_text(given.json, json.dumps({"depth_mm_per_px_at_1m": pixel, "rows": rows}, indent=2) + "\n")
     if given.out:
         trees = "" if given.trees == 120 else f" --trees {given.trees}"
+        trees += "" if given.seed == SEED else f" --seed {given.seed}"
         names = "".join(f" --canopy {name}" for name in given.canopy or ())
         write_text(given.out, text_of(found, f"python scripts/studies/measure_sight.py{trees}{names} --out FILE"))
 

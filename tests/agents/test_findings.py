@@ -8,32 +8,6 @@ import pytest
 ROOT = Path(__file__).parents[2]
 FINDINGS = (ROOT / "docs" / "findings.md").read_text(encoding="utf-8")
 RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-POLICIES = {"scripted": "scripted", "PPO": "ppo_encoders", "visual servo": "servo", "PPO, camera": "ppo_camera"}
-CALIBRATIONS = {"LS+Gaussian process": "LS+GP"}
-
-
-def table(text: str, head: str) -> list[dict[str, str]]:
-    """The rows of the first table of a page whose head begins so."""
-    lines = text[text.index(f"\n| {head}") + 1 :].split("\n\n")[0].splitlines()
-    heads, _, *rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    return [dict(zip(heads, row, strict=True)) for row in rows]
-
-
-@pytest.mark.parametrize("plant", ["qiao2026", "field"])
-def test_the_results_show_what_the_findings_found(plant: str) -> None:
-    found = {
-        (row["policy"], row["feedback"], row["calibration"]): row["mean"]
-        for row in table(FINDINGS, "plant | policy | feedback | calibration")
-        if row["plant"] == plant
-    }
-    rows = table(RESULTS, f"policy on `{plant}` | feedback | raw")
-    assert rows
-    for row in rows:
-        policy = row.pop(f"policy on `{plant}`")
-        name = POLICIES["PPO, camera" if (policy, row["feedback"]) == ("PPO", "camera") else policy]
-        for label, cell in row.items():
-            if label != "feedback":
-                assert cell == found[name, row["feedback"], CALIBRATIONS.get(label, label)]
 
 
 def test_both_say_on_how_many_arms_and_fruit() -> None:

@@ -21,7 +21,7 @@ def number(rng, units):
     """A mean of so many units, with its interval."""
     half = 1.96 / np.sqrt(units)
     value = float(rng.normal() / np.sqrt(units))
-    return {"value": value, "ci95": [value - half, value + half]}
+    return {"value": value, "ci95": [-9.0, 9.0], "sampled95": [value - half, value + half]}
 
 
 @pytest.mark.parametrize("cheap", [64, 16, 4])
@@ -32,20 +32,33 @@ def test_as_many_hold_as_are_due_whatever_the_sizes(claims, cheap):
 
 
 def test_pages_print_the_ledger(claims):
-    """Every table between marks, and every number with an interval in a section that has one."""
-    rows, tables = claims.record()["rows"], 0
-    shown = {claims.shown(row) for row in rows}
+    """Every table and every number between marks; on the findings' page no other number has an interval."""
+    rows, tables, numbers = claims.record()["rows"], 0, 0
     for path in sorted((ROOT / "docs").glob("*.md")):
         text = path.read_text(encoding="utf-8")
         for mark, asked, end in claims.MARK.findall(text):
             start = text.index(mark) + len(mark)
             assert text[start : text.index(end, start)] == claims.table_of(rows, json.loads(asked))
             tables += 1
-    assert tables > 0
+        for found in claims.INLINE.finditer(text):
+            said = found[0].removeprefix(found[1]).removesuffix(found[3])
+            assert said == claims.number_of(rows, json.loads(found[2]))
+            numbers += 1
+    assert tables > 10 and numbers > 30
     text = (ROOT / "docs/findings.md").read_text(encoding="utf-8")
-    section = text[text.index("## One look and") : text.index("## Calibrating while picking\n")]
-    said = re.findall(r"-?\d+\.\d\d \(-?\d+\.\d\d to -?\d+\.\d\d\)", section)
-    assert said and set(said) <= shown
+    others = claims.INLINE.sub("", claims.MARK.sub("", text)).split("\n## ")
+    typed = [section for section in others if re.search(r"\d \([-+]?\d[\d.]* to ", section)]
+    assert all(section.startswith("Does a policy carry over") for section in typed), "its trainings take hours"
+
+
+def test_a_number_that_is_not_meant_alone_is_refused(claims):
+    row = {"experiment": "toy", "title": "Error (mm)", "levels": {"method": "ls"}, "value": 0.123, "ci95": [0.1, 0.2]}
+    other = row | {"levels": {"method": "raw"}}
+    asked = {"of": "toy", "title": "Err", "digits": 1, "scale": 100, "sign": "+", "unit": " %"}
+    assert claims.number_of([row, other], asked | {"method": "ls"}) == "+12.3 % (+10.0 to +20.0)"
+    for wrong in ({}, {"method": "best"}):
+        with pytest.raises(claims.InputError, match="rows of the ledger are what"):
+            claims.number_of([row, other], asked | wrong)
 
 
 def test_the_page_says_what_the_record_holds(claims):
