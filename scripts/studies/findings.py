@@ -69,6 +69,11 @@ def fits_adaptive(plant: str, compensation: str, draw: int, **levels: Any) -> bo
     return (compensation == "raw" or plant == WHERE_LS_IS_ENOUGH) and drawn_on(plant, draw)
 
 
+def fits_ladder(plant: str, policy: str, feedback: str, **levels: Any) -> bool:
+    """The script needs no camera, but on the rung that fixes one."""
+    return feedback == ("encoders" if policy == "scripted" and plant != "rung:own_eyes" else "camera")
+
+
 def drawn_on(plant: str, draw: int, **levels: Any) -> bool:
     """Constants are drawn where they decide: of the ground."""
     return draw == 0 or plant == "orchard"
