@@ -284,10 +284,22 @@ def _run(arguments: list[str]) -> None:
         raise InputError(f"rerun ended with code {code}; what it says is shown by: {shlex.join(['rerun', *arguments])}")
 
 
+LEAVING = 5.0
+"""s; what a viewer has to end by itself."""
+
+
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the program; on POSIX its whole group, because `rerun` is a script that starts the program proper."""
+    """End the program; on POSIX its whole group, because `rerun` is a script that starts the program proper.
+
+    A viewer that takes longer than `LEAVING` to say goodbye to whoever looks is not waited for.
+    """
     if sys.platform == "win32":
         process.terminate()
-    else:
+        process.wait()
+        return
+    with suppress(ProcessLookupError, subprocess.TimeoutExpired):
         os.killpg(process.pid, signal.SIGTERM)
+        process.wait(LEAVING)
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
     process.wait()
