@@ -70,8 +70,9 @@ def fits_adaptive(plant: str, compensation: str, draw: int, **levels: Any) -> bo
 
 
 def fits_ladder(plant: str, policy: str, feedback: str, **levels: Any) -> bool:
-    """The script needs no camera, but on the rung that fixes one."""
-    return feedback == ("encoders" if policy == "scripted" and plant != "rung:own_eyes" else "camera")
+    """The script needs no camera, and is left out on the rung that fixes one."""
+    blind = policy == "scripted"
+    return feedback == ("encoders" if blind else "camera") and not (blind and plant == "rung:own_eyes")
 
 
 def drawn_on(plant: str, draw: int, **levels: Any) -> bool:

@@ -1,5 +1,6 @@
 """The way of a policy: the documentation's lines train one, and print what it misses by raw and calibrated."""
 
+import json
 import os
 import re
 import subprocess
@@ -30,3 +31,22 @@ def test_a_policy_is_as_accurate_as_the_calibration_behind_it(seed: int, tmp_pat
     left = {name: float(mm) for name, mm in re.findall(r"^(\w+): ([\d.]+) mm$", done.stdout, re.MULTILINE)}
     assert list(left) == ["raw", "ls", "ls_bpnn"]
     assert left["raw"] >= 1.5 and 0.45 <= left["ls"] <= 0.75 and left["ls_bpnn"] <= 0.35
+
+
+def test_on_the_ladder_the_reference_controllers_are_worth_comparing_with(tmp_path: Path) -> None:
+    """From one command; simulated, ten arms that nothing is learnt on, where readings and actions are late."""
+    command = ["evaluate", "--policy", "scripted", "--policy", "servo", "--compensation", "raw", "--arms", "10"]
+    rungs = ["--plant", "rung:orchard", "--plant", "rung:own_eyes", "--episodes", "2", "--json", "found.json"]
+    done = subprocess.run(
+        [sys.executable, "-c", "from pickenv.cli import main; main()", *command, *rungs],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    rows = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["rows"]
+    left = {(row["plant"], row["policy"]): row["mean_mm"] for row in rows}
+    assert set(left) == {("rung:orchard", "scripted"), ("rung:orchard", "servo"), ("rung:own_eyes", "servo")}
+    assert left["rung:orchard", "scripted"] < 6.0, "it swung at 71 mm"
+    assert left["rung:orchard", "servo"] < left["rung:own_eyes", "servo"] < 1.0
