@@ -266,8 +266,7 @@ def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
     """Probability ``(E,)`` that the gripper takes each fruit, given true against wanted pose ``(E, 6)``."""
     turn = np.concatenate([np.zeros((len(error), 3)), -error[:, 3:]], axis=1)
     aim = displace_pose(tool, turn).rotation[..., 2]
-    lying = misalignment(fruit - tool.position, tool.rotation[..., 2], aim)
-    return capture_probability(judge, lying.lateral, lying.axial, lying.angle)
+    return capture_probability(judge, *misalignment(fruit - tool.position, tool.rotation[..., 2], aim))
 
 
 def _field(

@@ -46,8 +46,7 @@ class Rollout:
         target = Pose(np.zeros((len(self.arm), 3)), self.wanted_rotation)
         axis = displace_pose(target, self.reaches.pose_error).rotation[..., 2]
         offset = self.reaches.fruit_position - self.reaches.tool_position
-        lying = misalignment(offset, axis, self.wanted_rotation[..., 2])
-        return capture_probability(gripper, lying.lateral, lying.axial, lying.angle)
+        return capture_probability(gripper, *misalignment(offset, axis, self.wanted_rotation[..., 2]))
 
     def cycle_steps(self, tolerance_mm: float) -> Array:
         """Steps until the tool is within ``tolerance_mm`` to stay ``(R,)``; NaN where it never is."""

@@ -11,7 +11,7 @@ exactly, whatever their length. Units: m, s, N, kg. Axes as in canopy.py: x, y s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.base import GRAVITY, KG, NEWTON, NEWTON_METRE, NUMBER, REQUIRED, WHOLE, InputError, Unit, toml_table
 from pickenv.orchard import checks, preset_files
-from pickenv.orchard.checks import MM, Array, Flags, Integers
+from pickenv.orchard.checks import MM, Array, Integers
 
 # What it takes to pick a fruit: pull or twist, whichever limit is met first, log-normal over fruit. One strength per
 # fruit scales both limits: a fruit that holds against pulling holds against twisting. Units: N, N·m, m.
@@ -48,29 +48,17 @@ class Detachment(checks.Preset):
     source: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Strength:
-    """Limits of single fruit: pull in N and twist in N·m, each of shape (...)."""
-
-    pull: Array
-    twist: Array
-
-
 def load_detachment(name: str | Path) -> Detachment:
     """Read detachment limits by name (`shipped("detachment")`) or from a path to a TOML file."""
     return preset_files.load("detachment", name, Detachment)
 
 
-def sample_strength(detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator) -> Strength:
-    """Draw the limits of fruit: one normal number each."""
+def sample_strength(
+    detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Draw the limits of fruit, pull in N and twist in N·m, each of shape (...): one normal number each."""
     scale = np.exp(detachment.spread * (rng.normal(size=shape) - QUANTILE_95))
-    return Strength(np.asarray(detachment.pull_95 * scale), np.asarray(detachment.twist_95 * scale))
-
-
-def detached(strength: Strength, pull: ArrayLike = 0.0, twist: ArrayLike = 0.0) -> Flags:
-    """Whether fruit comes off under a pull (N) or a twist (N·m), shapes (...)."""
-    pulled = np.abs(checks.numbers("the pull (N)", pull)) >= strength.pull
-    return np.asarray(pulled | (np.abs(checks.numbers("the twist (N·m)", twist)) >= strength.twist))
+    return np.asarray(detachment.pull_95 * scale), np.asarray(detachment.twist_95 * scale)
 
 
 @toml_table

@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 from types import ModuleType
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -95,22 +94,10 @@ STIRRED = 1e-9
 """A joint target that moves by more than this does not stand still, rad or m."""
 
 
-class PickSight(NamedTuple):
-    """The arm as it is seen.
-
-    Attributes:
-        readings: Joint readings scaled to the joint limits, n.
-        believed: Frame of the believed tool, 12.
-        turn: Upright against the believed attitude, rotation vector, 3.
-        tool: Frame of the true tool, 12.
-        tilt: Angle between its axis and the vertical, degrees.
-    """
-
-    readings: Components
-    believed: Components
-    turn: Components
-    tool: Components
-    tilt: Scalar
+BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
+"""The arm as it is seen, number by number: frames of the believed and of the true tool, upright against the believed
+attitude (rotation vector), the angle between the true tool's axis and the vertical (degrees), and from `SIGHT` on joint
+readings scaled to the limits."""
 
 
 def act_arm(
@@ -141,19 +128,19 @@ def look_at_arm(
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[ArmState, PickSight]:
-    """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`."""
+) -> tuple[ArmState, Components]:
+    """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`.
+
+    Returns:
+        The state afterwards, and the arm as it is seen, laid out from `BELIEVED` to `SIGHT`.
+    """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = nominal_readings(x, plant, plant_state, state.target, command)
     arrived, late = situation.sensed(x, task.situation, state.drawn, state.sensed, key, moment, read, (), dt)
     pose, tool = nominal_frames(x, task, list(arrived))[1], inexact(ended)
-    return state._replace(sensed=late, plant=plant_state), PickSight(
-        readings=scaled(x, task, arrived),
-        believed=pose,
-        turn=upright_turn(x.m, pose[6:9]),
-        tool=tool,
-        tilt=DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0)),
-    )
+    tilt = DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0))
+    turn, readings = upright_turn(x.m, pose[6:9]), scaled(x, task, arrived)
+    return state._replace(sensed=late, plant=plant_state), (*pose, *tool, *turn, tilt, *readings)
 
 
 def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> Components:
