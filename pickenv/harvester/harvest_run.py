@@ -33,7 +33,7 @@ from pickenv.harvester.trees import Orchard, Tree, load_lab, sample_image, sampl
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
 from pickenv.harvester.zones import Grid, Zone, cut
-from pickenv.orchard import Chances, Eyes, Leaves, draw_chances, load_canopy, load_eyes, next_picture, see
+from pickenv.orchard import Eyes, Leaves, draw_chances, load_canopy, load_eyes, next_picture, see
 
 Flags = NDArray[np.bool_]
 
@@ -136,7 +136,7 @@ class Harvest:
     phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
     repicks: int = 0
     misled: int = 0
-    chances: Chances | None = None
+    chances: Array | None = None
 
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""
@@ -239,7 +239,7 @@ def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray
             chances = state.chances = draw_chances(rng, len(tree))
         else:
             chances = next_picture(eyes.errors, state.chances, rng)
-        chances = Chances(chances.place[hanging], chances.normal[hanging])
+        chances = chances[hanging]
     fruit, diameters = tree.fruit[hanging], tree.diameters[hanging]
     sighting = see(eyes, zone.view, fruit, diameters, rng, leaves=state.leaves, chances=chances)
     in_zone = sighting.located & zone.holds(sighting.believed)

@@ -68,7 +68,6 @@ from .render import (
 from .sight import (
     DETECTORS as DETECTORS,
     VISIONS as VISIONS,
-    Chances as Chances,
     Eyes as Eyes,
     Sight as Sight,
     SightErrors as SightErrors,
@@ -82,10 +81,8 @@ from .sight import (
     sighted as sighted,
 )
 from .vision import (
-    Circles as Circles,
     CircleSearch as CircleSearch,
     Detections as Detections,
-    Regions as Regions,
     StereoCamera as StereoCamera,
     fruit_circles as fruit_circles,
     fruit_mask as fruit_mask,

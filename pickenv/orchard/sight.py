@@ -115,38 +115,29 @@ def load_sight_errors(name: str | Path) -> SightErrors:
     return preset_files.load("sight", name, SightErrors)
 
 
-@dataclass(frozen=True, eq=False)
-class Chances:
-    """Draws that decide about fruit before a camera.
+def draw_chances(rng: np.random.Generator, count: int) -> Array:
+    """Draws that decide about ``count`` fruit before a camera, (count, 5).
 
-    Attributes:
-        place: Uniform: how well it is seen, among located fruit of its range, (n,).
-        normal: Standard normal: three of the error, one of whether it is found, (n, 4).
+    The first is uniform: how well a fruit is seen, among located fruit of its range. The others are standard normal:
+    three of the error, one of whether it is found.
     """
-
-    place: Array
-    normal: Array
+    return np.column_stack([rng.random(count), rng.normal(size=(count, 4))])
 
 
-def draw_chances(rng: np.random.Generator, count: int) -> Chances:
-    """Five numbers for each of ``count`` fruit."""
-    return Chances(rng.random(count), rng.normal(size=(count, 4)))
+def next_picture(errors: SightErrors, before: Array, rng: np.random.Generator) -> Array:
+    """The same fruit from the same place once more, as `draw_chances` gives it: the leaves still hang there."""
+    chances, fresh = before.copy(), rng.normal(size=(len(before), 4))
+    chances[:, 1:] = errors.lasting * before[:, 1:] + np.sqrt(1.0 - errors.lasting**2) * fresh
+    return chances
 
 
-def next_picture(errors: SightErrors, before: Chances, rng: np.random.Generator) -> Chances:
-    """The same fruit from the same place once more: the leaves still hang there."""
-    fresh = rng.normal(size=before.normal.shape)
-    normal = errors.lasting * before.normal + np.sqrt(1.0 - errors.lasting**2) * fresh
-    return Chances(before.place, normal)
-
-
-def sighted(errors: SightErrors, depth: ArrayLike, chances: Chances, looks: int = 1) -> tuple[Flags, Flags, Array]:
+def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 1) -> tuple[Flags, Flags, Array]:
     """Fruit as a table of errors has it.
 
     Args:
         errors: The table.
         depth: Distance ahead of the camera, m, (n,).
-        chances: What chance decides.
+        chances: What chance decides, from `draw_chances`.
         looks: Pictures that are averaged: what does not last falls.
 
     Returns:
@@ -157,12 +148,12 @@ def sighted(errors: SightErrors, depth: ArrayLike, chances: Chances, looks: int 
 
     row = np.searchsorted(np.array(errors.edges), np.asarray(depth, dtype=float))
     parts = len(errors.part_bias[0])
-    cell = row, np.minimum((chances.place * parts).astype(np.int64), parts - 1)
-    level, recall = ndtr(chances.normal[:, 3]), np.array(errors.recall)
+    cell = row, np.minimum((chances[:, 0] * parts).astype(np.int64), parts - 1)
+    level, recall = ndtr(chances[:, 4]), np.array(errors.recall)
     located = level < recall[row]
     in_sight = level < np.maximum(np.array(errors.in_sight), recall)[row]
     steady = np.sqrt(errors.lasting + (1.0 - errors.lasting) / looks)
-    miss = (_roots(errors)[cell] * (steady * chances.normal[:, None, :3])).sum(axis=-1)
+    miss = (_roots(errors)[cell] * (steady * chances[:, None, 1:4])).sum(axis=-1)
     return in_sight, located, np.asarray(np.array(errors.part_bias)[cell] + miss)
 
 
@@ -336,7 +327,7 @@ def see(
     rng: np.random.Generator,
     *,
     leaves: Leaves | None = None,
-    chances: Chances | None = None,
+    chances: Array | None = None,
     looks: int = 1,
 ) -> Sight:
     """Look at fruit.
