@@ -63,7 +63,7 @@ class Strategy:
     detector: str = "li2016"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Round:
     """One image and the picks it led to.
 
@@ -71,25 +71,35 @@ class Round:
         zone: The zone.
         begin: Start of the picking on the tree's clock, s.
         master: Master joints while picking, (3,).
-        fruit: Tree numbers of the fruit attempted, in the order of the timetable; -1 where none hung.
+        numbers: Tree numbers of what the image showed in the zone, -1 where no fruit hung, (n,).
+        believed: Where it was believed to be, (n, 3), m.
         work: The scheduling problem.
         times: When each pick happened.
-        aimed: Slave joints of each pick, nominal, (picks, 3).
-        outcome: What became of each.
         closest: Least distance between the centre lines of two arms, m; infinite for one arm.
         skipped: Tree numbers of fruit located but out of every arm's reach.
+        outcome: What became of each pick, once they are done.
     """
 
     zone: Zone
     begin: float
     master: Array
-    fruit: NDArray[np.int64]
+    numbers: NDArray[np.int64]
+    believed: Array
     work: Work
     times: Timetable
-    aimed: Array
-    outcome: Outcome
     closest: float
     skipped: tuple[int, ...]
+    outcome: Outcome = field(init=False)
+
+    @property
+    def fruit(self) -> NDArray[np.int64]:
+        """Tree numbers of the fruit attempted, in the order of the timetable."""
+        return self.numbers[self.times.fruit]
+
+    @property
+    def aimed(self) -> Array:
+        """Slave joints of each pick, nominal, (picks, 3)."""
+        return self.work.joints[self.times.arm, self.times.fruit]
 
 
 @dataclass(eq=False)
@@ -144,19 +154,6 @@ class Harvest:
         self.phases[phase] += seconds
 
 
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """Picks planned for one tree's round."""
-
-    zone: Zone
-    master: Array
-    numbers: NDArray[np.int64]
-    believed: Array
-    work: Work
-    times: Timetable
-    skipped: tuple[int, ...]
-
-
 def harvest(
     true: TrueMachine,
     strategy: Strategy,
@@ -188,9 +185,9 @@ def harvest(
     for number in range(grid.columns * grid.rows):
         waiting = list(range(len(states)))
         for look in range(strategy.looks):
-            tasks = [(i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting]
-            done = [(i, task) for i, task in tasks if task is not None]
-            waiting = [i for i, empty in _execute(true, strategy, model, states, done) if empty]
+            plans = [(i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting]
+            rounds = {i: plan for i, plan in plans if plan is not None}
+            waiting = _execute(true, strategy, model, states, rounds)
         if not strategy.unload_full:
             for state in states:
                 _unload(machine, state)
@@ -208,14 +205,14 @@ def _begin(machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -
     return Harvest(tree, rng, looking, leaves, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
 
 
-def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> _Task | None:
+def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> Round | None:
     """Image, pick point and plan of a zone; None where the image shows nothing to pick."""
     state.spend("image", machine.cycle.image)
     numbers, places = _seen_in(eyes, state, zone, look)
     if not numbers.size:
         return None
-    point = pick_point(machine, places, strategy.pick_point)
-    master = np.clip(point.master, machine.master.nominal.lower, machine.master.nominal.upper)
+    master = pick_point(machine, places, strategy.pick_point)
+    master = np.clip(master, machine.master.nominal.lower, machine.master.nominal.upper)
     work = zone_work(machine, master, places)
     can, fruit = work.reachable, numbers >= 0
     state.reachable[numbers[can & fruit]] = True
@@ -226,7 +223,8 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
     state.master = master
     plan = assign(work, strategy.assignment, state.rng)
     times = timetable(work, plan, hold=ultrasonic_hold(machine, work, state.rng) if strategy.guard else None)
-    return _Task(zone, master, numbers, places, work, times, skipped)
+    closest = closest_approach(machine, work, times)
+    return Round(zone, state.seconds, master, numbers, places, work, times, closest, skipped)
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
@@ -251,30 +249,28 @@ def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray
 
 
 def _execute(
-    true: TrueMachine, strategy: Strategy, model: Picking, states: list[Harvest], tasks: list[tuple[int, _Task]]
-) -> list[tuple[int, bool]]:
-    """Let the true machine do the planned picks of all trees; says of each whether a cup came back empty."""
-    if not tasks:
+    true: TrueMachine, strategy: Strategy, model: Picking, states: list[Harvest], rounds: dict[int, Round]
+) -> list[int]:
+    """Let the true machine do the planned picks of the trees; gives those where a cup came back empty."""
+    if not rounds:
         return []
-    counts = [len(task.times.fruit) for _, task in tasks]
-    arm = np.concatenate([task.times.arm for _, task in tasks])
-    target = np.concatenate([task.believed[task.times.fruit] for _, task in tasks])
-    master = np.repeat(strategy.controller.master_command(np.array([task.master for _, task in tasks])), counts, axis=0)
+    plans = list(rounds.values())
+    counts = [len(plan.times.fruit) for plan in plans]
+    arm = np.concatenate([plan.times.arm for plan in plans])
+    target = np.concatenate([plan.believed[plan.times.fruit] for plan in plans])
+    master = np.repeat(strategy.controller.master_command(np.array([plan.master for plan in plans])), counts, axis=0)
     commands = strategy.controller.pick_commands(master, arm, target)
-    tips = true.picking_tips(master, arm, commands)
-    parts = np.split(tips, np.cumsum(counts[:-1]))
-    return [
-        (i, _record(true, strategy, model, states[i], task, part)) for (i, task), part in zip(tasks, parts, strict=True)
-    ]
+    parts = np.split(true.picking_tips(master, arm, commands), np.cumsum(counts[:-1]))
+    done = zip(rounds.items(), parts, strict=True)
+    return [i for (i, plan), tips in done if _record(true, strategy, model, states[i], plan, tips)]
 
 
-def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, task: _Task, tips: Array) -> bool:
-    """Outcomes of one tree's round, its time, and the arms' least distance; whether a cup came back empty."""
-    machine, rng = true.machine, state.rng
-    arm, local = task.times.arm, task.times.fruit
-    numbers = task.numbers[local]
+def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, plan: Round, tips: Array) -> bool:
+    """Outcomes of one tree's round and its time; whether a cup came back empty."""
+    rng, times, numbers = state.rng, plan.times, plan.fruit
+    arm = times.arm
     tips = tips + rng.normal(size=(len(arm), 2, 3)).sum(axis=1) * true.repeatability
-    outcome = _outcome(model, state, numbers, tips, task.times.start + task.work.out[arm, local])
+    outcome = _outcome(model, state, numbers, tips, times.start + plan.work.out[arm, times.fruit])
     hung = numbers >= 0
     fruit = numbers[hung]
     state.repicks += int(state.attempted[fruit].sum())
@@ -285,12 +281,11 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     state.collected[fruit] = outcome.collected[hung]
     state.by_arm[fruit] = arm[hung]
     np.add.at(state.load, arm[outcome.collected], 1)
-    closest, aimed = closest_approach(machine, task.work, task.times), task.work.joints[arm, local]
-    done = task.zone, state.seconds, task.master, numbers, task.work, task.times, aimed, outcome, closest, task.skipped
-    state.rounds.append(Round(*done))
-    state.spend("pick", task.times.makespan)
-    if strategy.unload_full and state.load.max() >= machine.cycle.tube_fruit:
-        _unload(machine, state)
+    plan.outcome = outcome
+    state.rounds.append(plan)
+    state.spend("pick", times.makespan)
+    if strategy.unload_full and state.load.max() >= true.machine.cycle.tube_fruit:
+        _unload(true.machine, state)
     return bool((~outcome.detached).any())
 
 

@@ -16,7 +16,7 @@ from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
 from pickenv.arm import Array
 from pickenv.base import NUMBER, InputError, read_toml, require, toml_table
-from pickenv.harvester.work import Plan, Work, last_arm, makespan_of, plain_lists
+from pickenv.harvester.work import Plan, Work, last_arm, makespan_of
 from pickenv.harvester.zones import SHIPPED
 
 
@@ -139,15 +139,14 @@ def local_search(
         patience: Rounds, as a multiple of the strategy file's.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    lists = plain_lists(work)
     starts = [_by_height(work), nearest_neighbour(work), hungarian_waves(work)]
-    values = [makespan_of(lists, plan) for plan in starts]
+    values = [makespan_of(work, plan) for plan in starts]
     best = [list(fruit) for fruit in starts[int(np.argmin(values))]]
     value, count = min(values), sum(len(fruit) for fruit in best)
     if count < 2:
         return tuple(tuple(fruit) for fruit in best)
     limit = lower_bound(work, integral=False) if bound is None else bound
-    reached = work.reached.tolist()
+    reached, duration = work.reached.tolist(), work.lists[0]
     current, current_cost = [list(fruit) for fruit in best], value
     rounds = int(_effort().rounds * patience) * count
     last = 0
@@ -157,8 +156,8 @@ def local_search(
         tried = _changed(current, reached, rng, last if rng.random() < 0.5 else int(rng.integers(work.arms)))
         if tried is None:
             continue
-        length, arm = last_arm(lists, tried)
-        loads = [sum(lists.duration[a][j] for j in fruit) for a, fruit in enumerate(tried)]
+        length, arm = last_arm(work, tried)
+        loads = [sum(duration[a][j] for j in fruit) for a, fruit in enumerate(tried)]
         cost = length + 1e-3 * sum(loads) / len(tried)
         heat = 0.03 * value * (1 - step / rounds)
         if cost < current_cost or rng.random() < np.exp(-(cost - current_cost) / max(heat, 1e-9)):
@@ -220,8 +219,7 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     """
     limit = lower_bound(work)
     start = local_search(work, rng, bound=limit, patience=6.0)
-    lists = plain_lists(work)
-    value = makespan_of(lists, start)
+    value = makespan_of(work, start)
     if sum(len(fruit) for fruit in start) < 2 or value <= limit * 1.01:
         return start
     require("ortools")
@@ -279,7 +277,7 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
         if solver.value(literal):
             starts[arm].append((solver.value(begin[arm, j]), j))
     plan = tuple(tuple(j for _, j in sorted(fruit)) for fruit in starts)
-    return plan if makespan_of(lists, plan) < value else start
+    return plan if makespan_of(work, plan) < value else start
 
 
 def _ticks(seconds: float) -> int:

@@ -156,8 +156,8 @@ def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corr
         fruit = corner + lab_zone(canopy) * rng.random((count, 3))
         if count > 1 and _least_distance(fruit) < lab.apart:
             continue
-        point = pick_point(machine, fruit, method)
-        if machine.master_within_limits(point.master) and point.count == count:
+        master = pick_point(machine, fruit, method)
+        if machine.master_within_limits(master) and machine.reach(master, fruit).any(axis=0).all():
             diameters = np.full(count, size.mean)
             side = (float(corner[0]), float(corner[0]) + wide, z, z + high)
             return Tree(fruit, diameters, fruit_masses(size, diameters), side)

@@ -17,7 +17,7 @@ TABLE3_MM = np.array([[3.0, 5.9], [6.6, 8.4], [6.4, 8.2], [6.9, 8.5]])
 
 def errors_mm(true, controller, count, rng):
     machine = true.machine
-    masters = np.array([pick_point(machine, sample_image(machine, rng).fruit).master for _ in range(count)])
+    masters = np.array([pick_point(machine, sample_image(machine, rng).fruit) for _ in range(count)])
     slaves = rng.uniform(machine.slave.lower, machine.slave.upper, (count, 3, 3))
     return np.linalg.norm(tip_errors(true, controller, masters, slaves), axis=-1) * 1e3
 

@@ -303,7 +303,7 @@ def begin_zones(
         if joints is not None:
             start[i] = joints[i]
         else:
-            master = pick_point(machine, sight.believed[sight.located]).master
+            master = pick_point(machine, sight.believed[sight.located])
             start[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
     if joints is not None and (distances(task, start) < machine.body.clearance).any():
         raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")
