@@ -34,7 +34,6 @@ from .fruit import (
     FruitMap as FruitMap,
     FruitSize as FruitSize,
     coupling as coupling,
-    fit_fruit_map as fit_fruit_map,
     fruit_masses as fruit_masses,
     load_branch as load_branch,
     load_detachment as load_detachment,

@@ -106,54 +106,6 @@ class FruitMap:
         return replace(self, row_means=tuple(float(mean) for mean in shares))
 
 
-def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | None = None) -> FruitMap:
-    """Fit a fruit map to apple counts by maximum likelihood.
-
-    Args:
-        matrix: Apples per block, shape (rows, columns), top row first; empty rows and columns around the data are
-            sensing margins and are cut.
-        block: Edge of a block, m.
-        cluster_size: Apples per cluster; None takes the largest number that divides every count.
-
-    Raises:
-        InputError: If a count is negative, fractional or NaN, if all are zero, or if the cluster size does not divide
-            them.
-    """
-    from scipy.optimize import minimize_scalar
-    from scipy.stats import nbinom
-
-    counts = checks.numbers("the counts of a fruit map", matrix, lowest=0.0)
-    if counts.ndim != 2 or not counts.size:
-        raise InputError(f"the counts of a fruit map need rows and columns; they have shape {counts.shape}")
-    if (counts != np.round(counts)).any():
-        raise InputError("the counts of a fruit map must be whole apples; at least one is a fraction")
-    if not counts.any():
-        raise InputError("the fruit map has no apples in any block; there is nothing to fit")
-    rows, columns = np.flatnonzero(counts.any(axis=1)), np.flatnonzero(counts.any(axis=0))
-    counts = counts[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    if cluster_size is None:
-        cluster_size = int(np.gcd.reduce(counts.astype(np.int64), axis=None))
-    if cluster_size < 1 or (counts % cluster_size).any():
-        raise InputError(f"a cluster size of {cluster_size} does not divide every count of the fruit map")
-    clusters = counts / cluster_size
-    means = clusters.mean(axis=1, keepdims=True)
-    fruiting = means[:, 0] > 0
-    clusters, means = clusters[fruiting], means[fruiting]
-
-    def cost(log_excess: float) -> float:
-        excess = np.exp(log_excess)  # variance/mean - 1
-        return -float(np.sum(nbinom.logpmf(clusters, means / excess, 1.0 / (1.0 + excess))))
-
-    best = minimize_scalar(cost, bounds=(np.log(1e-6), np.log(1e3)), method="bounded", options={"xatol": 1e-6})
-    excess = float(np.exp(best.x))
-    return FruitMap(
-        block=block,
-        row_means=tuple(float(mean) for mean in counts.mean(axis=1)),
-        cluster_size=cluster_size,
-        cluster_variance_ratio=1.0 + (excess if excess > 1e-5 else 0.0),
-    )
-
-
 def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Integers:
     """Draw apples per block ``(*shape, rows, columns)``, rows from top to bottom."""
     if columns < 1:

@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from scipy.optimize import minimize_scalar
+from scipy.stats import nbinom
 
 from pickenv.orchard import (
     FruitMap,
     FruitSize,
-    fit_fruit_map,
     fruit_masses,
     load_canopy,
     load_fruit_map,
@@ -33,6 +34,26 @@ STATISTICS = ("density", "variance_ratio", "k", "empty_share", "bottom_share")
 def mapped_row(data_folder: Path) -> np.ndarray:
     """Apples per 0.3 m block, 4 rows from top to bottom, 50.1 m long."""
     return np.loadtxt(data_folder / "corobotic-fruitmap" / "fruit_dist.map")
+
+
+def fit_fruit_map(matrix: np.ndarray) -> FruitMap:
+    """The map of 0.3 m blocks that makes apple counts (rows, columns) likeliest, without the empty margins.
+
+    Clusters are as large as the largest number that divides every count.
+    """
+    rows, columns = (np.flatnonzero(matrix.any(axis=axis)) for axis in (1, 0))
+    counts = matrix[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    size = int(np.gcd.reduce(counts.astype(np.int64), axis=None))
+    clusters = counts / size
+    means = clusters.mean(axis=1, keepdims=True)
+
+    def cost(log_excess: float) -> float:
+        excess = np.exp(log_excess)  # variance/mean - 1
+        return -float(np.sum(nbinom.logpmf(clusters, means / excess, 1.0 / (1.0 + excess))))
+
+    best = minimize_scalar(cost, bounds=(np.log(1e-6), np.log(1e3)), method="bounded", options={"xatol": 1e-6})
+    means = tuple(counts.mean(axis=1).tolist())
+    return FruitMap(0.3, means, cluster_size=size, cluster_variance_ratio=1.0 + float(np.exp(best.x)))
 
 
 @dataclass(frozen=True, eq=False)
