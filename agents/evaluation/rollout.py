@@ -54,23 +54,20 @@ class Rollout:
         return np.where(inside.any(axis=0), inside.argmax(axis=0) + 1.0, np.nan)
 
 
-@dataclass(frozen=True)
-class PerArm:
-    """A compensator for a vector environment whose rows are different arms."""
+def per_arm(compensators: Sequence[Compensate], arm: ArrayLike) -> Compensate:
+    """A compensator for a vector environment whose rows are the arms ``arm (R,)``, each with one of its own."""
+    rows = np.asarray(arm)
 
-    compensators: tuple[Compensate, ...]
-    arm: tuple[int, ...]
-
-    def __call__(self, joints: ArrayLike) -> Array:
-        """Joint commands ``(R, n)``, each row by its own arm's compensator."""
+    def corrected(joints: Array) -> Array:
         joints = np.asarray(joints, dtype=float)
-        if len(joints) != len(self.arm):
-            raise InputError(f"{len(joints)} rows of joints were given to compensators of {len(self.arm)} rows")
-        command, rows = np.empty_like(joints), np.array(self.arm)
+        if len(joints) != len(rows):
+            raise InputError(f"{len(joints)} rows of joints were given to compensators of {len(rows)} rows")
+        command = np.empty_like(joints)
         for number in np.unique(rows):
-            mine = rows == number
-            command[mine] = self.compensators[number](joints[mine])
+            command[rows == number] = compensators[number](joints[rows == number])
         return command
+
+    return corrected
 
 
 def roll_out(
@@ -116,7 +113,7 @@ def roll_out(
         if env is None or env.num_envs != len(rows):
             env = ReachVectorEnv(len(rows), max_episode_steps=None, autoreset_mode="Disabled", **arguments)
             if compensators is not None:
-                env.compensator = PerArm(tuple(compensators), tuple(rows.tolist()))
+                env.compensator = per_arm(compensators, rows)
             policy = make(env, seed_words(stream(seed, "policy", first), 1)[0])
         assert policy is not None
         parts.append(_run(env, policy, rows, block.ravel(), steps))

@@ -72,11 +72,6 @@ class ObservationParts:
     turn: Array
     camera: Array | None
 
-    @property
-    def arms(self) -> int | None:
-        """Number of arms in the batch, or None for a single one."""
-        return len(self.joints) if self.joints.ndim == 2 else None
-
 
 def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationParts:
     """The parts of an observation ``(..., k)`` of an arm that its controller believes to be ``geometry``.

@@ -33,26 +33,6 @@ from pickenv.envs.shared.simulation import (
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task
 
 
-class Start(NamedTuple):
-    """Beginnings of episodes, one entry per environment that begins one.
-
-    Attributes:
-        seeds: Streams' seeds.
-        episodes: Numbers of the episodes.
-        start: Joint targets ``(count, n)``, or None for mid-range.
-        goal: Joints of wanted poses ``(count, n)``, or None.
-        frames: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
-        arm: Numbers of true arms ``(count,)``, or None to draw them.
-    """
-
-    seeds: Words
-    episodes: Words
-    start: Array | None = None
-    goal: Array | None = None
-    frames: Array | None = None
-    arm: NDArray[np.intp] | None = None
-
-
 class Views(NamedTuple):
     """Many environments' views, component by component, one column per environment; see `simulation.View`.
 
@@ -101,23 +81,44 @@ class Batch(ArmBatch):
             compensate: Turns joint targets into joint commands, or None.
         """
 
-    def restart(self, rows: Rows, how: Start, compensate: Compensate | None) -> None:
-        """Begin an episode in the environments ``rows``."""
+    def restart(
+        self,
+        rows: Rows,
+        seeds: Words,
+        episodes: Words,
+        compensate: Compensate | None,
+        start: Array | None = None,
+        goal: Array | None = None,
+        frames: Array | None = None,
+        arm: NDArray[np.intp] | None = None,
+    ) -> None:
+        """Begin an episode in the environments ``rows``; all else has one entry for each of these.
+
+        Args:
+            rows: The environments.
+            seeds: Streams' seeds.
+            episodes: Numbers of the episodes.
+            compensate: Turns joint targets into joint commands, or None.
+            start: Joint targets ``(count, n)``, or None for mid-range.
+            goal: Joints of wanted poses ``(count, n)``, or None.
+            frames: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
+            arm: Numbers of true arms ``(count,)``, or None to draw them.
+        """
         x, task, places = self.x, self.task, self.indices(rows)
-        keys = episode_key(x, self.words(how.seeds), self.words(how.episodes))
+        keys = episode_key(x, self.words(seeds), self.words(episodes))
         self.keys[places] = keys
         if task.arms != "fixed":
-            arms = drawn_arm(x, task, self.words(how.seeds), keys) if how.arm is None else how.arm
+            arms = drawn_arm(x, task, self.words(seeds), keys) if arm is None else arm
             self.take_arms(rows, self.host(arms).astype(np.intp))
         for a, b in self.blocks(len(rows)):
             some, key = places[a:b], keys[a:b]
-            start = self.starts(key, None if how.start is None else how.start[a:b])
-            if how.frames is None:
-                joints = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
-                goal = nominal_frames(x, task, joints)[1]
+            target = self.starts(key, None if start is None else start[a:b])
+            if frames is None:
+                joints = self._draw_goals(key) if goal is None else list(self.numbers(goal[a:b].T))
+                wanted = nominal_frames(x, task, joints)[1]
             else:
-                goal = tuple(self.numbers(how.frames[a:b].T))
-            state = begin(x, task, self.plant_of(some), key, start, goal, self.commands(compensate, start))
+                wanted = tuple(self.numbers(frames[a:b].T))
+            state = begin(x, task, self.plant_of(some), key, target, wanted, self.commands(compensate, target))
             self.write(self.columns, some, state.columns)
 
     def scene(self, row: int, compensate: Compensate | None) -> View:
