@@ -310,7 +310,7 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
     empty = Outcome(
         lateral=np.full(len(numbers), np.inf),
         displaced=np.linalg.norm(shifts, axis=-1)[np.argsort(order)],
-        **{name: np.zeros(len(numbers), dtype=bool) for name in ("attached", "detached", "collected", "crowded")},
+        **{name: np.zeros(len(numbers), dtype=bool) for name in ("attached", "detached", "collected")},
     )
     for mine_too, values in zip(leaves(empty), leaves(done), strict=True):
         mine_too[mine] = values

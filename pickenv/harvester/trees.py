@@ -108,11 +108,10 @@ def load_orchard(
 def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:
     """Draw one tree side."""
     canopy = orchard.canopy
-    fruit = sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
+    positions, diameters = sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
     half = canopy.width / 2
     side = (-half, half, canopy.bottom - machine.base_height, canopy.top - machine.base_height)
-    places, masses = in_base_frame(machine, canopy, fruit.positions), fruit_masses(orchard.size, fruit.diameters)
-    return Tree(places, fruit.diameters, masses, side)
+    return Tree(in_base_frame(machine, canopy, positions), diameters, fruit_masses(orchard.size, diameters), side)
 
 
 def in_base_frame(machine: Machine, canopy: Canopy, positions: Array) -> Array:

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.base import DEG, NUMBER, SHARE, InputError, Unit, toml_table
 from pickenv.orchard import checks, preset_files
-from pickenv.orchard.checks import MM, Array, Flags, Integers
+from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.fruit import FruitMap, FruitSize, sample_counts, sample_diameters
 
 # Fruit in a canopy: counts by block become positions, clusters hang together, and no two fruit share a place. Each
@@ -30,25 +30,7 @@ MOST_FILLED = 0.5  # of a block's volume; spheres thrown in at random jam at 0.6
 OVERLAP = 1e-4  # m that two fruit may dent each other
 
 
-@dataclass(frozen=True, eq=False)
-class Fruit:
-    """The fruit that one machine stop finds.
-
-    Attributes:
-        positions: Centres in the orchard frame, m, shape (n, 3).
-        diameters: Diameters, m, shape (n,).
-        clusters: Number of the cluster that each fruit hangs in, shape (n,).
-    """
-
-    positions: Array
-    diameters: Array
-    clusters: Integers
-
-    def __len__(self) -> int:
-        return len(self.positions)
-
-
-def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.random.Generator) -> Fruit:
+def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.random.Generator) -> tuple[Array, Array]:
     """Draw the fruit of one canopy.
 
     The map's rows of blocks are spread over the canopy's height and its width is cut into whole blocks; apples per
@@ -61,7 +43,8 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
         rng: Source of every random draw.
 
     Returns:
-        Fruit that lies inside the canopy and does not overlap.
+        Centres (n, 3) in the orchard frame and diameters (n,), m, one cluster after the other; fruit lies inside the
+        canopy and does not overlap.
 
     Raises:
         InputError: If the canopy is so full that fruit cannot be kept apart.
@@ -79,13 +62,11 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
     roomy = np.prod(cell + size.mean) / (np.pi / 6 * size.mean**3) * MOST_FILLED
     if counts.max() > roomy:
         raise _too_full(canopy, int(counts.sum()))
-    clusters = np.repeat(np.arange(len(low) // fruit_map.cluster_size), fruit_map.cluster_size)
     diameters = sample_diameters(size, len(low), rng)
     middle = low[:: fruit_map.cluster_size] + cell * rng.random((len(low) // fruit_map.cluster_size, 3))
     ring = _rings(diameters.reshape(-1, fruit_map.cluster_size), rng)
     upright = (middle[:, None] + ring).reshape(-1, 3)
-    positions = _apart(upright, low, low + cell, diameters, canopy)
-    return Fruit(positions, diameters, clusters.astype(np.int64))
+    return _apart(upright, low, low + cell, diameters, canopy), diameters
 
 
 def _rings(diameters: Array, rng: np.random.Generator) -> Array:

@@ -332,8 +332,7 @@ def _given_fruit(given: Any) -> Array:
 def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
     """Fruit drawn or given, and looked at; reachable is what is seen with a free way from below. None without fruit."""
     if given is None:
-        sample = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
-        positions, diameters = sample.positions, sample.diameters
+        positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
         if not len(positions):
             return None
     else:

@@ -92,7 +92,7 @@ def test_the_section_is_what_of_the_canopy_the_arm_serves(name):
 def test_the_mean_number_of_fruit_is_what_was_asked_for():
     setting = make_pick(camera="perfect")[1]
     rng = np.random.default_rng(0)
-    counts = [len(sample_fruit(setting.fruit_map, setting.size, setting.canopy, rng)) for _ in range(400)]
+    counts = [len(sample_fruit(setting.fruit_map, setting.size, setting.canopy, rng)[1]) for _ in range(400)]
     assert abs(np.mean(counts) - 10.0) < 4 * np.std(counts) / 20
 
 
