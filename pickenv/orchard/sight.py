@@ -17,21 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.base import NUMBER, SHARE, WHOLE, InputError, toml_table
-from pickenv.orchard import checks, preset_files
+from pickenv.orchard import checks, preset_files, vision as stereo
 from pickenv.orchard.camera import camera_axes, camera_frame, orchard_frame
 from pickenv.orchard.canopy import Canopy, face
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.render import Leaves, Look, StereoPair, load_look, render_stereo, sample_leaves, turned_leaves
-from pickenv.orchard.vision import (
-    CircleSearch,
-    Detections,
-    StereoCamera,
-    load_circle_search,
-    load_stereo_camera,
-    locate,
-    locate_circles,
-    match_detections,
-)
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """Axes of the three correlations of an error."""
@@ -191,9 +181,9 @@ class Eyes:
     vision: str
     detector: str
     canopy: Canopy
-    camera: StereoCamera
+    camera: stereo.StereoCamera
     look: Look
-    search: CircleSearch
+    search: stereo.CircleSearch
     errors: SightErrors | None
 
 
@@ -207,7 +197,11 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
         if name not in names:
             raise InputError(f"unknown {parameter} '{name}'; give one of {', '.join(names)}")
     errors = _errors_in(canopy, detector) if vision == "measured_errors" else None
-    camera, look, search = load_stereo_camera("li2016"), load_look("red_apples"), load_circle_search("li2016")
+    camera, look, search = (
+        stereo.load_stereo_camera("li2016"),
+        load_look("red_apples"),
+        stereo.load_circle_search("li2016"),
+    )
     return Eyes(vision, detector, canopy, camera, look, search, errors)
 
 
@@ -230,7 +224,7 @@ class Viewpoint:
     middle: Array
     looking: Array
 
-    def left_eye(self, camera: StereoCamera) -> Array:
+    def left_eye(self, camera: stereo.StereoCamera) -> Array:
         """The place of the left camera, m."""
         return np.asarray(self.middle - camera.baseline / 2 * camera_axes(self.looking)[0])
 
@@ -286,15 +280,15 @@ def picture(
     return render_stereo(camera, camera_frame(fruit, eye, view.looking), diameters, leaves, look, rng)
 
 
-def read_picture(eyes: Eyes, pair: StereoPair) -> Detections:
+def read_picture(eyes: Eyes, pair: StereoPair) -> stereo.Detections:
     """Fruit that the detector finds, camera frame."""
     if eyes.detector == "circles":
-        return locate_circles(eyes.camera, eyes.search, pair.left, pair.right)
-    return locate(eyes.camera, pair.left, pair.right)
+        return stereo.locate_circles(eyes.camera, eyes.search, pair.left, pair.right)
+    return stereo.locate(eyes.camera, pair.left, pair.right)
 
 
 def located_fruit(
-    pair: StereoPair, detections: Detections, places: Array, diameters: ArrayLike
+    pair: StereoPair, detections: stereo.Detections, places: Array, diameters: ArrayLike
 ) -> tuple[Flags, Array, Array]:
     """Fruit that the detections of a picture locate.
 
@@ -312,7 +306,7 @@ def located_fruit(
     visible = np.flatnonzero(pair.visible > 0)
     if not len(visible):
         return located, positions, detections.positions
-    matched = match_detections(detections, places[visible], SAME * float(np.max(diameters)))
+    matched = stereo.match_detections(detections, places[visible], SAME * float(np.max(diameters)))
     true = matched.fruit >= 0
     fruit = visible[matched.fruit[true]]
     located[fruit], positions[fruit] = True, matched.positions[true]

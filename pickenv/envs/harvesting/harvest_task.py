@@ -11,6 +11,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from pickenv import harvester
 from pickenv.arm import Array
 from pickenv.arm.plant.plant_batch import leaves
 from pickenv.base import MM, NUMBER, InputError, read_toml, toml_table
@@ -18,17 +19,6 @@ from pickenv.base.limits import shown
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_number
-from pickenv.harvester import (
-    Machine,
-    Orchard,
-    Picking,
-    TrueMachine,
-    load_machine,
-    load_orchard,
-    load_picking,
-    load_true_machine,
-    pick_point,
-)
 from pickenv.harvester.interference import arm_distances, pairs_of
 from pickenv.harvester.picking import attempt, draw_luck, pushes
 from pickenv.harvester.trees import SHIPPED, lab_zone, tree_leaves
@@ -147,11 +137,11 @@ class HarvestTask:
         most_action: Largest size of an action's numbers that is taken.
     """
 
-    machine: Machine
-    true: TrueMachine
-    model: Picking
+    machine: harvester.Machine
+    true: harvester.TrueMachine
+    model: harvester.Picking
     rules: Rules
-    orchard: Orchard
+    orchard: harvester.Orchard
     eyes: Eyes
     fruit: int
     most_action: float
@@ -193,14 +183,14 @@ def make_harvest_task(
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
     if spacing_mm is not None:
         check_number("spacing_mm", spacing_mm, positive=True)
-    machine = load_machine(slaves=slaves, spacing=None if spacing_mm is None else spacing_mm * 1e-3)
-    true = load_true_machine(machine)
+    machine = harvester.load_machine(slaves=slaves, spacing=None if spacing_mm is None else spacing_mm * 1e-3)
+    true = harvester.load_true_machine(machine)
     if ideal:
         true = true.ideal()
-    orchard = load_orchard(canopy=canopy)
+    orchard = harvester.load_orchard(canopy=canopy)
     eyes = load_eyes(vision, orchard.canopy, detector)
     most = MOST_ACTION[out_of_range]
-    return HarvestTask(machine, true, load_picking(), load_rules(), orchard, eyes, fruit, most)
+    return HarvestTask(machine, true, harvester.load_picking(), load_rules(), orchard, eyes, fruit, most)
 
 
 def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
@@ -303,7 +293,7 @@ def begin_zones(
         if joints is not None:
             start[i] = joints[i]
         else:
-            master = pick_point(machine, sight.believed[sight.located])
+            master = harvester.pick_point(machine, sight.believed[sight.located])
             start[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
     if joints is not None and (distances(task, start) < machine.body.clearance).any():
         raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")

@@ -14,19 +14,8 @@ from numpy.typing import NDArray
 
 from pickenv import orchard as trees
 from pickenv.arm import Array
+from pickenv.envs.picking import pick_scene
 from pickenv.envs.picking.pick_arm import BELIEVED, SIGHT, TILT, TOOL, TURN, apart_mm
-from pickenv.envs.picking.pick_scene import (
-    CLOSE,
-    FRUIT,
-    LONGEST,
-    MOST_LEFT,
-    STILL,
-    PickScene,
-    PickSetting,
-    contact,
-    pick_reward,
-    to_base,
-)
 from pickenv.envs.shared.arm_env import GHOST_WORDS, arm_at_work, standing, tool_dial
 from pickenv.envs.shared.backends import NUMPY, Flags, Rows
 from pickenv.envs.shared.task import Task
@@ -34,7 +23,7 @@ from pickenv.pictures.arm_shapes import Solids, cup_solids, frustum_solids, hand
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
-ABSENT = np.zeros((), FRUIT)
+ABSENT = np.zeros((), pick_scene.FRUIT)
 """Fruit that is not there, far away: an array has room for the fullest canopy."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
@@ -59,7 +48,7 @@ class Canopies:
         moments: Steps of each episode.
     """
 
-    def __init__(self, task: Task, orchard: PickSetting, count: int) -> None:
+    def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
         self.task, self.orchard, self.count = task, orchard, count
         self.scenes: list[Any] = [None] * count
         self.fruit = np.full((count, 1), ABSENT)
@@ -69,9 +58,9 @@ class Canopies:
         self.miss = np.zeros((count, 2))
         self.sight = np.zeros((SIGHT + 2 * task.joints, count))
         self.number: Rows = np.zeros(count, dtype=np.int64)
-        self.still, self.moments = np.full(count, STILL), np.zeros(count, dtype=np.uint64)
+        self.still, self.moments = np.full(count, pick_scene.STILL), np.zeros(count, dtype=np.uint64)
 
-    def adopt(self, row: int, scene: PickScene) -> None:
+    def adopt(self, row: int, scene: pick_scene.PickScene) -> None:
         """Put a canopy before arm ``row``."""
         n = len(scene.rest)
         if n > self.fruit.shape[1]:
@@ -111,7 +100,7 @@ class Canopies:
         moved = point - before
         for row in np.flatnonzero(going & (self.held >= 0) & ~self.off).tolist():
             self.scenes[row].carry(point[row], moved[row])
-        contacts = contact(station, fruit["rest"] + fruit["displacement"], fruit["diameters"], point, axis)
+        contacts = pick_scene.contact(station, fruit["rest"] + fruit["displacement"], fruit["diameters"], point, axis)
         for row in np.flatnonzero(going & contacts[-1].any(axis=1)).tolist():
             across, gap, overlap, touched = (part[row, : self.present[row]] for part in contacts)
             self.scenes[row].meet((across, gap, overlap, touched), int(self.number[row]), moved[row], period[row])
@@ -131,9 +120,9 @@ class Canopies:
             Rewards, (N,).
         """
         tally = self.tally()
-        self.still[:] = np.where(stirred, 0.0, np.minimum(STILL, self.still + period))
+        self.still[:] = np.where(stirred, 0.0, np.minimum(pick_scene.STILL, self.still + period))
         self.meet(going, before, period)
-        rows = np.flatnonzero(going & ((self.held >= 0) | (gripper > CLOSE)))
+        rows = np.flatnonzero(going & ((self.held >= 0) | (gripper > pick_scene.CLOSE)))
         poses, tools = (self.sight[part][:, rows].T.tolist() for part in (BELIEVED, TOOL))
         for row, pose, tool in zip(rows.tolist(), poses, tools, strict=True):
             scene, number = self.scenes[row], int(self.number[row])
@@ -142,7 +131,7 @@ class Canopies:
             if scene.held is None and not scene.waiting[number]:
                 self.choose(row)
         collected, damaged = (self.tally() - tally).T
-        return np.where(going, pick_reward(collected, damaged), 0.0)
+        return np.where(going, pick_scene.pick_reward(collected, damaged), 0.0)
 
     def tally(self) -> NDArray[np.int64]:
         """Fruit collected undamaged, and damaged, (N, 2)."""
@@ -162,9 +151,9 @@ class Canopies:
         out[:, n : n + 3] = tools = self.sight[BELIEVED][9:].T
         out[:, n + 3 : n + 6], out[:, n + 6 : n + 9] = positions, positions - tools
         out[:, n + 9 : n + 12] = self.sight[TURN].T
-        out[:, n + 12], out[:, n + 13] = self.still, 1.0 - self.moments / LONGEST
+        out[:, n + 12], out[:, n + 13] = self.still, 1.0 - self.moments / pick_scene.LONGEST
         out[:, n + 14], out[:, n + 15] = (self.held >= 0) & ~self.off, self.off
-        out[:, n + 16] = self._waiting().sum(axis=1) / MOST_LEFT
+        out[:, n + 16] = self._waiting().sum(axis=1) / pick_scene.MOST_LEFT
         return np.asarray(out.clip(low, high), dtype=np.float32)
 
     def information(self) -> dict[str, NDArray[Any]]:
@@ -204,9 +193,9 @@ class Canopies:
         """The inverse of `state_arrays`."""
         for name in OWN:
             getattr(self, name)[:] = state[name]
-        fruit = np.split(unstructured_to_structured(state["each"], FRUIT), np.cumsum(state["present"])[:-1])
+        fruit = np.split(unstructured_to_structured(state["each"], pick_scene.FRUIT), np.cumsum(state["present"])[:-1])
         for row, (some, grip) in enumerate(zip(fruit, state["grips"].tolist(), strict=True)):
-            scene = PickScene(self.orchard, some)
+            scene = pick_scene.PickScene(self.orchard, some)
             number, across, along, *grips, scene.detached_at = grip
             scene.held, scene.miss = None if number < 0 else int(number), (across, along)
             scene.grip = np.array(grips)
@@ -261,14 +250,14 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
     return Stage(pick_eye(orchard), *solids, still=still, words=words, dial=dial, dark=dark)
 
 
-def gripper_solids(orchard: PickSetting, point: Array, axis: Array, closed: bool) -> Solids:
+def gripper_solids(orchard: pick_scene.PickSetting, point: Array, axis: Array, closed: bool) -> Solids:
     """The cup, as wide as its opening; or the hand, around a usual fruit."""
     if orchard.gripper.kind == "cup":
         return cup_solids(point, axis, orchard.station.tool_radius)
     return hand_solids(point, axis, orchard.station.tool_radius, closed)
 
 
-def canopy_fruit(scene: PickScene) -> Solids:
+def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
     """Fruit that hangs or is in the gripper: ripe where it can still be tried, another colour where it was missed."""
     present = ~scene.collected & ~(scene.damaged & scene.detached)
     if scene.held is not None:
@@ -285,33 +274,33 @@ def canopy_fruit(scene: PickScene) -> Solids:
     )
 
 
-def camera_solids(orchard: PickSetting) -> Solids:
+def camera_solids(orchard: pick_scene.PickSetting) -> Solids:
     """The camera that looks at the canopy, and what it sees."""
     canopy, camera = orchard.canopy, orchard.camera
     middle = (canopy.bottom + canopy.top) / 2
-    eye = to_base(orchard, np.array([0.0, -canopy.standoff, middle]))
-    ahead = to_base(orchard, np.array([0.0, 0.0, middle])) - eye
+    eye = pick_scene.to_base(orchard, np.array([0.0, -canopy.standoff, middle]))
+    ahead = pick_scene.to_base(orchard, np.array([0.0, 0.0, middle])) - eye
     half_angles = [side / 2 / camera.focal_length for side in camera.image]
     return frustum_solids(eye, ahead / np.linalg.norm(ahead), half_angles, 0.3 * float(np.linalg.norm(ahead)), CAMERA)
 
 
-def trees_of(orchard: PickSetting) -> tuple[Mesh, ...]:
+def trees_of(orchard: pick_scene.PickSetting) -> tuple[Mesh, ...]:
     """The section of canopy before the arm."""
     canopy = orchard.canopy
     ends = np.array([[-canopy.width / 2, 0.0, canopy.bottom], [canopy.width / 2, canopy.depth, canopy.top]])
-    corners = to_base(orchard, ends)
+    corners = pick_scene.to_base(orchard, ends)
     low, high = (tuple(float(value) for value in end) for end in (corners.min(axis=0), corners.max(axis=0)))
     return row_of_trees(low, high, canopy.leaf_area_per_volume, ground_of(orchard))
 
 
-def ground_of(orchard: PickSetting) -> float:
+def ground_of(orchard: pick_scene.PickSetting) -> float:
     """Height of the ground in the arm's base frame, m."""
-    return float(to_base(orchard, np.zeros(3))[2])
+    return float(pick_scene.to_base(orchard, np.zeros(3))[2])
 
 
-def pick_eye(orchard: PickSetting) -> Eye:
+def pick_eye(orchard: pick_scene.PickSetting) -> Eye:
     """From behind the arm, to its side and above it."""
     canopy = orchard.canopy
-    face = to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
+    face = pick_scene.to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
     target = face * [0.62, 0.62, 0.62]
     return Eye(target + np.array([1.35, 2.15, 0.75]), target)

@@ -18,18 +18,8 @@ from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.base import InputError
-from pickenv.envs.shared import situation
+from pickenv.envs.shared import simulation, situation
 from pickenv.envs.shared.backends import Executor, Flags
-from pickenv.envs.shared.simulation import (
-    DEGREES,
-    ArmState,
-    Components,
-    length,
-    move,
-    nominal_frames,
-    nominal_readings,
-    scaled,
-)
 from pickenv.envs.shared.task import Task, inexact
 
 # Which points an arm reaches from below with its tool upright: where fruit can be picked. Base frame, m.
@@ -101,8 +91,8 @@ readings scaled to the limits."""
 
 
 def act_arm(
-    x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]
-) -> tuple[ArmState, Scalar, Scalar, Scalar]:
+    x: Executor, task: Task, state: simulation.ArmState, action: Sequence[Scalar]
+) -> tuple[simulation.ArmState, Scalar, Scalar, Scalar]:
     """An action, late where actions are, on the joint target.
 
     Returns:
@@ -111,7 +101,7 @@ def act_arm(
     setting, values = task.situation, state.drawn
     arrived, sent = situation.acted(x, setting, values, state.sent, action)
     *moves, gripper = arrived
-    target = move(x, task, state.target, situation.in_period(x, setting, values, moves))
+    target = simulation.move(x, task, state.target, situation.in_period(x, setting, values, moves))
     away = [abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)]
     stirred = away[0]
     for joint in away[1:]:
@@ -123,27 +113,27 @@ def look_at_arm(
     x: Executor,
     task: Task,
     plant: Plant,
-    state: ArmState,
+    state: simulation.ArmState,
     command: Sequence[Scalar],
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[ArmState, Components]:
+) -> tuple[simulation.ArmState, simulation.Components]:
     """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`.
 
     Returns:
         The state afterwards, and the arm as it is seen, laid out from `BELIEVED` to `SIGHT`.
     """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
-    read = nominal_readings(x, plant, plant_state, state.target, command)
+    read = simulation.nominal_readings(x, plant, plant_state, state.target, command)
     arrived, late = situation.sensed(x, task.situation, state.drawn, state.sensed, key, moment, read, (), dt)
-    pose, tool = nominal_frames(x, task, list(arrived))[1], inexact(ended)
-    tilt = DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0))
-    turn, readings = upright_turn(x.m, pose[6:9]), scaled(x, task, arrived)
+    pose, tool = simulation.nominal_frames(x, task, list(arrived))[1], inexact(ended)
+    tilt = simulation.DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0))
+    turn, readings = upright_turn(x.m, pose[6:9]), simulation.scaled(x, task, arrived)
     return state._replace(sensed=late, plant=plant_state), (*pose, *tool, *turn, tilt, *readings)
 
 
-def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> Components:
+def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> simulation.Components:
     """Rotation vector of the shortest turn that brings a unit vector upright, three components in rad."""
     ax, ay, az = axis
     sine = m.sqrt(ax * ax + ay * ay)
@@ -155,4 +145,4 @@ def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> Components:
 
 def apart_mm(x: Executor, fruit: Sequence[Scalar], tool: Sequence[Scalar]) -> Scalar:
     """Distance between two points, mm."""
-    return 1e3 * length(x, [a - b for a, b in zip(fruit, tool, strict=True)])
+    return 1e3 * simulation.length(x, [a - b for a, b in zip(fruit, tool, strict=True)])

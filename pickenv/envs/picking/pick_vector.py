@@ -11,18 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Plant
 from pickenv.base import InputError
+from pickenv.envs.picking import pick_scene
 from pickenv.envs.picking.canopies import Canopies, draw_pick
 from pickenv.envs.picking.pick_arm import TOOL, act_arm, look_at_arm, reach_of
-from pickenv.envs.picking.pick_scene import (
-    LONGEST,
-    PICK_OPTIONS,
-    STILL,
-    PickSetting,
-    PickStart,
-    draw_starts,
-    make_pick,
-    pick_spaces,
-)
 from pickenv.envs.shared.arm_batch import NumpyArms
 from pickenv.envs.shared.arm_env import Information
 from pickenv.envs.shared.backends import Flags, Rows, Scalar, state_of_words, words_of_state
@@ -65,7 +56,7 @@ class PickVectorEnv(NativeVectorEnv):
         InputError: If an argument is impossible.
     """
 
-    options = PICK_OPTIONS
+    options = pick_scene.PICK_OPTIONS
 
     def __init__(
         self,
@@ -73,22 +64,22 @@ class PickVectorEnv(NativeVectorEnv):
         *,
         difficulty: str | None = None,
         split: str = "train",
-        max_episode_steps: int | None = LONGEST,
+        max_episode_steps: int | None = pick_scene.LONGEST,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
-        task, self.orchard = make_pick(**on_ladder("Pick", difficulty, split, arguments))
+        task, self.orchard = pick_scene.make_pick(**on_ladder("Pick", difficulty, split, arguments))
         self.task: Task = task
         self.metadata["render_fps"] = task.situation.frames_per_second
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        observations, actions = pick_spaces(task)
+        observations, actions = pick_scene.pick_spaces(task)
         self._set_spaces(observations, actions)
         self._bounds = observations.low, observations.high
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
-        self._ahead: dict[int, tuple[Any, PickStart]] = {}
+        self._ahead: dict[int, tuple[Any, pick_scene.PickStart]] = {}
         """Episodes drawn ahead, and the states of the generators before."""
 
     @property
@@ -134,12 +125,12 @@ class PickVectorEnv(NativeVectorEnv):
         self._armed[rows] = True
         self.batch.restart(rows, starts, joints, self.compensator)
 
-    def _drawn(self, rows: Rows, options: Information, seeded: Flags) -> list[PickStart]:
+    def _drawn(self, rows: Rows, options: Information, seeded: Flags) -> list[pick_scene.PickStart]:
         count = self.num_envs
         fruit, arms = _each(options, "fruit", count, 3), _each(options, "arm", count, 1)
         settled = self._armed & ~seeded
         numbers = rows.tolist()
-        return draw_starts(
+        return pick_scene.draw_starts(
             self.task,
             self.orchard,
             self._reach,
@@ -195,14 +186,14 @@ class PickBatch(NumpyArms):
         canopies: What hangs before them, and how they were seen last.
     """
 
-    def __init__(self, task: Task, orchard: PickSetting, count: int) -> None:
+    def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
         super().__init__(task, count, task.joints + 1)
         self.make_plants()
         self.make_room(0, 0)
         self.canopies = Canopies(task, orchard, count)
 
     def restart(
-        self, rows: Rows, starts: Sequence[PickStart], joints: Array | None, compensate: Compensate | None
+        self, rows: Rows, starts: Sequence[pick_scene.PickStart], joints: Array | None, compensate: Compensate | None
     ) -> None:
         """Begin an episode in the environments ``rows``, from joint targets ``(rows, n)`` if they are given."""
         x, task, canopies = self.x, self.task, self.canopies
@@ -210,7 +201,7 @@ class PickBatch(NumpyArms):
         self.keys[rows] = keys = np.array(words, dtype=np.uint64)
         if task.arms != "fixed":
             self.take_arms(rows, np.array(arms, dtype=np.intp))
-        canopies.still[rows], canopies.moments[rows] = STILL, 0
+        canopies.still[rows], canopies.moments[rows] = pick_scene.STILL, 0
         for a, b in self.blocks(len(rows)):
             some = rows[a:b]
             targets = self.starts(keys[a:b], None if joints is None else joints[a:b])

@@ -13,23 +13,9 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.plant_batch import leaves, tree_map
+from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Words
 from pickenv.envs.shared.backends import GOAL, Rows, Scalar, episode_key, stream_key
-from pickenv.envs.shared.simulation import (
-    GOAL_NUMBERS,
-    ArmState,
-    View,
-    act,
-    begin,
-    drawn_arm,
-    flat_observation,
-    goal_attempt,
-    goal_observation,
-    goal_reward,
-    look,
-    nominal_frames,
-    true_reward,
-)
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task
 
 
@@ -108,27 +94,29 @@ class Batch(ArmBatch):
         keys = episode_key(x, self.words(seeds), self.words(episodes))
         self.keys[places] = keys
         if task.arms != "fixed":
-            arms = drawn_arm(x, task, self.words(seeds), keys) if arm is None else arm
+            arms = simulation.drawn_arm(x, task, self.words(seeds), keys) if arm is None else arm
             self.take_arms(rows, self.host(arms).astype(np.intp))
         for a, b in self.blocks(len(rows)):
             some, key = places[a:b], keys[a:b]
             target = self.starts(key, None if start is None else start[a:b])
             if frames is None:
                 joints = self._draw_goals(key) if goal is None else list(self.numbers(goal[a:b].T))
-                wanted = nominal_frames(x, task, joints)[1]
+                wanted = simulation.nominal_frames(x, task, joints)[1]
             else:
                 wanted = tuple(self.numbers(frames[a:b].T))
-            state = begin(x, task, self.plant_of(some), key, target, wanted, self.commands(compensate, target))
+            state = simulation.begin(
+                x, task, self.plant_of(some), key, target, wanted, self.commands(compensate, target)
+            )
             self.write(self.columns, some, state.columns)
 
-    def scene(self, row: int, compensate: Compensate | None) -> View:
+    def scene(self, row: int, compensate: Compensate | None) -> simulation.View:
         """Everything that can be seen of one environment, on floats; no time passes."""
         place = self.indices(np.array([row]))
         state = self.state_of([column[place] for column in self.columns])
         command, key = self.commands(compensate, list(state.target)), self.keys[place]
-        _, scene = look(self.x, self.task, self.plant_of(place), state, command, key, key * 0, 0.0)
+        _, scene = simulation.look(self.x, self.task, self.plant_of(place), state, command, key, key * 0, 0.0)
         plain = (tuple(map(self._float, part)) if isinstance(part, tuple) else self._float(part) for part in scene)
-        return View(*plain)  # type: ignore[arg-type]
+        return simulation.View(*plain)  # type: ignore[arg-type]
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
         """Views of all, with those of the environments ``rows`` replaced; in memory of its own."""
@@ -140,7 +128,11 @@ class Batch(ArmBatch):
     def widths(self) -> tuple[int, ...]:
         """Numbers in each part of the observation."""
         n = self.task.joints
-        return (n + 3, GOAL_NUMBERS, GOAL_NUMBERS) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
+        return (
+            (n + 3, simulation.GOAL_NUMBERS, simulation.GOAL_NUMBERS)
+            if self.goal_dict
+            else (n + 12 + 3 * self.task.camera,)
+        )
 
     def _draw_goals(self, keys: Scalar) -> Columns:
         """Joints of the first pose of each stream that is wanted."""
@@ -148,7 +140,7 @@ class Batch(ArmBatch):
         joints = list(self.numbers(np.zeros((task.joints, len(keys)))))
         open_ = self.indices(np.arange(len(keys)))
         for attempt in range(GOAL_ATTEMPTS):
-            tried, fits = goal_attempt(self.x, task, streams[open_], attempt)
+            tried, fits = simulation.goal_attempt(self.x, task, streams[open_], attempt)
             self.write(joints, open_, tried)
             open_ = open_[~(fits & (open_ >= 0))]
             if not len(open_):
@@ -175,7 +167,7 @@ class NumpyBatch(NumpyArms, Batch):
         out = self._empty(self.count)
         for block, plant in zip(self._blocks, self._plants, strict=True):
             state = self.state_of([column[block] for column in self.columns])
-            state = act(self.x, self.task, state, list(actions[:, block]))
+            state = simulation.act(self.x, self.task, state, list(actions[:, block]))
             period = self.task.situation.value("period", state.drawn)
             self._show(out, block, block, state, plant, compensate, moments[block], period)
         return out
@@ -194,7 +186,7 @@ class NumpyBatch(NumpyArms, Batch):
         out: Views,
         place: slice,
         where: Any,
-        state: ArmState,
+        state: simulation.ArmState,
         plant: Plant,
         compensate: Compensate | None,
         moments: Words,
@@ -203,15 +195,15 @@ class NumpyBatch(NumpyArms, Batch):
         """Let ``dt`` pass for the environments ``where``, and put what they show into ``out`` at ``place``."""
         x, task = self.x, self.task
         command = self.commands(compensate, list(state.target))
-        state, scene = look(x, task, plant, state, command, self.keys[where], moments, dt)
-        parts = goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
+        state, scene = simulation.look(x, task, plant, state, command, self.keys[where], moments, dt)
+        parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
         for array, part in zip(out.observation, parts, strict=True):
             self.write(list(array), place, part)
         if self.goal_dict:  # of goals as they are returned
             goals = (part[:, place].astype(np.float64) for part in out.observation[1:])
-            out.reward[place] = goal_reward(x, task, *goals)
+            out.reward[place] = simulation.goal_reward(x, task, *goals)
         else:
-            out.reward[place] = true_reward(x, task, scene)
+            out.reward[place] = simulation.true_reward(x, task, scene)
         out.success[place] = scene.success
         self.write(list(out.numbers), place, scene.numbers)
         if self.poses:
