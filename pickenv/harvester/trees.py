@@ -12,23 +12,11 @@ from typing import Annotated
 
 import numpy as np
 
+from pickenv import orchard as trees
 from pickenv.arm import Array
 from pickenv.base import MM, NUMBER, WHOLE, InputError, read_toml, toml_table
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.pick_points import pick_point
-from pickenv.orchard import (
-    Canopy,
-    Eyes,
-    FruitMap,
-    FruitSize,
-    Leaves,
-    foliage,
-    fruit_masses,
-    load_canopy,
-    load_fruit_map,
-    load_fruit_size,
-    sample_fruit,
-)
 
 SHIPPED = Path(__file__).parent / "picking.toml"
 TRIES = 1000
@@ -58,9 +46,9 @@ class Tree:
 class Orchard:
     """The canopy, fruit map and fruit size that trees are drawn from."""
 
-    canopy: Canopy
-    fruit_map: FruitMap
-    size: FruitSize
+    canopy: trees.Canopy
+    fruit_map: trees.FruitMap
+    size: trees.FruitSize
 
 
 @toml_table
@@ -100,29 +88,31 @@ def load_orchard(
         fruit_map: A fruit map of `pickenv.orchard` instead of the file's; "v_trellis" hangs fruit in clusters of three.
         canopy: A canopy of `pickenv.orchard` instead of the file's; "li2016_bare" has no leaves.
     """
-    trees = read_toml(TreesTable, path, section="trees")
-    fruiting = load_fruit_map(fruit_map or trees.fruit_map).scaled(trees.per_metre if per_metre is None else per_metre)
-    return Orchard(load_canopy(canopy or trees.canopy), fruiting, load_fruit_size(trees.fruit_size))
+    table = read_toml(TreesTable, path, section="trees")
+    fruiting = trees.load_fruit_map(fruit_map or table.fruit_map).scaled(
+        table.per_metre if per_metre is None else per_metre
+    )
+    return Orchard(trees.load_canopy(canopy or table.canopy), fruiting, trees.load_fruit_size(table.fruit_size))
 
 
 def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:
     """Draw one tree side."""
     canopy = orchard.canopy
-    positions, diameters = sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
+    positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
     half = canopy.width / 2
     side = (-half, half, canopy.bottom - machine.base_height, canopy.top - machine.base_height)
-    return Tree(in_base_frame(machine, canopy, positions), diameters, fruit_masses(orchard.size, diameters), side)
+    return Tree(in_base_frame(machine, canopy, positions), diameters, trees.fruit_masses(orchard.size, diameters), side)
 
 
-def in_base_frame(machine: Machine, canopy: Canopy, positions: Array) -> Array:
+def in_base_frame(machine: Machine, canopy: trees.Canopy, positions: Array) -> Array:
     """Orchard positions (..., 3) in the base frame: x and y turn by half a turn, heights count from the base."""
     x, y, z = np.moveaxis(positions, -1, 0)
     return np.stack([-x, -(y + canopy.standoff), z - machine.base_height], axis=-1)
 
 
-def tree_leaves(machine: Machine, eyes: Eyes, rng: np.random.Generator) -> Leaves | None:
+def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) -> trees.Leaves | None:
     """A tree's leaves in the base frame; None where the eyes draw no pictures."""
-    leaves = foliage(eyes, rng)
+    leaves = trees.foliage(eyes, rng)
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
@@ -132,21 +122,21 @@ def load_lab() -> Lab:
     return read_toml(Lab, SHIPPED, section="lab")
 
 
-def lab_zone(canopy: Canopy) -> Array:
+def lab_zone(canopy: trees.Canopy) -> Array:
     """Width, depth and height of what an image of Li's lab shows, m, (3,)."""
     lab = load_lab()
     return np.array([lab.width, canopy.depth, lab.height])
 
 
-def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corrected") -> Tree:
-    """Draw one image of Li's lab: fruit all in reach from the pick point by ``method``, and not in clusters.
+def sample_image(machine: Machine, rng: np.random.Generator) -> Tree:
+    """Draw one image of Li's lab: fruit all in reach from the corrected pick point, and not in clusters.
 
     Raises:
         InputError: If a thousand draws give none: the machine reaches too little.
     """
     lab = load_lab()
     count, wide, high = lab.fruit, lab.width, lab.height
-    canopy, size = load_canopy(lab.canopy), load_fruit_size("li2016")
+    canopy, size = trees.load_canopy(lab.canopy), trees.load_fruit_size("li2016")
     low, top = canopy.bottom - machine.base_height, canopy.top - machine.base_height
     for _ in range(TRIES):
         x = rng.uniform(-(canopy.width - wide) / 2, (canopy.width - wide) / 2) / 2
@@ -155,11 +145,11 @@ def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corr
         fruit = corner + lab_zone(canopy) * rng.random((count, 3))
         if count > 1 and _least_distance(fruit) < lab.apart:
             continue
-        master = pick_point(machine, fruit, method)
+        master = pick_point(machine, fruit, "corrected")
         if machine.master_within_limits(master) and machine.reach(master, fruit).any(axis=0).all():
             diameters = np.full(count, size.mean)
             side = (float(corner[0]), float(corner[0]) + wide, z, z + high)
-            return Tree(fruit, diameters, fruit_masses(size, diameters), side)
+            return Tree(fruit, diameters, trees.fruit_masses(size, diameters), side)
     raise InputError(f"the machine reaches no image of {count} fruit; widen its spacing or give more arms")
 
 
