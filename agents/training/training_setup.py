@@ -113,13 +113,6 @@ def make_environment(training: Training, count: int, mode: str) -> Native:
     return env
 
 
-def scaling_of(training: Training, env: Native) -> Scaling | ToolSteps:
-    """The scaling that suits an environment's observations."""
-    if isinstance(env, PickVectorEnv):
-        return tool_steps_of(env)
-    return Scaling(env.task.joints, env.task.camera, env.goal_dict, training.scaled_actions)
-
-
 def inputs_of(training: Training) -> Inputs:
     """Files and arms that a training is made with, as they are now.
 
@@ -211,7 +204,12 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
     if training.remembering is not None:
         return RememberingPolicy(memory=env.envs.run.memory, arrays=memory_arrays(model.policy), **common)
     activation = "tanh" if on_policy else "relu"
-    return LearnedPolicy(scaling=scaling_of(training, inner), activation=activation, squashed=not on_policy, **common)
+    scaling: Scaling | ToolSteps
+    if isinstance(inner, PickVectorEnv):
+        scaling = tool_steps_of(inner)
+    else:
+        scaling = Scaling(inner.task.joints, inner.task.camera, inner.goal_dict, training.scaled_actions)
+    return LearnedPolicy(scaling=scaling, activation=activation, squashed=not on_policy, **common)
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:

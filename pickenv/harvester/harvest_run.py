@@ -16,14 +16,13 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import get_context
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.plant_batch import leaves
-from pickenv.base import Ends, InputError, clustered_share_interval, ratio_interval
+from pickenv.base import InputError, clustered_share_interval, ratio_interval
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
 from pickenv.harvester.machine import Machine, master_time
 from pickenv.harvester.optimiser import assign
@@ -33,7 +32,7 @@ from pickenv.harvester.trees import Orchard, Tree, load_lab, sample_image, sampl
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
 from pickenv.harvester.zones import Grid, Zone, cut
-from pickenv.orchard import Eyes, Leaves, draw_chances, load_canopy, load_eyes, next_picture, see
+from pickenv.orchard import Eyes, draw_chances, load_canopy, load_eyes, next_picture, see
 
 Flags = NDArray[np.bool_]
 
@@ -102,7 +101,6 @@ class Round:
         return self.work.joints[self.times.arm, self.times.fruit]
 
 
-@dataclass(eq=False)
 class Harvest:
     """A tree being worked, and in the end what was done; stages are per fruit, (n,).
 
@@ -119,6 +117,8 @@ class Harvest:
         detached: Fruit whose stalk was cut.
         collected: Fruit in a tube, undamaged.
         by_arm: Arm of the last attempt, or -1.
+        load: Fruit in the tube of each arm.
+        master: Joints of the master.
         rounds: What was done.
         seconds: Clock of the tree.
         phases: Seconds by phase: move, image, pick, unload.
@@ -127,26 +127,18 @@ class Harvest:
         chances: What chance decided about its fruit in the last picture, where errors are measured ones.
     """
 
-    tree: Tree
-    rng: np.random.Generator
-    looking: np.random.Generator
-    leaves: Leaves | None
-    seen: Flags
-    located: Flags
-    reachable: Flags
-    attempted: Flags
-    attached: Flags
-    detached: Flags
-    collected: Flags
-    by_arm: NDArray[np.int64]
-    load: NDArray[np.int64]
-    master: Array
-    rounds: list[Round] = field(default_factory=list)
-    seconds: float = 0.0
-    phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
-    repicks: int = 0
-    misled: int = 0
-    chances: Array | None = None
+    def __init__(self, machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -> None:
+        self.tree, self.rng = tree, rng
+        self.looking = rng.spawn(1)[0]  # so that the same luck befalls a tree however it is seen
+        self.leaves = tree_leaves(machine, eyes, self.looking)
+        self.seen, self.located, self.reachable, self.attempted = np.zeros((4, len(tree)), dtype=bool)
+        self.attached, self.detached, self.collected = np.zeros((3, len(tree)), dtype=bool)
+        self.by_arm, self.load = np.full(len(tree), -1), np.zeros(machine.arms, dtype=np.int64)
+        self.master = machine.master_start.copy()
+        self.rounds: list[Round] = []
+        self.phases = dict.fromkeys(("move", "image", "pick", "unload"), 0.0)
+        self.seconds, self.repicks, self.misled = 0.0, 0, 0
+        self.chances: Array | None = None
 
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""
@@ -180,7 +172,7 @@ def harvest(
     if len(trees) != len(rngs):
         raise InputError(f"{len(trees)} trees came with {len(rngs)} generators; give one each")
     machine = true.machine
-    states = [_begin(machine, eyes, tree, rng) for tree, rng in zip(trees, rngs, strict=True)]
+    states = [Harvest(machine, eyes, tree, rng) for tree, rng in zip(trees, rngs, strict=True)]
     sides = [cut(grid, *tree.side) for tree in trees]
     for number in range(grid.columns * grid.rows):
         waiting = list(range(len(states)))
@@ -194,15 +186,6 @@ def harvest(
     for state in states:
         _unload(machine, state)
     return states
-
-
-def _begin(machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -> Harvest:
-    stages = ("seen", "located", "reachable", "attempted", "attached", "detached", "collected")
-    none: dict[str, Any] = {stage: np.zeros(len(tree), dtype=bool) for stage in stages}
-    load, start = np.zeros(machine.arms, dtype=np.int64), machine.master_start.copy()
-    looking = rng.spawn(1)[0]  # so that the same luck befalls a tree however it is seen
-    leaves = tree_leaves(machine, eyes, looking)
-    return Harvest(tree, rng, looking, leaves, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
 
 
 def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> Round | None:
@@ -441,7 +424,7 @@ def _share(taken: Array, tried: Array) -> Measure:
     """Of fruit, which come in trees."""
     if not tried.sum():
         return Measure(0.0)
-    return _measure(float(taken.sum() / tried.sum()), clustered_share_interval(taken, tried))
+    return Measure(float(taken.sum() / tried.sum()), *(clustered_share_interval(taken, tried) or ()))
 
 
 def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]:
@@ -485,10 +468,6 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
     if np.isfinite(min(closest)):
         measures["closest"] = Measure(min(closest))
     return measures
-
-
-def _measure(value: float, interval: Ends | None) -> Measure:
-    return Measure(value, *(interval or (None, None)))
 
 
 def _tree_numbers(machine: Machine, harvest: Harvest) -> dict[str, float]:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from pickenv import orchard as trees
 from pickenv.arm import Array
 from pickenv.envs.picking import pick_scene
-from pickenv.envs.picking.pick_arm import BELIEVED, SIGHT, TILT, TOOL, TURN, apart_mm
+from pickenv.envs.picking.pick_arm import BELIEVED, SIGHT, TILT, TOOL, TURN
 from pickenv.envs.shared.arm_env import GHOST_WORDS, arm_at_work, standing, tool_dial
 from pickenv.envs.shared.backends import NUMPY, Flags, Rows
+from pickenv.envs.shared.simulation import length
 from pickenv.envs.shared.task import Task
 from pickenv.pictures.arm_shapes import Solids, cup_solids, frustum_solids, hand_solids, joined_solids
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
@@ -169,7 +170,7 @@ class Canopies:
             "collected": collected,
             "damaged": damaged,
             "is_success": collected == passed["reachable"],
-            "position_error_mm": apart_mm(NUMPY, list(positions.T.copy()), list(tool)),
+            "position_error_mm": 1e3 * length(NUMPY, list(positions.T - tool)),
             "grasp_lateral_mm": 1e3 * self.miss[:, 0],
             "grasp_axial_mm": 1e3 * self.miss[:, 1],
             "tilt_deg": self.sight[TILT].copy(),

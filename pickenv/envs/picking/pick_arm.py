@@ -141,8 +141,3 @@ def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> simulation.Components
     about_x, about_y, about_z = ay * scale, -ax * scale, sine * 0.0
     reversed_ = (sine < 1e-12) & (az < 0)  # any axis across will do
     return chosen(m, reversed_, about_z + math.pi, about_x), chosen(m, reversed_, about_z, about_y), about_z
-
-
-def apart_mm(x: Executor, fruit: Sequence[Scalar], tool: Sequence[Scalar]) -> Scalar:
-    """Distance between two points, mm."""
-    return 1e3 * simulation.length(x, [a - b for a, b in zip(fruit, tool, strict=True)])
