@@ -9,7 +9,6 @@ parts of farther ones (area of two circles' overlap). Units: m, rad, m²/m³.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -156,9 +155,8 @@ class Canopy:
             raise InputError(f"canopy '{self.name}' leans by {self.lean} rad; give less than 60 degrees (1.05 rad)")
 
 
-def load_canopy(name: str | Path) -> Canopy:
-    """Read a canopy by name (`shipped("canopy")`) or from a path to a TOML file."""
-    return preset_files.load("canopy", name, Canopy)
+load_canopy = preset_files.loader("canopy", Canopy)
+"""Reads a canopy by name (`shipped("canopy")`) or from a path to a TOML file."""
 
 
 def face(canopy: Canopy, height: ArrayLike) -> Array:
@@ -347,6 +345,5 @@ class Station(checks.Preset):
     source: str = ""
 
 
-def load_station(name: str | Path) -> Station:
-    """Read a station by name (`shipped("station")`) or from a path to a TOML file."""
-    return preset_files.load("station", name, Station)
+load_station = preset_files.loader("station", Station)
+"""Reads a station by name (`shipped("station")`) or from a path to a TOML file."""

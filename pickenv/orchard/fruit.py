@@ -12,7 +12,6 @@ exactly, whatever their length. Units: m, s, N, kg. Axes as in canopy.py: x, y s
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -48,9 +47,8 @@ class Detachment(checks.Preset):
     source: str = ""
 
 
-def load_detachment(name: str | Path) -> Detachment:
-    """Read detachment limits by name (`shipped("detachment")`) or from a path to a TOML file."""
-    return preset_files.load("detachment", name, Detachment)
+load_detachment = preset_files.loader("detachment", Detachment)
+"""Reads detachment limits by name (`shipped("detachment")`) or from a path to a TOML file."""
 
 
 def sample_strength(
@@ -167,14 +165,12 @@ def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
     return np.asarray(size.density * np.pi / 6.0 * checks.numbers("fruit diameters", diameters, lowest=0.0) ** 3)
 
 
-def load_fruit_map(name: str | Path) -> FruitMap:
-    """Read a fruit map by name (`shipped("fruit")`) or from a path to a TOML file."""
-    return preset_files.load("fruit", name, FruitMap)
+load_fruit_map = preset_files.loader("fruit", FruitMap)
+"""Reads a fruit map by name (`shipped("fruit")`) or from a path to a TOML file."""
 
 
-def load_fruit_size(name: str | Path) -> FruitSize:
-    """Read fruit diameters and density by name (`shipped("fruit_size")`) or from a path to a TOML file."""
-    return preset_files.load("fruit_size", name, FruitSize)
+load_fruit_size = preset_files.loader("fruit_size", FruitSize)
+"""Reads fruit diameters and density by name (`shipped("fruit_size")`) or from a path to a TOML file."""
 
 
 @toml_table
@@ -200,9 +196,8 @@ class Branch(checks.Preset):
     source: str = ""
 
 
-def load_branch(name: str | Path) -> Branch:
-    """Read a branch by name (`shipped("branch")`) or from a path to a TOML file."""
-    return preset_files.load("branch", name, Branch)
+load_branch = preset_files.loader("branch", Branch)
+"""Reads a branch by name (`shipped("branch")`) or from a path to a TOML file."""
 
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:

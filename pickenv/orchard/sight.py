@@ -10,7 +10,6 @@ tables. Camera frame: x right, y down, z ahead. Units: m, px.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -100,9 +99,8 @@ class SightErrors(checks.Preset):
         super().__post_init__()
 
 
-def load_sight_errors(name: str | Path) -> SightErrors:
-    """Read errors by name (`shipped("sight")`) or from a path to a TOML file."""
-    return preset_files.load("sight", name, SightErrors)
+load_sight_errors = preset_files.loader("sight", SightErrors)
+"""Reads errors by name (`shipped("sight")`) or from a path to a TOML file."""
 
 
 def draw_chances(rng: np.random.Generator, count: int) -> Array:

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -118,9 +117,8 @@ class StereoCamera:
             raise InputError(f"at its least distance the disparity {name} is wider than its image; raise nearest")
 
 
-def load_stereo_camera(name: str | Path) -> StereoCamera:
-    """Read a stereo camera by name (`shipped("vision")`) or from a path to a TOML file."""
-    return preset_files.load("vision", name, StereoCamera)
+load_stereo_camera = preset_files.loader("vision", StereoCamera)
+"""Reads a stereo camera by name (`shipped("vision")`) or from a path to a TOML file."""
 
 
 def project(camera: StereoCamera, positions: ArrayLike) -> Array:
@@ -299,9 +297,8 @@ Edges = tuple[Array, Array]
 """Sub-pixel edges (k, 2), column and row, and unit slopes (k, 2) towards more red."""
 
 
-def load_circle_search(name: str | Path) -> CircleSearch:
-    """Read a search by name (`shipped("circles")`) or from a path to a TOML file."""
-    return preset_files.load("circles", name, CircleSearch)
+load_circle_search = preset_files.loader("circles", CircleSearch)
+"""Reads a search by name (`shipped("circles")`) or from a path to a TOML file."""
 
 
 def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]:
