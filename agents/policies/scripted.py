@@ -332,11 +332,10 @@ class _Arm:
 class ScriptedHarvest:
     """Drives every slave through its planned picks; an arm goes out only where no arm that is out would be met."""
 
-    def __init__(self, env: Any, assignment: str = "search") -> None:
+    def __init__(self, env: Any) -> None:
         """Read the machine from ``env``, a `pickenv/Harvest-v0` of Gymnasium or PettingZoo, wrapped or not."""
         self.task = env.unwrapped.task
         self.machine = self.task.machine
-        self.assignment = assignment
         self.reset()
 
     def reset(self) -> None:
@@ -381,7 +380,7 @@ class ScriptedHarvest:
         work = zone_work(self.machine, master, fruit)
         work.reached[:, ~hangs] = False
         self._work = work
-        for arm, queue in zip(self._arms, assign(work, self.assignment), strict=True):
+        for arm, queue in zip(self._arms, assign(work, "search"), strict=True):
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:

@@ -222,9 +222,7 @@ def memory_arrays(policy: Any) -> dict[str, Any]:
     return {name: part.detach().numpy().astype(float) for name, part in zip(LSTM, parts, strict=True)}
 
 
-def judge(
-    policy: LearnedPolicy | RememberingPolicy, training: Training, episodes: int | None = None
-) -> dict[str, float]:
+def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict[str, float]:
     """A policy without noise on held-out episodes of its own environment.
 
     Returns:
@@ -233,10 +231,10 @@ def judge(
         reachable, means per canopy.
     """
     if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
-        envs: Any = make_environment(training, episodes or 16, "NextStep")
+        envs: Any = make_environment(training, 16, "NextStep")
         outcome = pick_canopies(policy, envs, HELD_OUT)
         return {name: float(outcome[name].mean()) for name in FRUIT}
-    env: Any = make_environment(training, episodes or 256, "Disabled")
+    env: Any = make_environment(training, 256, "Disabled")
     if isinstance(policy, RememberingPolicy):
         outcome = _picked(policy, SameArmVector(env, **(training.remembering or {})))
         error, success = outcome["position_error_mm"], outcome["is_success"]

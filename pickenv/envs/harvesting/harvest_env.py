@@ -246,11 +246,10 @@ def draw_harvest(
     state: batch.HarvestState = tree_map(lambda values: values[row : row + 1], states)
     machine, target = task.machine, state.joints
     command = target if compensate is None else compensate(target)
-    ghosts = machine.tips(target[:, :3], _slaves(target, machine))[0]
-    tips = task.true.tips(command[:, :3], _slaves(command, machine))[0]
-    drawn_in = _slaves(command, machine).copy()
-    drawn_in[..., 1:] = 0.0
-    pivots = machine.tips(command[:, :3], drawn_in)[0]
+    ghosts = machine.tips(*machine.parted(target))[0]
+    tips = task.true.tips(*machine.parted(command))[0]
+    master, slaves = machine.parted(command)
+    pivots = machine.tips(master, slaves * [1.0, 0.0, 0.0])[0]
     picked = int((state.status[0] == batch.COLLECTED).sum())
     solids = arm_shapes.joined_solids(
         _master(machine, command[0], pivots),
@@ -269,10 +268,6 @@ def draw_harvest(
         Words(GHOST_WORDS, "bottom left"),
     )
     return Stage(_eye(state), *solids, still=_surroundings(task, state, dark), words=words, dark=dark)
-
-
-def _slaves(joints: Array, machine: Machine) -> Array:
-    return joints[:, 3:].reshape(len(joints), machine.arms, 3)
 
 
 def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids:

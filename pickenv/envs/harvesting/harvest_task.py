@@ -328,7 +328,7 @@ def distances(task: HarvestTask, joints: Array) -> Array:
     machine = task.machine
     if machine.arms < 2:
         return np.full(len(joints), task.rules.shown)
-    return np.asarray(arm_distances(machine, joints[:, 3:].reshape(len(joints), machine.arms, 3)).min(axis=-1))
+    return np.asarray(arm_distances(machine, machine.parted(joints)[1]).min(axis=-1))
 
 
 def step(
@@ -360,7 +360,7 @@ def step(
     state.closest = np.minimum(state.closest, apart)
     state.periods = state.periods + 1
     commands = target if compensator is None else compensator(target)
-    tips = task.true.tips(commands[:, :3], commands[:, 3:].reshape(len(target), machine.arms, 3))
+    tips = task.true.tips(*machine.parted(commands))
     branch, rules = task.model.branch, task.rules
     if state.swing.any() or state.velocity.any():
         state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
@@ -384,7 +384,7 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
     if arms < 2:
         return np.asarray(blocked.sum(axis=1)), distances(task, target)
     i, j = pairs_of(arms)
-    old, new = start[:, 3:].reshape(n, arms, 3), target[:, 3:].reshape(n, arms, 3).copy()
+    old, new = machine.parted(start)[1], machine.parted(target)[1].copy()
     for _ in range(arms + 1):
         between, after = arm_distances(machine, old + HALF_AND_WHOLE * (new - old))
         bad = np.minimum(between, after) < machine.body.clearance
@@ -458,7 +458,7 @@ def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def work_left(task: HarvestTask, state: HarvestState) -> Array:
     """Mean distance from reachable hanging fruit to the nearest believed cup, m; what shaping is made of."""
-    tips = task.machine.tips(state.joints[:, :3], state.joints[:, 3:].reshape(len(state.joints), -1, 3))
+    tips = task.machine.tips(*task.machine.parted(state.joints))
     away = state.believed[:, None] - tips[:, :, None]
     distance = np.sqrt((away * away).sum(axis=-1)).min(axis=1)
     return np.asarray((distance * pickable(state)).sum(axis=-1) / distance.shape[-1])
