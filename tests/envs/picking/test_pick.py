@@ -17,7 +17,6 @@ from pickenv.arm import Pose, forward, load_plant, plant_at, pose_error
 from pickenv.base import InputError
 from pickenv.calibration import Compensator
 from pickenv.envs import PickEnv, PickVectorEnv
-from pickenv.envs.picking.pick_arm import TOOL
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 EACH_EPISODE, EACH_ENVIRONMENT = ({"arms": arms, "population": 64} for arms in ("per_episode", "per_env"))
@@ -142,7 +141,7 @@ def test_only_a_fast_tool_bruises_what_it_meets(speed, bruised):
     canopies, scene = env.unwrapped.canopies, env.unwrapped.scene
     beside = scene.positions[0] - [0.05, 0.0, 0.01]
     step = np.array([speed * scene.orchard.station.bruise_speed * 0.1, 0.0, 0.0])
-    canopies.sight[TOOL, 0] = *np.eye(3).ravel(), *beside
+    canopies.sight[pickenv.envs.picking.pick.TOOL, 0] = *np.eye(3).ravel(), *beside
     canopies.meet(np.array([True]), (beside - step)[None], np.array([0.1]))
     assert scene.damaged.tolist() == [bruised]
     assert scene.displacement[0, 0] > 0.01
