@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from papers.li2016.equations import ARMS, section_4_2
+from papers.li2016.lab import sample_image, work_images
 from papers.pages import table
 from pickenv.arm import Array, Plant
 from pickenv.base import InputError
@@ -32,12 +33,10 @@ from pickenv.harvester import (
     lower_bound,
     pick_point,
     profile,
-    sample_image,
     summary,
     timetable,
     travel_time,
     ultrasonic_hold,
-    work_images,
     work_trees,
     zone_work,
 )

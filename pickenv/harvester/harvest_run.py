@@ -1,8 +1,8 @@
 """Whole trees: zone after zone, image, pick point, plan, picks, second looks, collective unloading, and the clock.
 
 Many trees go on in step, so that the true arms of a zone are computed for all of them at once. Each tree draws from a
-generator of its own, so results do not depend on which trees go together. `work_trees` and `work_images` draw the same
-trees for every strategy from one seed, whatever the number of workers.
+generator of its own, so results do not depend on which trees go together. `work_trees` draws the same trees for
+every strategy from one seed, whatever the number of workers.
 
 `summary` says what the harvests were worth, with 95 % intervals over trees: fruit of one tree share their machine
 stops, so a tree counts as one. With fewer than ten trees there is no interval, nor is there one of a count of rare
@@ -28,11 +28,11 @@ from pickenv.harvester.machine import Machine, master_time
 from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_points import pick_point
 from pickenv.harvester.picking import Luck, Outcome, Picking, attempt, displacements, draw_luck
-from pickenv.harvester.trees import Orchard, Tree, load_lab, sample_image, sample_tree, tree_leaves
+from pickenv.harvester.trees import Orchard, Tree, sample_tree, tree_leaves
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
 from pickenv.harvester.zones import Grid, Zone, cut
-from pickenv.orchard import Eyes, draw_chances, load_canopy, load_eyes, next_picture, see
+from pickenv.orchard import Eyes, draw_chances, load_eyes, next_picture, see
 
 Flags = NDArray[np.bool_]
 
@@ -310,7 +310,9 @@ def _unload(machine: Machine, state: Harvest) -> None:
     state.load[:] = 0
 
 
-def _generators(seeds: Sequence[np.random.SeedSequence]) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
+def generators_of(
+    seeds: Sequence[np.random.SeedSequence],
+) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
     """For each seed a generator of the tree and one of what happens to it."""
     pairs = [np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2) for seed in seeds]
     return [np.random.default_rng(a) for a, _ in pairs], [np.random.default_rng(b) for _, b in pairs]
@@ -325,7 +327,7 @@ def _some_trees(
     vision: str,
     seeds: Sequence[np.random.SeedSequence],
 ) -> list[Harvest]:
-    tree_rngs, rngs = _generators(seeds)
+    tree_rngs, rngs = generators_of(seeds)
     trees = [sample_tree(true.machine, orchard, rng) for rng in tree_rngs]
     return harvest(true, strategy, model, trees, rngs, grid, load_eyes(vision, orchard.canopy, strategy.detector))
 
@@ -368,22 +370,6 @@ def work_trees(
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         done = list(pool.map(job, parts))
     return [done[i % workers][i // workers] for i in range(count)]
-
-
-def work_images(
-    true: TrueMachine,
-    strategy: Strategy,
-    model: Picking,
-    *,
-    count: int,
-    seed: int,
-    vision: str = "measured_errors",
-) -> list[Harvest]:
-    """Li's experiment: ``count`` images of seven fruit in reach of the *paper's* pick point, each picked once."""
-    tree_rngs, rngs = _generators(np.random.SeedSequence(seed).spawn(count))
-    images: list[Tree] = [sample_image(true.machine, rng) for rng in tree_rngs]
-    eyes = load_eyes(vision, load_canopy(load_lab().canopy), strategy.detector)
-    return harvest(true, strategy, model, images, rngs, Grid(1, 1, 1e-6), eyes)
 
 
 STAGES = ("present", "visible", "located", "reachable", "attempted", "attached", "detached", "collected")

@@ -14,12 +14,10 @@ import numpy as np
 
 from pickenv import orchard as trees
 from pickenv.arm import Array
-from pickenv.base import MM, NUMBER, WHOLE, InputError, read_toml, toml_table
+from pickenv.base import MM, NUMBER, WHOLE, read_toml, toml_table
 from pickenv.harvester.machine import Machine
-from pickenv.harvester.pick_points import pick_point
 
 SHIPPED = Path(__file__).parent / "picking.toml"
-TRIES = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,33 +124,3 @@ def lab_zone(canopy: trees.Canopy) -> Array:
     """Width, depth and height of what an image of Li's lab shows, m, (3,)."""
     lab = load_lab()
     return np.array([lab.width, canopy.depth, lab.height])
-
-
-def sample_image(machine: Machine, rng: np.random.Generator) -> Tree:
-    """Draw one image of Li's lab: fruit all in reach from the corrected pick point, and not in clusters.
-
-    Raises:
-        InputError: If a thousand draws give none: the machine reaches too little.
-    """
-    lab = load_lab()
-    count, wide, high = lab.fruit, lab.width, lab.height
-    canopy, size = trees.load_canopy(lab.canopy), trees.load_fruit_size("li2016")
-    low, top = canopy.bottom - machine.base_height, canopy.top - machine.base_height
-    for _ in range(TRIES):
-        x = rng.uniform(-(canopy.width - wide) / 2, (canopy.width - wide) / 2) / 2
-        z = rng.uniform(low, top - high)
-        corner = np.array([x - wide / 2, -canopy.standoff - canopy.depth, z])
-        fruit = corner + lab_zone(canopy) * rng.random((count, 3))
-        if count > 1 and _least_distance(fruit) < lab.apart:
-            continue
-        master = pick_point(machine, fruit, "corrected")
-        if machine.master_within_limits(master) and machine.reach(master, fruit).any(axis=0).all():
-            diameters = np.full(count, size.mean)
-            side = (float(corner[0]), float(corner[0]) + wide, z, z + high)
-            return Tree(fruit, diameters, trees.fruit_masses(size, diameters), side)
-    raise InputError(f"the machine reaches no image of {count} fruit; widen its spacing or give more arms")
-
-
-def _least_distance(points: Array) -> float:
-    i, j = np.triu_indices(len(points), 1)
-    return float(np.linalg.norm(points[i] - points[j], axis=-1).min())

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from papers.li2016.lab import work_images
 from pickenv.base import InputError
 from pickenv.harvester import (
     Controller,
@@ -22,7 +23,6 @@ from pickenv.harvester import (
     load_picking,
     load_true_machine,
     summary,
-    work_images,
     work_trees,
 )
 from pickenv.orchard import load_canopy, load_eyes, load_sight_errors

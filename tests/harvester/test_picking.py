@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.harvester import attempt, draw_luck, load_orchard, load_picking, sample_image, sample_tree
+from papers.li2016.lab import sample_image
+from pickenv.harvester import attempt, draw_luck, load_orchard, load_picking, sample_tree
 from pickenv.harvester.picking import displacements, in_the_way
 from pickenv.orchard import coupling, swing
 

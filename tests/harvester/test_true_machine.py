@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from papers.li2016.comparison import tip_errors
+from papers.li2016.lab import sample_image
 from pickenv.arm import forward, load_plant
 from pickenv.base import InputError
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.harvester import Controller, Nominal, load_machine, load_true_machine, pick_point, sample_image
+from pickenv.harvester import Controller, Nominal, load_machine, load_true_machine, pick_point
 from pickenv.harvester.true_machine import _local_inverse, _seated
 
 TABLE3_MM = np.array([[3.0, 5.9], [6.6, 8.4], [6.4, 8.2], [6.9, 8.5]])

@@ -12,14 +12,14 @@ from types import ModuleType
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
-from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse
+from pickenv.arm import Array, Geometry, Plant, Pose, inverse
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation, situation
 from pickenv.envs.shared.backends import Executor, Flags
+from pickenv.envs.shared.spaces import spread_poses
 from pickenv.envs.shared.task import Task, inexact
 
 # Which points an arm reaches from below with its tool upright: where fruit can be picked. Base frame, m.
@@ -38,9 +38,7 @@ class Reach:
     def __init__(self, geometry: Geometry, approach: float) -> None:
         """Sample the arm's upright poses once; each question then starts from the nearest one."""
         self.geometry, self.approach = geometry, approach
-        spread = qmc.Halton(geometry.joints, scramble=False).random(2**14)
-        joints = geometry.lower + (geometry.upper - geometry.lower) * spread
-        poses = forward(geometry, joints)
+        joints, poses = spread_poses(geometry)
         upright = poses.rotation[:, 2, 2] > np.cos(np.radians(30.0))
         if not upright.any():
             raise InputError("this arm cannot hold its tool upright, so it cannot pick from below; take qiao2026")
