@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -37,7 +37,7 @@ class Views(NamedTuple):
     vectors: Scalar
 
 
-class Batch(ArmBatch):
+class Batch(ArmBatch, ABC):
     """The state of N reach tasks.
 
     Attributes:
