@@ -15,9 +15,10 @@ from pickenv.agents.policies.policy import (
     ReachController,
     camera_of,
     read_observation,
+    turned,
     with_traits,
 )
-from pickenv.arm import Array, Pose, displace_pose, forward, inverse, joint_jacobian, pose_error
+from pickenv.arm import Array, Pose, forward, inverse, joint_jacobian, pose_error
 from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.base import InputError, register
 from pickenv.envs import CONTROL_PERIOD
@@ -53,9 +54,7 @@ class ScriptedReach(ReachController):
 
     def wanted_pose(self, reading: ObservationParts) -> Pose:
         """The pose that the tool shall have: the fruit with its attitude."""
-        pose = forward(self.geometry, reading.joints)
-        lag = np.concatenate([np.zeros_like(reading.turn), reading.turn], axis=-1)
-        return Pose(reading.seen, displace_pose(pose, lag).rotation)
+        return Pose(reading.seen, turned(forward(self.geometry, reading.joints), reading.turn))
 
     def wanted_joints(self, reading: ObservationParts) -> Array:
         """Joints that bring the nominal arm's tool to the fruit."""
@@ -281,8 +280,7 @@ class ScriptedPick(ReachController):
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
         """Waypoints: down from the last fruit, below the next one, and up to it."""
-        believed_pose = forward(self.geometry, joints)
-        upright = displace_pose(believed_pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
+        upright = turned(forward(self.geometry, joints), turn)
         aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
         down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
         at = self._solve(seen + aim, upright, joints)
