@@ -14,7 +14,6 @@ from .camera import (
 )
 from .canopy import (
     Canopy as Canopy,
-    Occlusion as Occlusion,
     Station as Station,
     approach_clear as approach_clear,
     approach_direction as approach_direction,

@@ -8,7 +8,6 @@ parts of farther ones (area of two circles' overlap). Units: m, rad, m²/m³.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -203,35 +202,18 @@ def approach_direction(canopy: Canopy, positions: ArrayLike) -> Array:
     return np.broadcast_to(along, positions.shape).copy()
 
 
-@dataclass(frozen=True, eq=False)
-class Occlusion:
-    """Share of each fruit that a viewpoint sees, in expectation; leading dimensions are those of the viewpoints.
-
-    Attributes:
-        foliage: Share not hidden by leaves, shape (..., n).
-        neighbours: Share not hidden by other fruit, shape (..., n).
-        visible_side: Unit vectors across the line of sight, away from the fruit that hide this one; zero where none
-            does, shape (..., n, 3).
-    """
-
-    foliage: Array
-    neighbours: Array
-    visible_side: Array
-
-    @property
-    def visible(self) -> Array:
-        """Share of each fruit's disc in sight, shape (..., n)."""
-        return np.asarray(self.foliage * self.neighbours)
-
-
-def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpoint: ArrayLike) -> Occlusion:
-    """Share of each fruit that a viewpoint sees.
+def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpoint: ArrayLike) -> tuple[Array, Array]:
+    """Share of each fruit that a viewpoint sees, in expectation.
 
     Args:
         canopy: The foliage.
         positions: Fruit centres, m, shape (n, 3).
         diameters: Fruit diameters, m, shape (n,) or a number.
         viewpoint: Camera positions, m, shape (..., 3).
+
+    Returns:
+        Share of each fruit's disc that neither leaves nor other fruit hide, shape (..., n); and unit vectors across the
+        line of sight, away from the fruit that hide this one, zero where none does, shape (..., n, 3).
 
     Raises:
         InputError: If a number is not finite, a diameter not above zero, or a viewpoint lies inside a fruit.
@@ -254,11 +236,8 @@ def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpo
     towards = np.divide(towards, length, out=np.zeros_like(towards), where=length > 1e-9)
     away = -np.einsum("...ij,...ijk->...ik", covered, towards)
     length = np.linalg.norm(away, axis=-1, keepdims=True)
-    return Occlusion(
-        foliage=transmitted,
-        neighbours=np.prod(1.0 - covered, axis=-1),
-        visible_side=np.divide(away, length, out=np.zeros_like(away), where=length > 1e-12),
-    )
+    visible_side = np.divide(away, length, out=np.zeros_like(away), where=length > 1e-12)
+    return np.asarray(transmitted * np.prod(1.0 - covered, axis=-1)), visible_side
 
 
 def disc_cover(radius: ArrayLike, other: ArrayLike, apart: ArrayLike) -> Array:

@@ -359,8 +359,8 @@ def looked_at(
         view = trees.Viewpoint(viewpoint, ahead)
         sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=orchard.looks)
         return sight.believed, sight.located
-    hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
-    probability = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), hidden.visible)
+    visible, visible_side = trees.occlusion(canopy, positions, diameters, viewpoint)
+    probability = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), visible)
     draws = rng.normal(size=(count, DRAWS))
     draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
     sightings = trees.measured_positions(
@@ -368,9 +368,9 @@ def looked_at(
         positions,
         viewpoint,
         draws,
-        visible=hidden.visible,
+        visible=visible,
         diameters=diameters,
-        visible_side=hidden.visible_side,
+        visible_side=visible_side,
     )
     return sightings, (rng.random(count) < probability) & trees.in_image(camera, positions, viewpoint, ahead)
 

@@ -64,11 +64,11 @@ def test_what_hides_a_fruit_pulls_it_to_the_visible_side(env):
     canopy, scene = here.orchard.canopy, here.scene
     there = np.column_stack([0.6 - fruit[:, 0], -0.53 - fruit[:, 1], fruit[:, 2] - 0.15 + canopy.bottom])
     viewpoint = [0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2]
-    hidden = occlusion(canopy, there, scene.diameters, viewpoint)
-    pull = 0.5 * (1.0 - hidden.visible) * scene.diameters / 2
-    assert pull[1] > 0.005 and np.linalg.norm(hidden.visible_side[1]) == pytest.approx(1.0)
+    visible, visible_side = occlusion(canopy, there, scene.diameters, viewpoint)
+    pull = 0.5 * (1.0 - visible) * scene.diameters / 2
+    assert pull[1] > 0.005 and np.linalg.norm(visible_side[1]) == pytest.approx(1.0)
     np.testing.assert_allclose(np.linalg.norm(scene.seen - fruit, axis=1), pull, atol=1e-12)
-    np.testing.assert_allclose(scene.seen[1] - fruit[1], pull[1] * hidden.visible_side[1] * [-1, -1, 1], atol=1e-12)
+    np.testing.assert_allclose(scene.seen[1] - fruit[1], pull[1] * visible_side[1] * [-1, -1, 1], atol=1e-12)
 
 
 def test_the_orchard_is_turned_by_half_a_turn_to_stand_before_the_arm(env):
