@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.evaluation.contenders import Contender, Given, check_labels, contenders_of
 from pickenv.agents.evaluation.reaches import Moment, episode_seeds, run_episodes
-from pickenv.agents.policies.policy import turned
+from pickenv.agents.policies.policy import attitude_after
 from pickenv.arm import Array, Plant, Pose
 from pickenv.base import InputError, check_limit, command_line, seed_words, stream, write_json, write_text
 from pickenv.calibration import Calibration
@@ -265,7 +265,7 @@ def _recorded_policy(
 
 def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
     """Probability ``(E,)`` that the gripper takes each fruit, given true against wanted pose ``(E, 6)``."""
-    aim = turned(tool, -error[:, 3:])[..., 2]
+    aim = attitude_after(tool, -error[:, 3:])[..., 2]
     return capture_probability(judge, *misalignment(fruit - tool.position, tool.rotation[..., 2], aim))
 
 

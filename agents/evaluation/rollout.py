@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.agents.evaluation.reaches import episode_seeds
-from pickenv.agents.policies.policy import Policy, read_observation, turned
+from pickenv.agents.policies.policy import Policy, attitude_after, read_observation
 from pickenv.arm import Array, Pose, displace_pose, forward
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import ReachVectorEnv
@@ -124,7 +124,7 @@ def _run(env: ReachVectorEnv, policy: Policy, rows: NDArray[np.int64], seeds: ND
     observation, infos = env.reset(seed=seeds.tolist(), options={"arm": rows})
     geometry = env.task.plant.arm.nominal
     reading = read_observation(geometry, observation)
-    target = turned(forward(geometry, reading.joints), reading.turn)
+    target = attitude_after(forward(geometry, reading.joints), reading.turn)
     policy.reset()
     errors = []
     for _ in range(steps):

@@ -96,7 +96,7 @@ def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationP
     )
 
 
-def turned(pose: Pose, turn: Array) -> Array:
+def attitude_after(pose: Pose, turn: Array) -> Array:
     """Attitudes ``(..., 3, 3)`` of poses after rotation vectors ``turn (..., 3)``, rad, in the base frame."""
     return displace_pose(pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
 
@@ -113,7 +113,7 @@ def camera_of(reading: ObservationParts, policy: str) -> Array:
 
 
 class ReachController:
-    """The common part of policies that know the nominal arm: its geometry, and joint steps turned into actions."""
+    """The common part of policies that know the nominal arm: its geometry, and joint steps attitude_after into actions."""
 
     def __init__(self, env: Any) -> None:
         """Read the nominal geometry and the increments from ``env``, a `pickenv/Reach-v0`, single or native vector."""

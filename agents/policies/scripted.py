@@ -13,9 +13,9 @@ from pickenv.agents.policies.policy import (
     ObservationParts,
     Policy,
     ReachController,
+    attitude_after,
     camera_of,
     read_observation,
-    turned,
     with_traits,
 )
 from pickenv.arm import Array, Pose, forward, inverse, joint_jacobian, pose_error
@@ -54,7 +54,7 @@ class ScriptedReach(ReachController):
 
     def wanted_pose(self, reading: ObservationParts) -> Pose:
         """The pose that the tool shall have: the fruit with its attitude."""
-        return Pose(reading.seen, turned(forward(self.geometry, reading.joints), reading.turn))
+        return Pose(reading.seen, attitude_after(forward(self.geometry, reading.joints), reading.turn))
 
     def wanted_joints(self, reading: ObservationParts) -> Array:
         """Joints that bring the nominal arm's tool to the fruit."""
@@ -280,7 +280,7 @@ class ScriptedPick(ReachController):
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
         """Waypoints: down from the last fruit, below the next one, and up to it."""
-        upright = turned(forward(self.geometry, joints), turn)
+        upright = attitude_after(forward(self.geometry, joints), turn)
         aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
         down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
         at = self._solve(seen + aim, upright, joints)
