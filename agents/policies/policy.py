@@ -113,7 +113,7 @@ def camera_of(reading: ObservationParts, policy: str) -> Array:
 
 
 class ReachController:
-    """The common part of policies that know the nominal arm: its geometry, and joint steps attitude_after into actions."""
+    """The common part of policies that know the nominal arm: its geometry, and joint steps turned into actions."""
 
     def __init__(self, env: Any) -> None:
         """Read the nominal geometry and the increments from ``env``, a `pickenv/Reach-v0`, single or native vector."""
