@@ -14,7 +14,7 @@ import numpy as np
 
 from pickenv import orchard as trees
 from pickenv.arm import Array
-from pickenv.base import MM, NUMBER, WHOLE, read_toml, toml_table
+from pickenv.base import MM, NUMBER, WHOLE, Then, read_toml, toml_table
 from pickenv.harvester.machine import Machine
 
 SHIPPED = Path(__file__).parent / "picking.toml"
@@ -40,22 +40,13 @@ class Tree:
         return len(self.fruit)
 
 
-@dataclass(frozen=True, eq=False)
-class Orchard:
-    """The canopy, fruit map and fruit size that trees are drawn from."""
-
-    canopy: trees.Canopy
-    fruit_map: trees.FruitMap
-    size: trees.FruitSize
-
-
 @toml_table
-class TreesTable:
+class Orchard:
     """[trees] of a picking file: presets of `pickenv.orchard`, and fruit per metre of row."""
 
-    canopy: str
-    fruit_map: str
-    fruit_size: str
+    canopy: Annotated[trees.Canopy, Then(lambda name, _: trees.load_canopy(name), str)]
+    fruit_map: Annotated[trees.FruitMap, Then(lambda name, _: trees.load_fruit_map(name), str)]
+    fruit_size: Annotated[trees.FruitSize, Then(lambda name, _: trees.load_fruit_size(name), str)]
     per_metre: Annotated[float, NUMBER.not_negative]
 
 
@@ -86,20 +77,22 @@ def load_orchard(
         fruit_map: A fruit map of `pickenv.orchard` instead of the file's; "v_trellis" hangs fruit in clusters of three.
         canopy: A canopy of `pickenv.orchard` instead of the file's; "li2016_bare" has no leaves.
     """
-    table = read_toml(TreesTable, path, section="trees")
-    fruiting = trees.load_fruit_map(fruit_map or table.fruit_map).scaled(
-        table.per_metre if per_metre is None else per_metre
-    )
-    return Orchard(trees.load_canopy(canopy or table.canopy), fruiting, trees.load_fruit_size(table.fruit_size))
+    orchard = read_toml(Orchard, path, section="trees")
+    per_metre = orchard.per_metre if per_metre is None else per_metre
+    crop = orchard.fruit_map if fruit_map is None else trees.load_fruit_map(fruit_map)
+    row = orchard.canopy if canopy is None else trees.load_canopy(canopy)
+    return replace(orchard, canopy=row, fruit_map=crop.scaled(per_metre), per_metre=per_metre)
 
 
 def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:
     """Draw one tree side."""
     canopy = orchard.canopy
-    positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
+    positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.fruit_size, canopy, rng)
     half = canopy.width / 2
     side = (-half, half, canopy.bottom - machine.base_height, canopy.top - machine.base_height)
-    return Tree(in_base_frame(machine, canopy, positions), diameters, trees.fruit_masses(orchard.size, diameters), side)
+    return Tree(
+        in_base_frame(machine, canopy, positions), diameters, trees.fruit_masses(orchard.fruit_size, diameters), side
+    )
 
 
 def in_base_frame(machine: Machine, canopy: trees.Canopy, positions: Array) -> Array:

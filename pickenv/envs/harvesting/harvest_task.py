@@ -86,7 +86,7 @@ def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None 
             fruit, height = corner + zone * rng.random((task.fruit, 3)), corner[2] + zone[2] / 2
         else:
             fruit, x, height = given, given[:, 0].mean(), given[:, 2].mean()
-        diameters = sample_diameters(task.orchard.size, task.fruit, rng)
+        diameters = sample_diameters(task.orchard.fruit_size, task.fruit, rng)
         view = Viewpoint(np.array([x, 0.0, height]), AHEAD)
         sight = see(task.eyes, view, fruit, diameters, rng, leaves=tree_leaves(machine, task.eyes, rng))
         if sight.located.any():
@@ -305,7 +305,7 @@ def begin_zones(
         swing=zeros.copy(),
         velocity=zeros.copy(),
         diameters=diameters,
-        masses=fruit_masses(task.orchard.size, diameters),
+        masses=fruit_masses(task.orchard.fruit_size, diameters),
         believed=sightings,
         error=sightings - positions,
         located=located,
