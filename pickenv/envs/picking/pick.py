@@ -185,13 +185,7 @@ class PickEnv(ArmEnv):
         space, self.action_space = pick_spaces(task)
         self.observation_space, self._bounds = space, (space.low, space.high)
         self.canopies: Canopies | None = None
-
-    @property
-    def scene(self) -> PickScene:
-        """The fruit, once an episode has begun."""
-        assert self.canopies is not None
-        scene: PickScene = self.canopies.scenes[0]
-        return scene
+        self.scene: PickScene
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -203,7 +197,7 @@ class PickEnv(ArmEnv):
         if joints is not None:
             task.given_joints("start_joints", joints)  # refused before anything is drawn
         before = None if seed is not None else self._arm
-        ((scene, number, key),) = draw_starts(
+        ((self.scene, number, key),) = draw_starts(
             task, self.orchard, self._reach, [self.np_random], [before], [options.get("fruit")], [arm]
         )
         self._key = self._word(key)
@@ -213,7 +207,7 @@ class PickEnv(ArmEnv):
         self._state = begin(self._x, task, self.plant, self._key, target, (), self._command(target), gripper=1)
         self.canopies = Canopies(task, self.orchard, 1)
         self._look(self.canopies, self._state, 0.0)
-        self.canopies.adopt(0, scene)
+        self.canopies.adopt(0, self.scene)
         self.canopies.choose(0)
         return self._shown(self.canopies)
 

@@ -50,7 +50,8 @@ def before(env, *offsets, start=START, **changes):
     """The fruit of an episode that begins, at ``offsets`` from the tool; the first is the next to pick."""
     tool = forward(env.plant.arm.nominal, start).position
     env.reset(seed=0, options={"fruit": [[0.6, -0.7, 0.5]], "start_joints": start})
-    env.canopies.adopt(0, scene_of(env.orchard, tool + np.array(offsets), **changes))
+    env.scene = scene_of(env.orchard, tool + np.array(offsets), **changes)
+    env.canopies.adopt(0, env.scene)
     return env.scene
 
 
