@@ -1,6 +1,6 @@
 """Many reach tasks side by side: their state, component by component, and how an episode begins, on any executor.
 
-`numpy_batch` and `torch_batch` say where the numbers live and how a step goes through them.
+`NumpyBatch` and `torch_batch` say where the numbers live and how a step goes through them.
 """
 
 from __future__ import annotations
