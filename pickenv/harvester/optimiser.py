@@ -8,7 +8,7 @@ of every arm's reach is left out. Units: s.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -292,9 +292,7 @@ class Effort:
     seconds: Annotated[float, NUMBER.positive]
 
 
-@lru_cache(maxsize=1)
-def _effort() -> Effort:
-    return read_toml(Effort, SHIPPED, section="optimiser")
+_effort = cache(partial(read_toml, Effort, SHIPPED, section="optimiser"))
 
 
 # A plan for a zone by the name of the method that makes it.

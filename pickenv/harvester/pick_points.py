@@ -7,7 +7,7 @@ most fruit is reached, the one with the least motion of the slaves. Units: m, ra
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache, partial
 from typing import Annotated
 
 import numpy as np
@@ -158,6 +158,4 @@ class Search:
     keep_share: Annotated[float, NUMBER.positive]
 
 
-@lru_cache(maxsize=1)
-def _search() -> Search:
-    return read_toml(Search, SHIPPED, section="search")
+_search = cache(partial(read_toml, Search, SHIPPED, section="search"))

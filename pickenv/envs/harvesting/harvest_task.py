@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -116,10 +116,8 @@ class Rules:
     motion_cost: Annotated[float, NUMBER.not_negative]
 
 
-@lru_cache(maxsize=1)
-def load_rules() -> Rules:
-    """Read the rules of the task."""
-    return read_toml(Rules, SHIPPED, section="task")
+load_rules = cache(partial(read_toml, Rules, SHIPPED, section="task"))
+"""Reads the rules of the task."""
 
 
 @dataclass(frozen=True, eq=False)
