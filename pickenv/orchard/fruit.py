@@ -202,9 +202,14 @@ load_branch = preset_files.loader("branch", Branch)
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
     """Undamped angular frequencies along x, y, z, rad/s, shape (..., 3), for fruit masses (...) in kg."""
-    moving = _moving_mass(branch, mass)
-    sideways = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
-    return np.stack([sideways, sideways, np.sqrt(branch.stiffness_upright / moving)], axis=-1)
+    return _frequencies(branch, _moving_mass(branch, mass))
+
+
+def _frequencies(branch: Branch, moving: Array) -> Array:
+    omega = np.empty((*moving.shape, 3))
+    omega[..., 0] = omega[..., 1] = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
+    omega[..., 2] = np.sqrt(branch.stiffness_upright / moving)
+    return omega
 
 
 def swing(
@@ -231,8 +236,9 @@ def swing(
     start = checks.points("the displacement of fruit", displacement)
     speed = checks.points("the velocity of fruit", velocity)
     time = checks.numbers("the time step (s)", dt, lowest=0.0)[..., None]
-    omega = natural_frequencies(branch, mass)
-    balance = checks.points("the force on fruit", force) / (_moving_mass(branch, mass)[..., None] * omega**2)
+    moving = _moving_mass(branch, mass)
+    omega = _frequencies(branch, moving)
+    balance = checks.points("the force on fruit", force) / (moving[..., None] * omega**2)
     zeta, x = branch.damping_ratio, start - balance
     if zeta < 1.0:
         damped = omega * np.sqrt(1.0 - zeta**2)

@@ -32,6 +32,13 @@ STAGES = ("visible", "reachable", "attempted", "attached", "detached")
 OWN = ("sight", "number", "still", "moments")
 
 
+def tally_of(fruit: pick_scene.Fruit) -> NDArray[np.int64]:
+    """Fruit ``(..., n)`` collected undamaged, and damaged, ``(..., 2)``."""
+    damaged, tally = fruit["damaged"], np.empty((*fruit.shape[:-1], 2), dtype=np.int64)
+    tally[..., 0], tally[..., 1] = (fruit["collected"] & ~damaged).sum(axis=-1), damaged.sum(axis=-1)
+    return tally
+
+
 class Canopies:
     """N picking arms, as they were seen last, and the fruit before them.
 
@@ -42,6 +49,7 @@ class Canopies:
         held: Number of the fruit in each gripper, or -1.
         off: Whether the fruit in the gripper is off its stem.
         miss: How far each last grasp was from its fruit, across and along the tool's axis, (N, 2).
+        tally: Fruit collected undamaged, and damaged, (N, 2).
         sight: What was seen of the arms last, as `pickenv.envs.picking.pick_arm.look_at_arm` gives it, then the joint
             commands, (numbers, N).
         number: Of the fruit that each is after.
@@ -57,6 +65,7 @@ class Canopies:
         self.held = np.full(count, -1)
         self.off = np.zeros(count, dtype=np.bool_)
         self.miss = np.zeros((count, 2))
+        self.tally = np.zeros((count, 2), dtype=np.int64)
         self.sight = np.zeros((SIGHT + 2 * task.joints, count))
         self.number: Rows = np.zeros(count, dtype=np.int64)
         self.still, self.moments = np.full(count, pick_scene.STILL), np.zeros(count, dtype=np.uint64)
@@ -74,6 +83,7 @@ class Canopies:
         self.fruit[row, :n] = scene.fruit
         scene.keep(self.fruit[row, :n])
         self.scenes[row], self.present[row] = scene, n
+        self.tally[row] = tally_of(scene.fruit)
         self._note(row)
 
     def choose(self, row: int) -> None:
@@ -93,9 +103,9 @@ class Canopies:
         swinging = fruit["displacement"].any(axis=(1, 2)) | fruit["velocity"].any(axis=(1, 2))
         rows = np.flatnonzero(going & swinging)
         if rows.size:
-            some = fruit[rows]
+            apart, speed, masses = (fruit[name][rows] for name in ("displacement", "velocity", "masses"))
             fruit["displacement"][rows], fruit["velocity"][rows] = trees.swing(
-                self.orchard.branch, some["displacement"], some["velocity"], some["masses"], period[rows, None]
+                self.orchard.branch, apart, speed, masses, period[rows, None]
             )
         point, axis = self.sight[TOOL][9:].T.copy(), self.sight[TOOL][6:9].T.copy()
         moved = point - before
@@ -120,7 +130,6 @@ class Canopies:
         Returns:
             Rewards, (N,).
         """
-        tally = self.tally()
         self.still[:] = np.where(stirred, 0.0, np.minimum(pick_scene.STILL, self.still + period))
         self.meet(going, before, period)
         rows = np.flatnonzero(going & ((self.held >= 0) | (gripper > pick_scene.CLOSE)))
@@ -131,13 +140,9 @@ class Canopies:
             self._note(row)
             if scene.held is None and not scene.waiting[number]:
                 self.choose(row)
-        collected, damaged = (self.tally() - tally).T
+        so_far, self.tally = self.tally, tally_of(self.fruit)
+        collected, damaged = (self.tally - so_far).T
         return np.where(going, pick_scene.pick_reward(collected, damaged), 0.0)
-
-    def tally(self) -> NDArray[np.int64]:
-        """Fruit collected undamaged, and damaged, (N, 2)."""
-        collected, damaged = self.fruit["collected"], self.fruit["damaged"]
-        return np.stack([(collected & ~damaged).sum(axis=1), damaged.sum(axis=1)], axis=1)
 
     def finished(self) -> Flags:
         """Arms with no fruit left to try and an empty gripper."""
@@ -146,16 +151,17 @@ class Canopies:
     def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
         """Observations of the controllers, ``(N, n + 17)``."""
         n = self.task.joints
-        positions = self.fruit["seen"][np.arange(self.count), self.number]
-        out = np.empty((self.count, n + 17))
-        out[:, :n] = self.sight[SIGHT : SIGHT + n].T
-        out[:, n : n + 3] = tools = self.sight[BELIEVED][9:].T
-        out[:, n + 3 : n + 6], out[:, n + 6 : n + 9] = positions, positions - tools
-        out[:, n + 9 : n + 12] = self.sight[TURN].T
-        out[:, n + 12], out[:, n + 13] = self.still, 1.0 - self.moments / pick_scene.LONGEST
-        out[:, n + 14], out[:, n + 15] = (self.held >= 0) & ~self.off, self.off
-        out[:, n + 16] = self._waiting().sum(axis=1) / pick_scene.MOST_LEFT
-        return np.asarray(out.clip(low, high), dtype=np.float32)
+        sight, tools = self.sight, self.sight[BELIEVED][9:]
+        positions = self.fruit["seen"][np.arange(self.count), self.number].T
+        counters = (
+            self.still,
+            1.0 - self.moments / pick_scene.LONGEST,
+            (self.held >= 0) & ~self.off,
+            self.off,
+            self._waiting().sum(axis=1) / pick_scene.MOST_LEFT,
+        )
+        parts = (sight[SIGHT : SIGHT + n], tools, positions, positions - tools, sight[TURN], counters)
+        return np.concatenate(parts).T.clip(low, high).astype(np.float32, order="C")
 
     def information(self) -> dict[str, NDArray[Any]]:
         """The truth, as `pickenv/Pick-v0` explains it."""
@@ -163,7 +169,7 @@ class Canopies:
         mine = self.fruit[np.arange(self.count), self.number]
         positions = mine["rest"] + mine["displacement"]
         passed = {stage: self.fruit[stage].sum(axis=1) for stage in STAGES}
-        collected, damaged = self.tally().T
+        collected, damaged = self.tally.T.copy()
         return {
             "present": self.present.copy(),
             **passed,
@@ -230,7 +236,7 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
     nominal, sight, scene = canopies.task.plant.arm.nominal, canopies.sight[:, row], canopies.scenes[row]
     orchard, number = scene.orchard, canopies.number[row]
     point, axis, command = sight[TOOL][9:], sight[TOOL][6:9], sight[SIGHT + canopies.task.joints :]
-    collected, reachable = int(canopies.tally()[row, 0]), int(scene.reachable.sum())
+    collected, reachable = int(canopies.tally[row, 0]), int(scene.reachable.sum())
     offset = point - scene.positions[number]
     solids = joined_solids(
         arm_at_work(nominal, command, point, axis, sight[BELIEVED][9:]),
