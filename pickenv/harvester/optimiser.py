@@ -12,6 +12,7 @@ from functools import cache, partial
 from typing import Annotated, Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
 from pickenv.arm import Array
@@ -86,12 +87,8 @@ def lower_bound(work: Work, *, integral: bool = True) -> float:
     load = np.where(reached, work.duration[:, some] + least, 0.0)
     single = (np.where(reached, work.duration[:, some], np.inf).min(axis=0) + least).max()
     # Variables: share of each fruit on each arm, and the makespan. Loads at most the makespan, shares add up to one.
-    above = np.zeros((arms, arms * n + 1))
-    equal = np.zeros((n, arms * n + 1))
-    for arm in range(arms):
-        above[arm, arm * n : (arm + 1) * n] = load[arm]
-        equal[np.arange(n), arm * n + np.arange(n)] = 1.0
-    above[:, -1] = -1.0
+    above = np.hstack([block_diag(*load), np.full((arms, 1), -1.0)])
+    equal = np.hstack([np.tile(np.eye(n), arms), np.zeros((n, 1))])
     upper = np.concatenate([reached.ravel().astype(float), [np.inf]])
     cost = np.zeros(arms * n + 1)
     cost[-1] = 1.0
