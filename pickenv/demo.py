@@ -198,7 +198,7 @@ def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[PickCh
     for command in (joints, compensator(joints)):
         true = plant.tool_pose(command)
         axis = true.rotation[..., 2]
-        lateral.append(1e3 * misalignment(target.position - true.position, axis, target.rotation[..., 2]).lateral)
+        lateral.append(1e3 * misalignment(target.position - true.position, axis, target.rotation[..., 2])[0])
     return pick_changes(lateral[0], lateral[1])
 
 

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.evaluation.contenders import Contender, Given, check_labels, contenders_of
 from pickenv.agents.evaluation.reaches import Moment, episode_seeds, run_episodes
-from pickenv.arm import Array, Plant, Pose, displace_pose
+from pickenv.agents.policies.policy import attitude_after
+from pickenv.arm import Array, Plant, Pose
 from pickenv.base import InputError, check_limit, command_line, seed_words, stream, write_json, write_text
 from pickenv.calibration import Calibration
 from pickenv.inspect import Comparison, RecordedEpisodes, RecordedPolicy, read_run
@@ -264,10 +265,8 @@ def _recorded_policy(
 
 def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
     """Probability ``(E,)`` that the gripper takes each fruit, given true against wanted pose ``(E, 6)``."""
-    turn = np.concatenate([np.zeros((len(error), 3)), -error[:, 3:]], axis=1)
-    aim = displace_pose(tool, turn).rotation[..., 2]
-    lying = misalignment(fruit - tool.position, tool.rotation[..., 2], aim)
-    return capture_probability(judge, lying.lateral, lying.axial, lying.angle)
+    aim = attitude_after(tool, -error[:, 3:])[..., 2]
+    return capture_probability(judge, *misalignment(fruit - tool.position, tool.rotation[..., 2], aim))
 
 
 def _field(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.agents.evaluation.reaches import episode_seeds
-from pickenv.agents.policies.policy import Policy, read_observation
+from pickenv.agents.policies.policy import Policy, attitude_after, read_observation
 from pickenv.arm import Array, Pose, displace_pose, forward
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import ReachVectorEnv
@@ -46,8 +46,7 @@ class Rollout:
         target = Pose(np.zeros((len(self.arm), 3)), self.wanted_rotation)
         axis = displace_pose(target, self.reaches.pose_error).rotation[..., 2]
         offset = self.reaches.fruit_position - self.reaches.tool_position
-        lying = misalignment(offset, axis, self.wanted_rotation[..., 2])
-        return capture_probability(gripper, lying.lateral, lying.axial, lying.angle)
+        return capture_probability(gripper, *misalignment(offset, axis, self.wanted_rotation[..., 2]))
 
     def cycle_steps(self, tolerance_mm: float) -> Array:
         """Steps until the tool is within ``tolerance_mm`` to stay ``(R,)``; NaN where it never is."""
@@ -55,23 +54,20 @@ class Rollout:
         return np.where(inside.any(axis=0), inside.argmax(axis=0) + 1.0, np.nan)
 
 
-@dataclass(frozen=True)
-class PerArm:
-    """A compensator for a vector environment whose rows are different arms."""
+def per_arm(compensators: Sequence[Compensate], arm: ArrayLike) -> Compensate:
+    """A compensator for a vector environment whose rows are the arms ``arm (R,)``, each with one of its own."""
+    rows = np.asarray(arm)
 
-    compensators: tuple[Compensate, ...]
-    arm: tuple[int, ...]
-
-    def __call__(self, joints: ArrayLike) -> Array:
-        """Joint commands ``(R, n)``, each row by its own arm's compensator."""
+    def corrected(joints: Array) -> Array:
         joints = np.asarray(joints, dtype=float)
-        if len(joints) != len(self.arm):
-            raise InputError(f"{len(joints)} rows of joints were given to compensators of {len(self.arm)} rows")
-        command, rows = np.empty_like(joints), np.array(self.arm)
+        if len(joints) != len(rows):
+            raise InputError(f"{len(joints)} rows of joints were given to compensators of {len(rows)} rows")
+        command = np.empty_like(joints)
         for number in np.unique(rows):
-            mine = rows == number
-            command[mine] = self.compensators[number](joints[mine])
+            command[rows == number] = compensators[number](joints[rows == number])
         return command
+
+    return corrected
 
 
 def roll_out(
@@ -117,7 +113,7 @@ def roll_out(
         if env is None or env.num_envs != len(rows):
             env = ReachVectorEnv(len(rows), max_episode_steps=None, autoreset_mode="Disabled", **arguments)
             if compensators is not None:
-                env.compensator = PerArm(tuple(compensators), tuple(rows.tolist()))
+                env.compensator = per_arm(compensators, rows)
             policy = make(env, seed_words(stream(seed, "policy", first), 1)[0])
         assert policy is not None
         parts.append(_run(env, policy, rows, block.ravel(), steps))
@@ -128,8 +124,7 @@ def _run(env: ReachVectorEnv, policy: Policy, rows: NDArray[np.int64], seeds: ND
     observation, infos = env.reset(seed=seeds.tolist(), options={"arm": rows})
     geometry = env.task.plant.arm.nominal
     reading = read_observation(geometry, observation)
-    turn = np.concatenate([np.zeros_like(reading.turn), reading.turn], axis=-1)
-    target = displace_pose(forward(geometry, reading.joints), turn).rotation
+    target = attitude_after(forward(geometry, reading.joints), reading.turn)
     policy.reset()
     errors = []
     for _ in range(steps):

@@ -13,7 +13,6 @@ import traceback
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +39,6 @@ RECURRENT = ("sb3_contrib", "RecurrentPPO")
 """Of a zip whose policy's class is of a module for recurrent ones; its other settings are PPO's."""
 
 
-@dataclass(eq=False)
 class Sb3Policy:
     """A model of Stable-Baselines3, acting without noise, on one observation or a batch.
 
@@ -51,10 +49,8 @@ class Sb3Policy:
         scaling: Of one that was trained on `pickenv/ReachScaled-v0`: what it sees and what its actions mean.
     """
 
-    model: Any
-    scaling: Scaling | None = None
-
-    def __post_init__(self) -> None:
+    def __init__(self, model: Any, scaling: Scaling | None = None) -> None:
+        self.model, self.scaling = model, scaling
         self.reset()
 
     def reset(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Geometry
+from pickenv.arm import Array, Geometry, Pose, displace_pose
 from pickenv.base import InputError
 from pickenv.envs import FEEDBACK
 
@@ -72,11 +72,6 @@ class ObservationParts:
     turn: Array
     camera: Array | None
 
-    @property
-    def arms(self) -> int | None:
-        """Number of arms in the batch, or None for a single one."""
-        return len(self.joints) if self.joints.ndim == 2 else None
-
 
 def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationParts:
     """The parts of an observation ``(..., k)`` of an arm that its controller believes to be ``geometry``.
@@ -99,6 +94,11 @@ def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationP
         turn=values[..., n + 9 : n + 12],
         camera=values[..., n + 12 :] if values.shape[-1] == n + 15 else None,
     )
+
+
+def attitude_after(pose: Pose, turn: Array) -> Array:
+    """Attitudes ``(..., 3, 3)`` of poses after rotation vectors ``turn (..., 3)``, rad, in the base frame."""
+    return displace_pose(pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
 
 
 def camera_of(reading: ObservationParts, policy: str) -> Array:

@@ -9,15 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.agents.policies.policy import (
-    ObservationParts,
-    Policy,
-    ReachController,
-    camera_of,
-    read_observation,
-    with_traits,
-)
-from pickenv.arm import Array, Pose, displace_pose, forward, inverse, joint_jacobian, pose_error
+from pickenv.agents.policies import policy
+from pickenv.arm import Array, Pose, forward, inverse, joint_jacobian, pose_error
 from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.base import InputError, register
 from pickenv.envs import CONTROL_PERIOD
@@ -25,7 +18,7 @@ from pickenv.harvester import assign, zone_work
 from pickenv.harvester.work import Work
 
 
-class ScriptedReach(ReachController):
+class ScriptedReach(policy.ReachController):
     """Solve the nominal inverse kinematics for the fruit once per episode, then drive straight to those joints.
 
     It uses the observation alone: joint readings, and the offset and attitude between believed tool and fruit.
@@ -47,18 +40,16 @@ class ScriptedReach(ReachController):
         Raises:
             InputError: If the fruit cannot be reached by the nominal arm.
         """
-        reading = read_observation(self.geometry, observation)
+        reading = policy.read_observation(self.geometry, observation)
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
         return self.action(self._wanted - self.commanded(reading.joints))
 
-    def wanted_pose(self, reading: ObservationParts) -> Pose:
+    def wanted_pose(self, reading: policy.ObservationParts) -> Pose:
         """The pose that the tool shall have: the fruit with its attitude."""
-        pose = forward(self.geometry, reading.joints)
-        lag = np.concatenate([np.zeros_like(reading.turn), reading.turn], axis=-1)
-        return Pose(reading.seen, displace_pose(pose, lag).rotation)
+        return Pose(reading.seen, policy.attitude_after(forward(self.geometry, reading.joints), reading.turn))
 
-    def wanted_joints(self, reading: ObservationParts) -> Array:
+    def wanted_joints(self, reading: policy.ObservationParts) -> Array:
         """Joints that bring the nominal arm's tool to the fruit."""
         target = self.wanted_pose(reading)
         solution = inverse(self.geometry, target, attitude_tolerance=1e-4)
@@ -109,7 +100,7 @@ class OracleReach(ScriptedReach):
         super().__init__(env)
         self._env = env.unwrapped
 
-    def wanted_joints(self, reading: ObservationParts) -> Array:
+    def wanted_joints(self, reading: policy.ObservationParts) -> Array:
         """Joints that bring the true arm's tool to the fruit."""
         joints, pose, plant = super().wanted_joints(reading), self.wanted_pose(reading), self._env.plant
         for _ in range(ITERATIONS):
@@ -163,8 +154,8 @@ class ServoReach(ScriptedReach):
         Raises:
             InputError: If the observation holds no camera, or the fruit cannot be reached by the nominal arm.
         """
-        reading = read_observation(self.geometry, observation)
-        self._pictures.append(camera_of(reading, "servo") - reading.offset)
+        reading = policy.read_observation(self.geometry, observation)
+        self._pictures.append(policy.camera_of(reading, "servo") - reading.offset)
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
             self._back: Array = truncated_inverse(joint_jacobian(self.geometry, self._wanted))[..., :3]
@@ -200,7 +191,7 @@ OUT, BELOW, AT = range(3)
 """Places on the way to a fruit: below the last one, below this one, and there."""
 
 
-class ScriptedPick(ReachController):
+class ScriptedPick(policy.ReachController):
     """Comes to each fruit from below; `settle` seconds of standing still before it grasps.
 
     Arguments are numbers, or one for each environment of a vector.
@@ -285,8 +276,7 @@ class ScriptedPick(ReachController):
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
         """Waypoints: down from the last fruit, below the next one, and up to it."""
-        believed_pose = forward(self.geometry, joints)
-        upright = displace_pose(believed_pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
+        upright = policy.attitude_after(forward(self.geometry, joints), turn)
         aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
         down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
         at = self._solve(seen + aim, upright, joints)
@@ -336,11 +326,10 @@ class _Arm:
 class ScriptedHarvest:
     """Drives every slave through its planned picks; an arm goes out only where no arm that is out would be met."""
 
-    def __init__(self, env: Any, assignment: str = "search") -> None:
+    def __init__(self, env: Any) -> None:
         """Read the machine from ``env``, a `pickenv/Harvest-v0` of Gymnasium or PettingZoo, wrapped or not."""
         self.task = env.unwrapped.task
         self.machine = self.task.machine
-        self.assignment = assignment
         self.reset()
 
     def reset(self) -> None:
@@ -385,7 +374,7 @@ class ScriptedHarvest:
         work = zone_work(self.machine, master, fruit)
         work.reached[:, ~hangs] = False
         self._work = work
-        for arm, queue in zip(self._arms, assign(work, self.assignment), strict=True):
+        for arm, queue in zip(self._arms, assign(work, "search"), strict=True):
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
@@ -429,15 +418,15 @@ class ScriptedHarvest:
 
 
 @register("policy", "random")
-@with_traits(("encoders",))
-def random(env: Any, seed: int) -> Policy:
+@policy.with_traits(("encoders",))
+def random(env: Any, seed: int) -> policy.Policy:
     """Even random actions."""
     return RandomReach(env, np.random.default_rng(seed))
 
 
 @register("policy", "scripted")
-@with_traits(("encoders",))
-def scripted(env: Any, seed: int = 0) -> Policy:
+@policy.with_traits(("encoders",))
+def scripted(env: Any, seed: int = 0) -> policy.Policy:
     """The scripted policy of an environment, which draws nothing.
 
     Raises:
@@ -454,14 +443,14 @@ def scripted(env: Any, seed: int = 0) -> Policy:
 
 
 @register("policy", "oracle")
-@with_traits(("encoders",), raw_only=True)
-def oracle(env: Any, seed: int) -> Policy:
+@policy.with_traits(("encoders",), raw_only=True)
+def oracle(env: Any, seed: int) -> policy.Policy:
     """The policy that knows the true arm."""
     return OracleReach(env)
 
 
 @register("policy", "servo")
-@with_traits(("camera",))
-def servo(env: Any, seed: int) -> Policy:
+@policy.with_traits(("camera",))
+def servo(env: Any, seed: int) -> policy.Policy:
     """Visual servoing with its usual gain."""
     return ServoReach(env)

@@ -16,6 +16,9 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from pickenv.agents.policies.remembering import HEADS, attended
 from pickenv.wrappers import MOST_SEEN, PickMemory
 
+WIDTH, MADE = 32, 16
+"""Numbers by which picks are compared, a multiple of `HEADS`, and numbers that are made of each beside its error."""
+
 
 def memory_of(space: spaces.Space[Any]) -> PickMemory:
     """The layout of the observations of a `pickenv.wrappers.SameArm`; its largest shift is not among them."""
@@ -27,22 +30,16 @@ def memory_of(space: spaces.Space[Any]) -> PickMemory:
 class HistoryFeatures(BaseFeaturesExtractor):
     """Features of the window's picks for the next one."""
 
-    def __init__(self, observation_space: spaces.Box, width: int = 32, made: int = 16) -> None:
-        """See a window.
-
-        Args:
-            observation_space: Of a `pickenv.wrappers.SameArm`.
-            width: Numbers by which picks are compared; a multiple of `HEADS`.
-            made: Numbers that are made of each pick beside its error.
-        """
+    def __init__(self, observation_space: spaces.Box) -> None:
+        """See a window; the space is that of a `pickenv.wrappers.SameArm`."""
         memory = memory_of(observation_space)
-        super().__init__(observation_space, memory.joints + HEADS * (3 + made) + 1)
+        super().__init__(observation_space, memory.joints + HEADS * (3 + MADE) + 1)
         self.memory = memory
         sizes = {
-            "near": (memory.joints, width),
-            "query": (width, width),
-            "key": (width, width),
-            "value": (width + 3, made),
+            "near": (memory.joints, WIDTH),
+            "query": (WIDTH, WIDTH),
+            "key": (WIDTH, WIDTH),
+            "value": (WIDTH + 3, MADE),
         }
         arrays = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
         for value in arrays.values():

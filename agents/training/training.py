@@ -16,16 +16,8 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import RememberingPolicy
+from pickenv.agents.training import training_setup
 from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint, take_checkpoint
-from pickenv.agents.training.training_setup import (
-    Inputs,
-    Training,
-    actor_of,
-    check_inputs,
-    inputs_of,
-    judge,
-    make_model,
-)
 from pickenv.base import InputError, locked, torch_on_one_thread, write_json
 
 # What happens during a training: checkpoints between rollouts, and evaluations in millimetres.
@@ -56,8 +48,8 @@ class EverySoOften(BaseCallback):
 
 
 def judged(
-    training: Training,
-    inputs: Inputs,
+    training: training_setup.Training,
+    inputs: training_setup.Inputs,
     out: Path,
     rows: list[dict[str, float]],
     policy: LearnedPolicy | RememberingPolicy,
@@ -68,9 +60,9 @@ def judged(
     Raises:
         InputError: If the files that the training was begun with have changed.
     """
-    check_inputs(training, inputs)
+    training_setup.check_inputs(training, inputs)
     rows[:] = [row for row in rows if row["steps"] < steps]
-    rows.append({"steps": float(steps)} | judge(policy, training))
+    rows.append({"steps": float(steps)} | training_setup.judge(policy, training))
     write_json(out / "evaluations.json", rows)
     return rows[-1]
 
@@ -95,7 +87,9 @@ class Trained:
     out: Path
 
 
-def train(training: Training, out: str | Path, *, resume: bool = False, progress: bool = False) -> Trained:
+def train(
+    training: training_setup.Training, out: str | Path, *, resume: bool = False, progress: bool = False
+) -> Trained:
     """Train, or go on training, and write the run's folder.
 
     Args:
@@ -117,15 +111,15 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
                 raise InputError(
                     f"checkpoint {path} is of another training; resume it with the options it was started with"
                 )
-            check_inputs(training, begun.inputs)
-        inputs = inputs_of(training) if begun is None else begun.inputs
-        model, env = make_model(training, out)
+            training_setup.check_inputs(training, begun.inputs)
+        inputs = training_setup.inputs_of(training) if begun is None else begun.inputs
+        model, env = training_setup.make_model(training, out)
         if begun is not None:
             take_checkpoint(begun, model, env)
         rows = [] if begun is None else begun.evaluations
 
         def evaluate(at: BaseCallback) -> None:
-            policy = actor_of(at.model, training, env)
+            policy = training_setup.actor_of(at.model, training, env)
             for key, value in judged(training, inputs, out, rows, policy, at.model.num_timesteps).items():
                 at.logger.record(f"eval/{key}", value)
 
@@ -145,14 +139,14 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
             )
             save_checkpoint(path, model, env, training, inputs, rows)
         rate = (model.num_timesteps - first) / max(time.perf_counter() - begin, 1e-9)
-        policy = actor_of(model, training, env)
+        policy = training_setup.actor_of(model, training, env)
         policy.save(out / "policy.npz")
         judged(training, inputs, out, rows, policy, model.num_timesteps)
         env.close()
     return Trained(policy, tuple(rows), rate, out)
 
 
-def resumed(out: str | Path) -> Training:
+def resumed(out: str | Path) -> training_setup.Training:
     """The training that a folder's checkpoint belongs to.
 
     Raises:

@@ -113,13 +113,6 @@ def make_environment(training: Training, count: int, mode: str) -> Native:
     return env
 
 
-def scaling_of(training: Training, env: Native) -> Scaling | ToolSteps:
-    """The scaling that suits an environment's observations."""
-    if isinstance(env, PickVectorEnv):
-        return tool_steps_of(env)
-    return Scaling(env.task.joints, env.task.camera, env.goal_dict, training.scaled_actions)
-
-
 def inputs_of(training: Training) -> Inputs:
     """Files and arms that a training is made with, as they are now.
 
@@ -211,7 +204,12 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
     if training.remembering is not None:
         return RememberingPolicy(memory=env.envs.run.memory, arrays=memory_arrays(model.policy), **common)
     activation = "tanh" if on_policy else "relu"
-    return LearnedPolicy(scaling=scaling_of(training, inner), activation=activation, squashed=not on_policy, **common)
+    scaling: Scaling | ToolSteps
+    if isinstance(inner, PickVectorEnv):
+        scaling = tool_steps_of(inner)
+    else:
+        scaling = Scaling(inner.task.joints, inner.task.camera, inner.goal_dict, training.scaled_actions)
+    return LearnedPolicy(scaling=scaling, activation=activation, squashed=not on_policy, **common)
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:
@@ -224,9 +222,7 @@ def memory_arrays(policy: Any) -> dict[str, Any]:
     return {name: part.detach().numpy().astype(float) for name, part in zip(LSTM, parts, strict=True)}
 
 
-def judge(
-    policy: LearnedPolicy | RememberingPolicy, training: Training, episodes: int | None = None
-) -> dict[str, float]:
+def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict[str, float]:
     """A policy without noise on held-out episodes of its own environment.
 
     Returns:
@@ -235,10 +231,10 @@ def judge(
         reachable, means per canopy.
     """
     if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
-        envs: Any = make_environment(training, episodes or 16, "NextStep")
+        envs: Any = make_environment(training, 16, "NextStep")
         outcome = pick_canopies(policy, envs, HELD_OUT)
         return {name: float(outcome[name].mean()) for name in FRUIT}
-    env: Any = make_environment(training, episodes or 256, "Disabled")
+    env: Any = make_environment(training, 256, "Disabled")
     if isinstance(policy, RememberingPolicy):
         outcome = _picked(policy, SameArmVector(env, **(training.remembering or {})))
         error, success = outcome["position_error_mm"], outcome["is_success"]

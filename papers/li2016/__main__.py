@@ -39,13 +39,14 @@ from papers.li2016.comparison import (
     trace_of,
 )
 from papers.li2016.equations import ARMS, EXACT, PAPER, equations, pick_points, reach_shares
+from papers.li2016.lab import sample_image
 from papers.li2016.page import NOTES, drawings, reached_in_area, sections, target_area
 from papers.li2016.prediction import prediction, sessions
 from papers.li2016.segmentation import figure_5, segmentation
 from papers.pages import headline, print_tables, write_page
 from pickenv.arm import Array
 from pickenv.base import write_text
-from pickenv.harvester import Controller, Machine, Strategy, load_lab, load_machine, load_true_machine, sample_image
+from pickenv.harvester import Controller, Machine, Strategy, load_lab, load_machine, load_true_machine
 from pickenv.inspect import inspect_harvest, write_drawings
 from pickenv.inspect.reports import harvest_report
 from pickenv.inspect.reports.report_page import Section

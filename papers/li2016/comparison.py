@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from papers.li2016.equations import ARMS, section_4_2
+from papers.li2016.lab import sample_image, work_images
 from papers.pages import table
 from pickenv.arm import Array, Plant
 from pickenv.base import InputError
@@ -32,12 +33,10 @@ from pickenv.harvester import (
     lower_bound,
     pick_point,
     profile,
-    sample_image,
     summary,
     timetable,
     travel_time,
     ultrasonic_hold,
-    work_images,
     work_trees,
     zone_work,
 )
@@ -122,7 +121,7 @@ def tip_errors(true: TrueMachine, controller: Controller, masters: Sequence[Arra
 def run_errors(true: TrueMachine, controller: Controller, runs: int, rng: np.random.Generator) -> Array:
     """Position errors in mm of frame 3 and the cups in ``runs`` zones of the lab ``(runs, 1 + arms)``."""
     machine = true.machine
-    masters = np.array([pick_point(machine, sample_image(machine, rng).fruit).master for _ in range(runs)])
+    masters = np.array([pick_point(machine, sample_image(machine, rng).fruit) for _ in range(runs)])
     slaves = rng.uniform(machine.slave.lower, machine.slave.upper, (runs, machine.arms, 3))
     spread = rng.normal(size=(runs, 1 + machine.arms, 3)) * true.repeatability
     return np.linalg.norm(tip_errors(true, controller, masters, slaves) + spread, axis=-1) * 1e3
@@ -178,7 +177,7 @@ def assignments(machine: Machine, zones: int, fruit: int, rng: np.random.Generat
     for _ in range(zones):
         corner = np.array([rng.uniform(-0.9, 0.9) - 0.35, -1.4, rng.uniform(0.42, 1.87)])
         places = corner + np.array([0.7, 0.4, 0.55]) * rng.random((fruit, 3))
-        work = zone_work(machine, pick_point(machine, places).master, places)
+        work = zone_work(machine, pick_point(machine, places), places)
         makespans["lower bound"] += lower_bound(work) / zones
         for name in names:
             try:

@@ -235,9 +235,13 @@ def reach_shares(machine: Machine, zones: int, rng: np.random.Generator) -> dict
     for _ in range(zones):
         fruit = zone(rng)
         for method in METHODS:
-            point = pick_point(machine, fruit, method)
-            found[method] += point.count / len(fruit) / zones if np.isfinite(point.master).all() else 0.0
+            found[method] += in_reach(machine, pick_point(machine, fruit, method), fruit) / len(fruit) / zones
     return found
+
+
+def in_reach(machine: Machine, master: Array, fruit: Array) -> int:
+    """Number of fruit that an arm reaches from master joints ``(3,)``."""
+    return int(machine.reach(master, fruit).any(axis=0).sum())
 
 
 def pick_points(machine: Machine, exact: Machine) -> list[dict[str, Any]]:
@@ -259,15 +263,19 @@ def pick_points(machine: Machine, exact: Machine) -> list[dict[str, Any]]:
             "apart_mm": apart,
         } | reached
 
-    own = [int(each.reach(each.master_inverse(PICK_POINT), TARGETS).any(0).sum()) for each in (machine, exact)]
+    own = [in_reach(each, each.master_inverse(PICK_POINT), TARGETS) for each in (machine, exact)]
     rows = [row("the paper's", printed.tolist(), own)]
     for method in METHODS:
-        points = []
+        counts: list[int | None] = []
+        position = None
         for each in (machine, exact):
             try:
-                points.append(pick_point(each, TARGETS, method))
+                master = pick_point(each, TARGETS, method)
             except InputError:  # the point is nearer to the axis than frame 3 can come
-                points.append(None)
-        position = None if points[0] is None else (points[0].position * 1e3).tolist()
-        rows.append(row(method, position, [None if point is None else point.count for point in points]))
+                counts.append(None)
+                continue
+            counts.append(in_reach(each, master, TARGETS))
+            if each is machine:
+                position = (machine.frame3(master) * 1e3).tolist()
+        rows.append(row(method, position, counts))
     return rows

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from scipy.stats import spearmanr
 
+from papers.li2016.lab import work_images
 from papers.pages import judged
 from pickenv.arm import Array
-from pickenv.harvester import Picking, Strategy, TrueMachine, funnel, load_lab, load_picking, work_images
+from pickenv.harvester import Picking, Strategy, TrueMachine, funnel, load_lab, load_picking
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def segmentation(tree: Tree, rng: np.random.Generator) -> Segmentation:
         pair.left,
         red_minus_green(pair.left),
         steps(camera, pair.left),
-        fruit_regions(camera, pair.left).centroids,
+        fruit_regions(camera, pair.left)[0],
         project(camera, places),
         missed_by(places, found, tree.diameters),
     )

@@ -7,9 +7,10 @@ from scipy.ndimage import binary_dilation, binary_erosion, label
 from papers.li2016 import verdicts
 from papers.li2016.comparison import displacements
 from papers.li2016.equations import EXACT, PAPER, chained, equations
+from papers.li2016.lab import sample_image
 from papers.li2016.prediction import OPEN, Sessions, machine_with, picking_with, prediction
 from papers.li2016.segmentation import figure_5, segmentation
-from pickenv.harvester import Measure, load_machine, load_true_machine, sample_image
+from pickenv.harvester import Measure, load_machine, load_true_machine
 
 
 def test_table_2_is_exact_for_one_spacing_which_is_not_the_papers() -> None:

@@ -291,7 +291,7 @@ def kinds() -> dict[str, Any]:
     from pickenv.harvester.machine import MachineFile
     from pickenv.harvester.optimiser import Effort
     from pickenv.harvester.pick_points import Search
-    from pickenv.harvester.trees import Lab, TreesTable
+    from pickenv.harvester.trees import Lab, Orchard
     from pickenv.orchard import Station
     from pickenv.orchard.camera import CameraFile
     from pickenv.orchard.gripper import gripper_file
@@ -318,6 +318,6 @@ def kinds() -> dict[str, Any]:
             make_dataclass("Strategy", [("zones", Grid), ("search", Search), ("optimiser", Effort)])
         ),
         "picking": toml_table(
-            make_dataclass("PickingFile", [("pick", Picking), ("task", Rules), ("lab", Lab), ("trees", TreesTable)])
+            make_dataclass("PickingFile", [("pick", Picking), ("task", Rules), ("lab", Lab), ("trees", Orchard)])
         ),
     }

@@ -8,7 +8,6 @@ from .harvest_run import (
     funnel_shares as funnel_shares,
     harvest as harvest,
     summary as summary,
-    work_images as work_images,
     work_trees as work_trees,
 )
 from .interference import arm_distances as arm_distances, pairs_of as pairs_of
@@ -36,7 +35,6 @@ from .trees import (
     lab_zone as lab_zone,
     load_lab as load_lab,
     load_orchard as load_orchard,
-    sample_image as sample_image,
     sample_tree as sample_tree,
     tree_leaves as tree_leaves,
 )

@@ -1,8 +1,8 @@
 """Whole trees: zone after zone, image, pick point, plan, picks, second looks, collective unloading, and the clock.
 
 Many trees go on in step, so that the true arms of a zone are computed for all of them at once. Each tree draws from a
-generator of its own, so results do not depend on which trees go together. `work_trees` and `work_images` draw the same
-trees for every strategy from one seed, whatever the number of workers.
+generator of its own, so results do not depend on which trees go together. `work_trees` draws the same trees for
+every strategy from one seed, whatever the number of workers.
 
 `summary` says what the harvests were worth, with 95 % intervals over trees: fruit of one tree share their machine
 stops, so a tree counts as one. With fewer than ten trees there is no interval, nor is there one of a count of rare
@@ -16,24 +16,23 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import get_context
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.arm.plant.plant_batch import leaves
-from pickenv.base import Ends, InputError, clustered_share_interval, ratio_interval
+from pickenv.base import InputError, clustered_share_interval, ratio_interval
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
 from pickenv.harvester.machine import Machine, master_time
 from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_points import pick_point
 from pickenv.harvester.picking import Luck, Outcome, Picking, attempt, displacements, draw_luck
-from pickenv.harvester.trees import Orchard, Tree, load_lab, sample_image, sample_tree, tree_leaves
+from pickenv.harvester.trees import Orchard, Tree, sample_tree, tree_leaves
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
 from pickenv.harvester.zones import Grid, Zone, cut
-from pickenv.orchard import Chances, Eyes, Leaves, draw_chances, load_canopy, load_eyes, next_picture, see
+from pickenv.orchard import Eyes, draw_chances, load_eyes, next_picture, see
 
 Flags = NDArray[np.bool_]
 
@@ -63,7 +62,7 @@ class Strategy:
     detector: str = "li2016"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Round:
     """One image and the picks it led to.
 
@@ -71,28 +70,37 @@ class Round:
         zone: The zone.
         begin: Start of the picking on the tree's clock, s.
         master: Master joints while picking, (3,).
-        fruit: Tree numbers of the fruit attempted, in the order of the timetable; -1 where none hung.
+        numbers: Tree numbers of what the image showed in the zone, -1 where no fruit hung, (n,).
+        believed: Where it was believed to be, (n, 3), m.
         work: The scheduling problem.
         times: When each pick happened.
-        aimed: Slave joints of each pick, nominal, (picks, 3).
-        outcome: What became of each.
         closest: Least distance between the centre lines of two arms, m; infinite for one arm.
         skipped: Tree numbers of fruit located but out of every arm's reach.
+        outcome: What became of each pick, once they are done.
     """
 
     zone: Zone
     begin: float
     master: Array
-    fruit: NDArray[np.int64]
+    numbers: NDArray[np.int64]
+    believed: Array
     work: Work
     times: Timetable
-    aimed: Array
-    outcome: Outcome
     closest: float
     skipped: tuple[int, ...]
+    outcome: Outcome = field(init=False)
+
+    @property
+    def fruit(self) -> NDArray[np.int64]:
+        """Tree numbers of the fruit attempted, in the order of the timetable."""
+        return self.numbers[self.times.fruit]
+
+    @property
+    def aimed(self) -> Array:
+        """Slave joints of each pick, nominal, (picks, 3)."""
+        return self.work.joints[self.times.arm, self.times.fruit]
 
 
-@dataclass(eq=False)
 class Harvest:
     """A tree being worked, and in the end what was done; stages are per fruit, (n,).
 
@@ -109,6 +117,8 @@ class Harvest:
         detached: Fruit whose stalk was cut.
         collected: Fruit in a tube, undamaged.
         by_arm: Arm of the last attempt, or -1.
+        load: Fruit in the tube of each arm.
+        master: Joints of the master.
         rounds: What was done.
         seconds: Clock of the tree.
         phases: Seconds by phase: move, image, pick, unload.
@@ -117,44 +127,23 @@ class Harvest:
         chances: What chance decided about its fruit in the last picture, where errors are measured ones.
     """
 
-    tree: Tree
-    rng: np.random.Generator
-    looking: np.random.Generator
-    leaves: Leaves | None
-    seen: Flags
-    located: Flags
-    reachable: Flags
-    attempted: Flags
-    attached: Flags
-    detached: Flags
-    collected: Flags
-    by_arm: NDArray[np.int64]
-    load: NDArray[np.int64]
-    master: Array
-    rounds: list[Round] = field(default_factory=list)
-    seconds: float = 0.0
-    phases: dict[str, float] = field(default_factory=lambda: dict.fromkeys(("move", "image", "pick", "unload"), 0.0))
-    repicks: int = 0
-    misled: int = 0
-    chances: Chances | None = None
+    def __init__(self, machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -> None:
+        self.tree, self.rng = tree, rng
+        self.looking = rng.spawn(1)[0]  # so that the same luck befalls a tree however it is seen
+        self.leaves = tree_leaves(machine, eyes, self.looking)
+        self.seen, self.located, self.reachable, self.attempted = np.zeros((4, len(tree)), dtype=bool)
+        self.attached, self.detached, self.collected = np.zeros((3, len(tree)), dtype=bool)
+        self.by_arm, self.load = np.full(len(tree), -1), np.zeros(machine.arms, dtype=np.int64)
+        self.master = machine.master_start.copy()
+        self.rounds: list[Round] = []
+        self.phases = dict.fromkeys(("move", "image", "pick", "unload"), 0.0)
+        self.seconds, self.repicks, self.misled = 0.0, 0, 0
+        self.chances: Array | None = None
 
     def spend(self, phase: str, seconds: float) -> None:
         """Let the clock run."""
         self.seconds += seconds
         self.phases[phase] += seconds
-
-
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """Picks planned for one tree's round."""
-
-    zone: Zone
-    master: Array
-    numbers: NDArray[np.int64]
-    believed: Array
-    work: Work
-    times: Timetable
-    skipped: tuple[int, ...]
 
 
 def harvest(
@@ -183,14 +172,14 @@ def harvest(
     if len(trees) != len(rngs):
         raise InputError(f"{len(trees)} trees came with {len(rngs)} generators; give one each")
     machine = true.machine
-    states = [_begin(machine, eyes, tree, rng) for tree, rng in zip(trees, rngs, strict=True)]
+    states = [Harvest(machine, eyes, tree, rng) for tree, rng in zip(trees, rngs, strict=True)]
     sides = [cut(grid, *tree.side) for tree in trees]
     for number in range(grid.columns * grid.rows):
         waiting = list(range(len(states)))
         for look in range(strategy.looks):
-            tasks = [(i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting]
-            done = [(i, task) for i, task in tasks if task is not None]
-            waiting = [i for i, empty in _execute(true, strategy, model, states, done) if empty]
+            plans = [(i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting]
+            rounds = {i: plan for i, plan in plans if plan is not None}
+            waiting = _execute(true, strategy, model, states, rounds)
         if not strategy.unload_full:
             for state in states:
                 _unload(machine, state)
@@ -199,23 +188,14 @@ def harvest(
     return states
 
 
-def _begin(machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -> Harvest:
-    stages = ("seen", "located", "reachable", "attempted", "attached", "detached", "collected")
-    none: dict[str, Any] = {stage: np.zeros(len(tree), dtype=bool) for stage in stages}
-    load, start = np.zeros(machine.arms, dtype=np.int64), machine.master_start.copy()
-    looking = rng.spawn(1)[0]  # so that the same luck befalls a tree however it is seen
-    leaves = tree_leaves(machine, eyes, looking)
-    return Harvest(tree, rng, looking, leaves, **none, by_arm=np.full(len(tree), -1), load=load, master=start)
-
-
-def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> _Task | None:
+def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> Round | None:
     """Image, pick point and plan of a zone; None where the image shows nothing to pick."""
     state.spend("image", machine.cycle.image)
     numbers, places = _seen_in(eyes, state, zone, look)
     if not numbers.size:
         return None
-    point = pick_point(machine, places, strategy.pick_point)
-    master = np.clip(point.master, machine.master.nominal.lower, machine.master.nominal.upper)
+    master = pick_point(machine, places, strategy.pick_point)
+    master = np.clip(master, machine.master.nominal.lower, machine.master.nominal.upper)
     work = zone_work(machine, master, places)
     can, fruit = work.reachable, numbers >= 0
     state.reachable[numbers[can & fruit]] = True
@@ -226,7 +206,8 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
     state.master = master
     plan = assign(work, strategy.assignment, state.rng)
     times = timetable(work, plan, hold=ultrasonic_hold(machine, work, state.rng) if strategy.guard else None)
-    return _Task(zone, master, numbers, places, work, times, skipped)
+    closest = closest_approach(machine, work, times)
+    return Round(zone, state.seconds, master, numbers, places, work, times, closest, skipped)
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
@@ -239,7 +220,7 @@ def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray
             chances = state.chances = draw_chances(rng, len(tree))
         else:
             chances = next_picture(eyes.errors, state.chances, rng)
-        chances = Chances(chances.place[hanging], chances.normal[hanging])
+        chances = chances[hanging]
     fruit, diameters = tree.fruit[hanging], tree.diameters[hanging]
     sighting = see(eyes, zone.view, fruit, diameters, rng, leaves=state.leaves, chances=chances)
     in_zone = sighting.located & zone.holds(sighting.believed)
@@ -251,30 +232,28 @@ def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray
 
 
 def _execute(
-    true: TrueMachine, strategy: Strategy, model: Picking, states: list[Harvest], tasks: list[tuple[int, _Task]]
-) -> list[tuple[int, bool]]:
-    """Let the true machine do the planned picks of all trees; says of each whether a cup came back empty."""
-    if not tasks:
+    true: TrueMachine, strategy: Strategy, model: Picking, states: list[Harvest], rounds: dict[int, Round]
+) -> list[int]:
+    """Let the true machine do the planned picks of the trees; gives those where a cup came back empty."""
+    if not rounds:
         return []
-    counts = [len(task.times.fruit) for _, task in tasks]
-    arm = np.concatenate([task.times.arm for _, task in tasks])
-    target = np.concatenate([task.believed[task.times.fruit] for _, task in tasks])
-    master = np.repeat(strategy.controller.master_command(np.array([task.master for _, task in tasks])), counts, axis=0)
+    plans = list(rounds.values())
+    counts = [len(plan.times.fruit) for plan in plans]
+    arm = np.concatenate([plan.times.arm for plan in plans])
+    target = np.concatenate([plan.believed[plan.times.fruit] for plan in plans])
+    master = np.repeat(strategy.controller.master_command(np.array([plan.master for plan in plans])), counts, axis=0)
     commands = strategy.controller.pick_commands(master, arm, target)
-    tips = true.picking_tips(master, arm, commands)
-    parts = np.split(tips, np.cumsum(counts[:-1]))
-    return [
-        (i, _record(true, strategy, model, states[i], task, part)) for (i, task), part in zip(tasks, parts, strict=True)
-    ]
+    parts = np.split(true.picking_tips(master, arm, commands), np.cumsum(counts[:-1]))
+    done = zip(rounds.items(), parts, strict=True)
+    return [i for (i, plan), tips in done if _record(true, strategy, model, states[i], plan, tips)]
 
 
-def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, task: _Task, tips: Array) -> bool:
-    """Outcomes of one tree's round, its time, and the arms' least distance; whether a cup came back empty."""
-    machine, rng = true.machine, state.rng
-    arm, local = task.times.arm, task.times.fruit
-    numbers = task.numbers[local]
+def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, plan: Round, tips: Array) -> bool:
+    """Outcomes of one tree's round and its time; whether a cup came back empty."""
+    rng, times, numbers = state.rng, plan.times, plan.fruit
+    arm = times.arm
     tips = tips + rng.normal(size=(len(arm), 2, 3)).sum(axis=1) * true.repeatability
-    outcome = _outcome(model, state, numbers, tips, task.times.start + task.work.out[arm, local])
+    outcome = _outcome(model, state, numbers, tips, times.start + plan.work.out[arm, times.fruit])
     hung = numbers >= 0
     fruit = numbers[hung]
     state.repicks += int(state.attempted[fruit].sum())
@@ -285,12 +264,11 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     state.collected[fruit] = outcome.collected[hung]
     state.by_arm[fruit] = arm[hung]
     np.add.at(state.load, arm[outcome.collected], 1)
-    closest, aimed = closest_approach(machine, task.work, task.times), task.work.joints[arm, local]
-    done = task.zone, state.seconds, task.master, numbers, task.work, task.times, aimed, outcome, closest, task.skipped
-    state.rounds.append(Round(*done))
-    state.spend("pick", task.times.makespan)
-    if strategy.unload_full and state.load.max() >= machine.cycle.tube_fruit:
-        _unload(machine, state)
+    plan.outcome = outcome
+    state.rounds.append(plan)
+    state.spend("pick", times.makespan)
+    if strategy.unload_full and state.load.max() >= true.machine.cycle.tube_fruit:
+        _unload(true.machine, state)
     return bool((~outcome.detached).any())
 
 
@@ -315,7 +293,7 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
     empty = Outcome(
         lateral=np.full(len(numbers), np.inf),
         displaced=np.linalg.norm(shifts, axis=-1)[np.argsort(order)],
-        **{name: np.zeros(len(numbers), dtype=bool) for name in ("attached", "detached", "collected", "crowded")},
+        **{name: np.zeros(len(numbers), dtype=bool) for name in ("attached", "detached", "collected")},
     )
     for mine_too, values in zip(leaves(empty), leaves(done), strict=True):
         mine_too[mine] = values
@@ -332,7 +310,9 @@ def _unload(machine: Machine, state: Harvest) -> None:
     state.load[:] = 0
 
 
-def _generators(seeds: Sequence[np.random.SeedSequence]) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
+def generators_of(
+    seeds: Sequence[np.random.SeedSequence],
+) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
     """For each seed a generator of the tree and one of what happens to it."""
     pairs = [np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2) for seed in seeds]
     return [np.random.default_rng(a) for a, _ in pairs], [np.random.default_rng(b) for _, b in pairs]
@@ -347,7 +327,7 @@ def _some_trees(
     vision: str,
     seeds: Sequence[np.random.SeedSequence],
 ) -> list[Harvest]:
-    tree_rngs, rngs = _generators(seeds)
+    tree_rngs, rngs = generators_of(seeds)
     trees = [sample_tree(true.machine, orchard, rng) for rng in tree_rngs]
     return harvest(true, strategy, model, trees, rngs, grid, load_eyes(vision, orchard.canopy, strategy.detector))
 
@@ -392,22 +372,6 @@ def work_trees(
     return [done[i % workers][i // workers] for i in range(count)]
 
 
-def work_images(
-    true: TrueMachine,
-    strategy: Strategy,
-    model: Picking,
-    *,
-    count: int,
-    seed: int,
-    vision: str = "measured_errors",
-) -> list[Harvest]:
-    """Li's experiment: ``count`` images of seven fruit in reach of the *paper's* pick point, each picked once."""
-    tree_rngs, rngs = _generators(np.random.SeedSequence(seed).spawn(count))
-    images: list[Tree] = [sample_image(true.machine, rng) for rng in tree_rngs]
-    eyes = load_eyes(vision, load_canopy(load_lab().canopy), strategy.detector)
-    return harvest(true, strategy, model, images, rngs, Grid(1, 1, 1e-6), eyes)
-
-
 STAGES = ("present", "visible", "located", "reachable", "attempted", "attached", "detached", "collected")
 ROUND_NUMBERS = ("makespan", "busy", "held", "waits", "parallel", "travel", "picks", "collisions")
 
@@ -446,7 +410,7 @@ def _share(taken: Array, tried: Array) -> Measure:
     """Of fruit, which come in trees."""
     if not tried.sum():
         return Measure(0.0)
-    return _measure(float(taken.sum() / tried.sum()), clustered_share_interval(taken, tried))
+    return Measure(float(taken.sum() / tried.sum()), *(clustered_share_interval(taken, tried) or ()))
 
 
 def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]:
@@ -490,10 +454,6 @@ def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]
     if np.isfinite(min(closest)):
         measures["closest"] = Measure(min(closest))
     return measures
-
-
-def _measure(value: float, interval: Ends | None) -> Measure:
-    return Measure(value, *(interval or (None, None)))
 
 
 def _tree_numbers(machine: Machine, harvest: Harvest) -> dict[str, float]:

@@ -164,6 +164,10 @@ class Machine:
         """Largest speeds of all joints."""
         return np.concatenate([arm.speed for arm in (self.master, *self.slaves)])
 
+    def parted(self, joints: Array) -> tuple[Array, Array]:
+        """Joints of the whole machine (..., 3 + 3 arms) as the master's (..., 3) and the slaves' (..., arms, 3)."""
+        return joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], self.arms, 3)
+
     def frame3(self, master: ArrayLike) -> Array:
         """Origin of frame 3 for master joints (..., 3): last column of eq (2)."""
         master = np.asarray(master, dtype=float)

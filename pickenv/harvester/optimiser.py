@@ -8,15 +8,16 @@ of every arm's reach is left out. Units: s.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
+from functools import cache, partial
 from typing import Annotated, Any
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
 from pickenv.arm import Array
 from pickenv.base import NUMBER, InputError, read_toml, require, toml_table
-from pickenv.harvester.work import Plan, Work, last_arm, makespan_of, plain_lists
+from pickenv.harvester.work import Plan, Work, last_arm, makespan_of
 from pickenv.harvester.zones import SHIPPED
 
 
@@ -86,12 +87,8 @@ def lower_bound(work: Work, *, integral: bool = True) -> float:
     load = np.where(reached, work.duration[:, some] + least, 0.0)
     single = (np.where(reached, work.duration[:, some], np.inf).min(axis=0) + least).max()
     # Variables: share of each fruit on each arm, and the makespan. Loads at most the makespan, shares add up to one.
-    above = np.zeros((arms, arms * n + 1))
-    equal = np.zeros((n, arms * n + 1))
-    for arm in range(arms):
-        above[arm, arm * n : (arm + 1) * n] = load[arm]
-        equal[np.arange(n), arm * n + np.arange(n)] = 1.0
-    above[:, -1] = -1.0
+    above = np.hstack([block_diag(*load), np.full((arms, 1), -1.0)])
+    equal = np.hstack([np.tile(np.eye(n), arms), np.zeros((n, 1))])
     upper = np.concatenate([reached.ravel().astype(float), [np.inf]])
     cost = np.zeros(arms * n + 1)
     cost[-1] = 1.0
@@ -139,15 +136,14 @@ def local_search(
         patience: Rounds, as a multiple of the strategy file's.
     """
     rng = np.random.default_rng(0) if rng is None else rng
-    lists = plain_lists(work)
     starts = [_by_height(work), nearest_neighbour(work), hungarian_waves(work)]
-    values = [makespan_of(lists, plan) for plan in starts]
+    values = [makespan_of(work, plan) for plan in starts]
     best = [list(fruit) for fruit in starts[int(np.argmin(values))]]
     value, count = min(values), sum(len(fruit) for fruit in best)
     if count < 2:
         return tuple(tuple(fruit) for fruit in best)
     limit = lower_bound(work, integral=False) if bound is None else bound
-    reached = work.reached.tolist()
+    reached, duration = work.reached.tolist(), work.lists[0]
     current, current_cost = [list(fruit) for fruit in best], value
     rounds = int(_effort().rounds * patience) * count
     last = 0
@@ -157,8 +153,8 @@ def local_search(
         tried = _changed(current, reached, rng, last if rng.random() < 0.5 else int(rng.integers(work.arms)))
         if tried is None:
             continue
-        length, arm = last_arm(lists, tried)
-        loads = [sum(lists.duration[a][j] for j in fruit) for a, fruit in enumerate(tried)]
+        length, arm = last_arm(work, tried)
+        loads = [sum(duration[a][j] for j in fruit) for a, fruit in enumerate(tried)]
         cost = length + 1e-3 * sum(loads) / len(tried)
         heat = 0.03 * value * (1 - step / rounds)
         if cost < current_cost or rng.random() < np.exp(-(cost - current_cost) / max(heat, 1e-9)):
@@ -220,8 +216,7 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     """
     limit = lower_bound(work)
     start = local_search(work, rng, bound=limit, patience=6.0)
-    lists = plain_lists(work)
-    value = makespan_of(lists, start)
+    value = makespan_of(work, start)
     if sum(len(fruit) for fruit in start) < 2 or value <= limit * 1.01:
         return start
     require("ortools")
@@ -279,7 +274,7 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
         if solver.value(literal):
             starts[arm].append((solver.value(begin[arm, j]), j))
     plan = tuple(tuple(j for _, j in sorted(fruit)) for fruit in starts)
-    return plan if makespan_of(lists, plan) < value else start
+    return plan if makespan_of(work, plan) < value else start
 
 
 def _ticks(seconds: float) -> int:
@@ -294,9 +289,7 @@ class Effort:
     seconds: Annotated[float, NUMBER.positive]
 
 
-@lru_cache(maxsize=1)
-def _effort() -> Effort:
-    return read_toml(Effort, SHIPPED, section="optimiser")
+_effort = cache(partial(read_toml, Effort, SHIPPED, section="optimiser"))
 
 
 # A plan for a zone by the name of the method that makes it.

@@ -7,8 +7,7 @@ most fruit is reached, the one with the least motion of the slaves. Units: m, ra
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, partial
 from typing import Annotated
 
 import numpy as np
@@ -20,26 +19,6 @@ from pickenv.harvester.machine import Machine
 from pickenv.harvester.zones import SHIPPED
 
 METHODS = ("as_printed", "equations", "corrected", "search")
-
-
-@dataclass(frozen=True, eq=False)
-class PickPoint:
-    """The place at which the master stands.
-
-    Attributes:
-        master: Master joints, (3,).
-        position: Origin of frame 3 in the base frame, m, (3,).
-        reached: Which slave reaches which fruit, (arms, n).
-    """
-
-    master: Array
-    position: Array
-    reached: NDArray[np.bool_]
-
-    @property
-    def count(self) -> int:
-        """Number of fruit that at least one slave reaches."""
-        return int(self.reached.any(axis=0).sum())
 
 
 def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
@@ -67,8 +46,8 @@ def pick_heading(fruit: Array, spacing: float, printed: bool = False) -> float:
     return float((beta - gamma) / 2 - np.pi / 4)
 
 
-def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> PickPoint:
-    """The pick point of a zone's fruit.
+def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Array:
+    """Master joints (3,) at the pick point of a zone's fruit.
 
     Args:
         machine: The machine.
@@ -101,7 +80,7 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Pi
             master = machine.master_inverse(point)
     if not np.isfinite(master).all():
         raise InputError("the pick point is nearer to the axis than frame 3 can come; choose another zone")
-    return PickPoint(master, machine.frame3(master), machine.reach(master, fruit))
+    return master
 
 
 def searched(machine: Machine, fruit: Array) -> Array:
@@ -179,6 +158,4 @@ class Search:
     keep_share: Annotated[float, NUMBER.positive]
 
 
-@lru_cache(maxsize=1)
-def _search() -> Search:
-    return read_toml(Search, SHIPPED, section="search")
+_search = cache(partial(read_toml, Search, SHIPPED, section="search"))

@@ -108,7 +108,6 @@ class Outcome:
         attached: Whether the fruit was in the cup.
         detached: Whether its stalk was cut.
         collected: Whether it came into the tube undamaged.
-        crowded: Whether another fruit was in the cup's way.
     """
 
     lateral: Array
@@ -116,7 +115,6 @@ class Outcome:
     attached: Flags
     detached: Flags
     collected: Flags
-    crowded: Flags
 
 
 def attempt(
@@ -141,12 +139,11 @@ def attempt(
     alone = luck.grasp < np.where(clearance < 0, 0.0, taken)
     cut = luck.cut < model.cut_success
     attached = np.zeros(n, dtype=bool)
-    crowded = np.zeros(n, dtype=bool)
     hanging = np.ones(n, dtype=bool)
     for i in range(n):  # in order: what an earlier cup has taken is out of the way of a later one
         near = np.concatenate([fruit[hanging & (np.arange(n) != i)], others])
-        crowded[i] = bool(in_the_way(model, fruit[i], float(diameters[i]), near).any())
-        attached[i] = alone[i] and (not crowded[i] or luck.cluster[i] < model.cluster_success)
+        crowded = in_the_way(model, fruit[i], float(diameters[i]), near).any()
+        attached[i] = alone[i] and (not crowded or luck.cluster[i] < model.cluster_success)
         hanging[i] = not (attached[i] and cut[i])
     detached = attached & cut
     return Outcome(
@@ -155,7 +152,6 @@ def attempt(
         attached=attached,
         detached=detached,
         collected=detached & (luck.whole < model.undamaged),
-        crowded=crowded,
     )
 
 

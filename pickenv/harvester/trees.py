@@ -6,32 +6,18 @@ The machine's column stands at the canopy's stand-off; the tree is at negative y
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
+from pickenv import orchard as trees
 from pickenv.arm import Array
-from pickenv.base import MM, NUMBER, WHOLE, InputError, read_toml, toml_table
+from pickenv.base import MM, NUMBER, WHOLE, Then, read_toml, toml_table
 from pickenv.harvester.machine import Machine
-from pickenv.harvester.pick_points import pick_point
-from pickenv.orchard import (
-    Canopy,
-    Eyes,
-    FruitMap,
-    FruitSize,
-    Leaves,
-    foliage,
-    fruit_masses,
-    load_canopy,
-    load_fruit_map,
-    load_fruit_size,
-    sample_fruit,
-)
 
 SHIPPED = Path(__file__).parent / "picking.toml"
-TRIES = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,22 +40,13 @@ class Tree:
         return len(self.fruit)
 
 
-@dataclass(frozen=True, eq=False)
-class Orchard:
-    """The canopy, fruit map and fruit size that trees are drawn from."""
-
-    canopy: Canopy
-    fruit_map: FruitMap
-    size: FruitSize
-
-
 @toml_table
-class TreesTable:
+class Orchard:
     """[trees] of a picking file: presets of `pickenv.orchard`, and fruit per metre of row."""
 
-    canopy: str
-    fruit_map: str
-    fruit_size: str
+    canopy: Annotated[trees.Canopy, Then(lambda name, _: trees.load_canopy(name), str)]
+    fruit_map: Annotated[trees.FruitMap, Then(lambda name, _: trees.load_fruit_map(name), str)]
+    fruit_size: Annotated[trees.FruitSize, Then(lambda name, _: trees.load_fruit_size(name), str)]
     per_metre: Annotated[float, NUMBER.not_negative]
 
 
@@ -100,70 +77,41 @@ def load_orchard(
         fruit_map: A fruit map of `pickenv.orchard` instead of the file's; "v_trellis" hangs fruit in clusters of three.
         canopy: A canopy of `pickenv.orchard` instead of the file's; "li2016_bare" has no leaves.
     """
-    trees = read_toml(TreesTable, path, section="trees")
-    fruiting = load_fruit_map(fruit_map or trees.fruit_map).scaled(trees.per_metre if per_metre is None else per_metre)
-    return Orchard(load_canopy(canopy or trees.canopy), fruiting, load_fruit_size(trees.fruit_size))
+    orchard = read_toml(Orchard, path, section="trees")
+    per_metre = orchard.per_metre if per_metre is None else per_metre
+    crop = orchard.fruit_map if fruit_map is None else trees.load_fruit_map(fruit_map)
+    row = orchard.canopy if canopy is None else trees.load_canopy(canopy)
+    return replace(orchard, canopy=row, fruit_map=crop.scaled(per_metre), per_metre=per_metre)
 
 
 def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:
     """Draw one tree side."""
     canopy = orchard.canopy
-    fruit = sample_fruit(orchard.fruit_map, orchard.size, canopy, rng)
+    positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.fruit_size, canopy, rng)
     half = canopy.width / 2
     side = (-half, half, canopy.bottom - machine.base_height, canopy.top - machine.base_height)
-    places, masses = in_base_frame(machine, canopy, fruit.positions), fruit_masses(orchard.size, fruit.diameters)
-    return Tree(places, fruit.diameters, masses, side)
+    return Tree(
+        in_base_frame(machine, canopy, positions), diameters, trees.fruit_masses(orchard.fruit_size, diameters), side
+    )
 
 
-def in_base_frame(machine: Machine, canopy: Canopy, positions: Array) -> Array:
+def in_base_frame(machine: Machine, canopy: trees.Canopy, positions: Array) -> Array:
     """Orchard positions (..., 3) in the base frame: x and y turn by half a turn, heights count from the base."""
     x, y, z = np.moveaxis(positions, -1, 0)
     return np.stack([-x, -(y + canopy.standoff), z - machine.base_height], axis=-1)
 
 
-def tree_leaves(machine: Machine, eyes: Eyes, rng: np.random.Generator) -> Leaves | None:
+def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) -> trees.Leaves | None:
     """A tree's leaves in the base frame; None where the eyes draw no pictures."""
-    leaves = foliage(eyes, rng)
+    leaves = trees.foliage(eyes, rng)
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
-@lru_cache(maxsize=1)
-def load_lab() -> Lab:
-    """Read Li's experiment."""
-    return read_toml(Lab, SHIPPED, section="lab")
+load_lab = cache(partial(read_toml, Lab, SHIPPED, section="lab"))
+"""Reads Li's experiment."""
 
 
-def lab_zone(canopy: Canopy) -> Array:
+def lab_zone(canopy: trees.Canopy) -> Array:
     """Width, depth and height of what an image of Li's lab shows, m, (3,)."""
     lab = load_lab()
     return np.array([lab.width, canopy.depth, lab.height])
-
-
-def sample_image(machine: Machine, rng: np.random.Generator, method: str = "corrected") -> Tree:
-    """Draw one image of Li's lab: fruit all in reach from the pick point by ``method``, and not in clusters.
-
-    Raises:
-        InputError: If a thousand draws give none: the machine reaches too little.
-    """
-    lab = load_lab()
-    count, wide, high = lab.fruit, lab.width, lab.height
-    canopy, size = load_canopy(lab.canopy), load_fruit_size("li2016")
-    low, top = canopy.bottom - machine.base_height, canopy.top - machine.base_height
-    for _ in range(TRIES):
-        x = rng.uniform(-(canopy.width - wide) / 2, (canopy.width - wide) / 2) / 2
-        z = rng.uniform(low, top - high)
-        corner = np.array([x - wide / 2, -canopy.standoff - canopy.depth, z])
-        fruit = corner + lab_zone(canopy) * rng.random((count, 3))
-        if count > 1 and _least_distance(fruit) < lab.apart:
-            continue
-        point = pick_point(machine, fruit, method)
-        if machine.master_within_limits(point.master) and point.count == count:
-            diameters = np.full(count, size.mean)
-            side = (float(corner[0]), float(corner[0]) + wide, z, z + high)
-            return Tree(fruit, diameters, fruit_masses(size, diameters), side)
-    raise InputError(f"the machine reaches no image of {count} fruit; widen its spacing or give more arms")
-
-
-def _least_distance(points: Array) -> float:
-    i, j = np.triu_indices(len(points), 1)
-    return float(np.linalg.norm(points[i] - points[j], axis=-1).min())

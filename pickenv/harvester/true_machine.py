@@ -125,8 +125,7 @@ class Controller:
         if self.master is None and not self.slaves:
             return joints
         master = self.master_command(joints[..., :3])
-        base = self._master().predict(master)
-        targets = self.machine.tips(joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], -1, 3))
+        base, targets = self._master().predict(master), self.machine.tips(*self.machine.parted(joints))
         slaves = [self._slave_command(i, base, targets[..., i, :]) for i in range(self.machine.arms)]
         return np.concatenate([master, *slaves], axis=-1)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -55,6 +56,11 @@ class Work:
     def count(self) -> int:
         """Number of fruit, reachable or not."""
         return int(self.reached.shape[1])
+
+    @cached_property
+    def lists(self) -> tuple[list[list[float]], list[float], list[list[float]], list[list[list[list[bool]]]]]:
+        """Duration, first, travel and conflict as plain lists, which a search over plans reads fastest."""
+        return self.duration.tolist(), self.first.tolist(), self.travel.tolist(), self.conflict.tolist()
 
     @property
     def reachable(self) -> NDArray[np.bool_]:
@@ -126,7 +132,7 @@ def timetable(work: Work, plan: Plan, *, hold: Hold | None = None, late: ArrayLi
         late: How much longer than planned an arm stays at each fruit, s, (arms, n); the plan does not know of it.
     """
     delays = None if late is None else np.asarray(late, dtype=float).tolist()
-    return _table(_schedule(plain_lists(work), plan, hold, delays), delays)
+    return _table(_schedule(work, plan, hold, delays), delays)
 
 
 def _table(rows: list[Row], late: list[list[float]] | None) -> Timetable:
@@ -136,29 +142,14 @@ def _table(rows: list[Row], late: list[list[float]] | None) -> Timetable:
     return Timetable(arm, fruit, columns[:, 2], ends, columns[:, 4], float(ends.max()) if len(ends) else 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Lists:
-    """A `Work` as plain Python lists, which a search over plans reads fastest."""
-
-    duration: list[list[float]]
-    first: list[float]
-    travel: list[list[float]]
-    barred: list[list[list[list[bool]]]]
-
-
-def plain_lists(work: Work) -> Lists:
-    """The work as plain lists, for many calls of `makespan_of`."""
-    return Lists(work.duration.tolist(), work.first.tolist(), work.travel.tolist(), work.conflict.tolist())
-
-
 def _schedule(
-    lists: Lists, plan: Sequence[Sequence[int]], hold: Hold | None = None, late: list[list[float]] | None = None
+    work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = None, late: list[list[float]] | None = None
 ) -> list[Row]:
     """Picks in the order of their starts: (arm, fruit, start, end as planned, held)."""
-    arms = range(len(plan))
+    (duration, first, travel, barred), arms = work.lists, range(len(plan))
     done: list[Row] = []
     at = [0] * len(plan)
-    ready = [lists.first[plan[a][0]] if len(plan[a]) else np.inf for a in arms]
+    ready = [first[plan[a][0]] if len(plan[a]) else np.inf for a in arms]
     while True:
         best: tuple[float, int, int] | None = None
         for a in arms:
@@ -169,7 +160,7 @@ def _schedule(
             while delayed:  # until no excursion already fixed is in the way; all of these have begun before ``start``
                 delayed = False
                 for b, picked, _, end, _ in done:
-                    if b != a and start < end and lists.barred[a][fruit][b][picked]:
+                    if b != a and start < end and barred[a][fruit][b][picked]:
                         start, delayed = end, True
                 if hold is not None and not delayed:
                     later = hold(a, fruit, start, _table(done, late))
@@ -181,19 +172,19 @@ def _schedule(
             return done
         start, _, a = best
         fruit = plan[a][at[a]]
-        end = start + lists.duration[a][fruit]
+        end = start + duration[a][fruit]
         done.append((a, fruit, start, end, start - ready[a]))
         at[a] += 1
         if at[a] < len(plan[a]):
-            ready[a] = end + lists.travel[fruit][plan[a][at[a]]] + (late[a][fruit] if late else 0.0)
+            ready[a] = end + travel[fruit][plan[a][at[a]]] + (late[a][fruit] if late else 0.0)
 
 
-def makespan_of(lists: Lists, plan: Sequence[Sequence[int]]) -> float:
+def makespan_of(work: Work, plan: Sequence[Sequence[int]]) -> float:
     """Makespan of a plan; the inner loop of the searches."""
-    return max((row[3] for row in _schedule(lists, plan)), default=0.0)
+    return max((row[3] for row in _schedule(work, plan)), default=0.0)
 
 
-def last_arm(lists: Lists, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
+def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
     """Makespan of a plan, and the arm that ends it."""
-    row = max(_schedule(lists, plan), key=lambda row: row[3])
+    row = max(_schedule(work, plan), key=lambda row: row[3])
     return row[3], row[0]

@@ -14,8 +14,6 @@ from .camera import (
 )
 from .canopy import (
     Canopy as Canopy,
-    Fruit as Fruit,
-    Occlusion as Occlusion,
     Station as Station,
     approach_clear as approach_clear,
     approach_direction as approach_direction,
@@ -33,10 +31,7 @@ from .fruit import (
     Detachment as Detachment,
     FruitMap as FruitMap,
     FruitSize as FruitSize,
-    Strength as Strength,
     coupling as coupling,
-    detached as detached,
-    fit_fruit_map as fit_fruit_map,
     fruit_masses as fruit_masses,
     load_branch as load_branch,
     load_detachment as load_detachment,
@@ -53,7 +48,6 @@ from .gripper import (
     CompliantHand as CompliantHand,
     Cup as Cup,
     Gripper as Gripper,
-    Misalignment as Misalignment,
     capture_probability as capture_probability,
     load_gripper as load_gripper,
     misalignment as misalignment,
@@ -71,7 +65,6 @@ from .render import (
 from .sight import (
     DETECTORS as DETECTORS,
     VISIONS as VISIONS,
-    Chances as Chances,
     Eyes as Eyes,
     Sight as Sight,
     SightErrors as SightErrors,
@@ -85,10 +78,8 @@ from .sight import (
     sighted as sighted,
 )
 from .vision import (
-    Circles as Circles,
     CircleSearch as CircleSearch,
     Detections as Detections,
-    Regions as Regions,
     StereoCamera as StereoCamera,
     fruit_circles as fruit_circles,
     fruit_mask as fruit_mask,

@@ -256,7 +256,7 @@ def detect(
         rng: Source of every random draw; its use does not depend on what is found.
         light: lx; None is the camera's own.
         visible: Visible share of each fruit, see `occlusion`.
-        visible_side: See `Occlusion.visible_side`.
+        visible_side: From `occlusion`, too.
 
     Returns:
         Detections in the frame of ``positions``; confidence is the visible share, one half for false ones.

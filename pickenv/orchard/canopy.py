@@ -8,8 +8,6 @@ parts of farther ones (area of two circles' overlap). Units: m, rad, m²/m³.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -17,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.base import DEG, NUMBER, SHARE, InputError, Unit, toml_table
 from pickenv.orchard import checks, preset_files
-from pickenv.orchard.checks import MM, Array, Flags, Integers
+from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.fruit import FruitMap, FruitSize, sample_counts, sample_diameters
 
 # Fruit in a canopy: counts by block become positions, clusters hang together, and no two fruit share a place. Each
@@ -30,25 +28,7 @@ MOST_FILLED = 0.5  # of a block's volume; spheres thrown in at random jam at 0.6
 OVERLAP = 1e-4  # m that two fruit may dent each other
 
 
-@dataclass(frozen=True, eq=False)
-class Fruit:
-    """The fruit that one machine stop finds.
-
-    Attributes:
-        positions: Centres in the orchard frame, m, shape (n, 3).
-        diameters: Diameters, m, shape (n,).
-        clusters: Number of the cluster that each fruit hangs in, shape (n,).
-    """
-
-    positions: Array
-    diameters: Array
-    clusters: Integers
-
-    def __len__(self) -> int:
-        return len(self.positions)
-
-
-def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.random.Generator) -> Fruit:
+def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.random.Generator) -> tuple[Array, Array]:
     """Draw the fruit of one canopy.
 
     The map's rows of blocks are spread over the canopy's height and its width is cut into whole blocks; apples per
@@ -61,7 +41,8 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
         rng: Source of every random draw.
 
     Returns:
-        Fruit that lies inside the canopy and does not overlap.
+        Centres (n, 3) in the orchard frame and diameters (n,), m, one cluster after the other; fruit lies inside the
+        canopy and does not overlap.
 
     Raises:
         InputError: If the canopy is so full that fruit cannot be kept apart.
@@ -79,13 +60,11 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
     roomy = np.prod(cell + size.mean) / (np.pi / 6 * size.mean**3) * MOST_FILLED
     if counts.max() > roomy:
         raise _too_full(canopy, int(counts.sum()))
-    clusters = np.repeat(np.arange(len(low) // fruit_map.cluster_size), fruit_map.cluster_size)
     diameters = sample_diameters(size, len(low), rng)
     middle = low[:: fruit_map.cluster_size] + cell * rng.random((len(low) // fruit_map.cluster_size, 3))
     ring = _rings(diameters.reshape(-1, fruit_map.cluster_size), rng)
     upright = (middle[:, None] + ring).reshape(-1, 3)
-    positions = _apart(upright, low, low + cell, diameters, canopy)
-    return Fruit(positions, diameters, clusters.astype(np.int64))
+    return _apart(upright, low, low + cell, diameters, canopy), diameters
 
 
 def _rings(diameters: Array, rng: np.random.Generator) -> Array:
@@ -175,9 +154,8 @@ class Canopy:
             raise InputError(f"canopy '{self.name}' leans by {self.lean} rad; give less than 60 degrees (1.05 rad)")
 
 
-def load_canopy(name: str | Path) -> Canopy:
-    """Read a canopy by name (`shipped("canopy")`) or from a path to a TOML file."""
-    return preset_files.load("canopy", name, Canopy)
+load_canopy = preset_files.loader("canopy", Canopy)
+"""Reads a canopy by name (`shipped("canopy")`) or from a path to a TOML file."""
 
 
 def face(canopy: Canopy, height: ArrayLike) -> Array:
@@ -224,35 +202,18 @@ def approach_direction(canopy: Canopy, positions: ArrayLike) -> Array:
     return np.broadcast_to(along, positions.shape).copy()
 
 
-@dataclass(frozen=True, eq=False)
-class Occlusion:
-    """Share of each fruit that a viewpoint sees, in expectation; leading dimensions are those of the viewpoints.
-
-    Attributes:
-        foliage: Share not hidden by leaves, shape (..., n).
-        neighbours: Share not hidden by other fruit, shape (..., n).
-        visible_side: Unit vectors across the line of sight, away from the fruit that hide this one; zero where none
-            does, shape (..., n, 3).
-    """
-
-    foliage: Array
-    neighbours: Array
-    visible_side: Array
-
-    @property
-    def visible(self) -> Array:
-        """Share of each fruit's disc in sight, shape (..., n)."""
-        return np.asarray(self.foliage * self.neighbours)
-
-
-def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpoint: ArrayLike) -> Occlusion:
-    """Share of each fruit that a viewpoint sees.
+def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpoint: ArrayLike) -> tuple[Array, Array]:
+    """Share of each fruit that a viewpoint sees, in expectation.
 
     Args:
         canopy: The foliage.
         positions: Fruit centres, m, shape (n, 3).
         diameters: Fruit diameters, m, shape (n,) or a number.
         viewpoint: Camera positions, m, shape (..., 3).
+
+    Returns:
+        Share of each fruit's disc that neither leaves nor other fruit hide, shape (..., n); and unit vectors across the
+        line of sight, away from the fruit that hide this one, zero where none does, shape (..., n, 3).
 
     Raises:
         InputError: If a number is not finite, a diameter not above zero, or a viewpoint lies inside a fruit.
@@ -275,11 +236,8 @@ def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpo
     towards = np.divide(towards, length, out=np.zeros_like(towards), where=length > 1e-9)
     away = -np.einsum("...ij,...ijk->...ik", covered, towards)
     length = np.linalg.norm(away, axis=-1, keepdims=True)
-    return Occlusion(
-        foliage=transmitted,
-        neighbours=np.prod(1.0 - covered, axis=-1),
-        visible_side=np.divide(away, length, out=np.zeros_like(away), where=length > 1e-12),
-    )
+    visible_side = np.divide(away, length, out=np.zeros_like(away), where=length > 1e-12)
+    return np.asarray(transmitted * np.prod(1.0 - covered, axis=-1)), visible_side
 
 
 def disc_cover(radius: ArrayLike, other: ArrayLike, apart: ArrayLike) -> Array:
@@ -366,6 +324,5 @@ class Station(checks.Preset):
     source: str = ""
 
 
-def load_station(name: str | Path) -> Station:
-    """Read a station by name (`shipped("station")`) or from a path to a TOML file."""
-    return preset_files.load("station", name, Station)
+load_station = preset_files.loader("station", Station)
+"""Reads a station by name (`shipped("station")`) or from a path to a TOML file."""

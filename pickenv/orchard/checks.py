@@ -57,7 +57,7 @@ def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf) -> Array:
     array = _floats(what, values)
     if not np.isfinite(array).all():
         raise InputError(f"{what} must be finite; at least one of its numbers is NaN or infinite")
-    if (array < lowest).any():
+    if lowest > -np.inf and (array < lowest).any():
         raise InputError(f"{what} must not be below {lowest:g}; the smallest is {array.min():g}")
     return array
 

@@ -11,8 +11,7 @@ exactly, whatever their length. Units: m, s, N, kg. Axes as in canopy.py: x, y s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.base import GRAVITY, KG, NEWTON, NEWTON_METRE, NUMBER, REQUIRED, WHOLE, InputError, Unit, toml_table
 from pickenv.orchard import checks, preset_files
-from pickenv.orchard.checks import MM, Array, Flags, Integers
+from pickenv.orchard.checks import MM, Array, Integers
 
 # What it takes to pick a fruit: pull or twist, whichever limit is met first, log-normal over fruit. One strength per
 # fruit scales both limits: a fruit that holds against pulling holds against twisting. Units: N, N·m, m.
@@ -48,29 +47,16 @@ class Detachment(checks.Preset):
     source: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Strength:
-    """Limits of single fruit: pull in N and twist in N·m, each of shape (...)."""
-
-    pull: Array
-    twist: Array
+load_detachment = preset_files.loader("detachment", Detachment)
+"""Reads detachment limits by name (`shipped("detachment")`) or from a path to a TOML file."""
 
 
-def load_detachment(name: str | Path) -> Detachment:
-    """Read detachment limits by name (`shipped("detachment")`) or from a path to a TOML file."""
-    return preset_files.load("detachment", name, Detachment)
-
-
-def sample_strength(detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator) -> Strength:
-    """Draw the limits of fruit: one normal number each."""
+def sample_strength(
+    detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Draw the limits of fruit, pull in N and twist in N·m, each of shape (...): one normal number each."""
     scale = np.exp(detachment.spread * (rng.normal(size=shape) - QUANTILE_95))
-    return Strength(np.asarray(detachment.pull_95 * scale), np.asarray(detachment.twist_95 * scale))
-
-
-def detached(strength: Strength, pull: ArrayLike = 0.0, twist: ArrayLike = 0.0) -> Flags:
-    """Whether fruit comes off under a pull (N) or a twist (N·m), shapes (...)."""
-    pulled = np.abs(checks.numbers("the pull (N)", pull)) >= strength.pull
-    return np.asarray(pulled | (np.abs(checks.numbers("the twist (N·m)", twist)) >= strength.twist))
+    return np.asarray(detachment.pull_95 * scale), np.asarray(detachment.twist_95 * scale)
 
 
 @toml_table
@@ -116,54 +102,6 @@ class FruitMap:
         edges = np.linspace(0.0, len(self.row_means), rows + 1)
         shares = np.diff(np.interp(edges, np.arange(len(below)), below))
         return replace(self, row_means=tuple(float(mean) for mean in shares))
-
-
-def fit_fruit_map(matrix: ArrayLike, block: float = 0.3, cluster_size: int | None = None) -> FruitMap:
-    """Fit a fruit map to apple counts by maximum likelihood.
-
-    Args:
-        matrix: Apples per block, shape (rows, columns), top row first; empty rows and columns around the data are
-            sensing margins and are cut.
-        block: Edge of a block, m.
-        cluster_size: Apples per cluster; None takes the largest number that divides every count.
-
-    Raises:
-        InputError: If a count is negative, fractional or NaN, if all are zero, or if the cluster size does not divide
-            them.
-    """
-    from scipy.optimize import minimize_scalar
-    from scipy.stats import nbinom
-
-    counts = checks.numbers("the counts of a fruit map", matrix, lowest=0.0)
-    if counts.ndim != 2 or not counts.size:
-        raise InputError(f"the counts of a fruit map need rows and columns; they have shape {counts.shape}")
-    if (counts != np.round(counts)).any():
-        raise InputError("the counts of a fruit map must be whole apples; at least one is a fraction")
-    if not counts.any():
-        raise InputError("the fruit map has no apples in any block; there is nothing to fit")
-    rows, columns = np.flatnonzero(counts.any(axis=1)), np.flatnonzero(counts.any(axis=0))
-    counts = counts[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    if cluster_size is None:
-        cluster_size = int(np.gcd.reduce(counts.astype(np.int64), axis=None))
-    if cluster_size < 1 or (counts % cluster_size).any():
-        raise InputError(f"a cluster size of {cluster_size} does not divide every count of the fruit map")
-    clusters = counts / cluster_size
-    means = clusters.mean(axis=1, keepdims=True)
-    fruiting = means[:, 0] > 0
-    clusters, means = clusters[fruiting], means[fruiting]
-
-    def cost(log_excess: float) -> float:
-        excess = np.exp(log_excess)  # variance/mean - 1
-        return -float(np.sum(nbinom.logpmf(clusters, means / excess, 1.0 / (1.0 + excess))))
-
-    best = minimize_scalar(cost, bounds=(np.log(1e-6), np.log(1e3)), method="bounded", options={"xatol": 1e-6})
-    excess = float(np.exp(best.x))
-    return FruitMap(
-        block=block,
-        row_means=tuple(float(mean) for mean in counts.mean(axis=1)),
-        cluster_size=cluster_size,
-        cluster_variance_ratio=1.0 + (excess if excess > 1e-5 else 0.0),
-    )
 
 
 def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Integers:
@@ -227,14 +165,12 @@ def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
     return np.asarray(size.density * np.pi / 6.0 * checks.numbers("fruit diameters", diameters, lowest=0.0) ** 3)
 
 
-def load_fruit_map(name: str | Path) -> FruitMap:
-    """Read a fruit map by name (`shipped("fruit")`) or from a path to a TOML file."""
-    return preset_files.load("fruit", name, FruitMap)
+load_fruit_map = preset_files.loader("fruit", FruitMap)
+"""Reads a fruit map by name (`shipped("fruit")`) or from a path to a TOML file."""
 
 
-def load_fruit_size(name: str | Path) -> FruitSize:
-    """Read fruit diameters and density by name (`shipped("fruit_size")`) or from a path to a TOML file."""
-    return preset_files.load("fruit_size", name, FruitSize)
+load_fruit_size = preset_files.loader("fruit_size", FruitSize)
+"""Reads fruit diameters and density by name (`shipped("fruit_size")`) or from a path to a TOML file."""
 
 
 @toml_table
@@ -260,16 +196,20 @@ class Branch(checks.Preset):
     source: str = ""
 
 
-def load_branch(name: str | Path) -> Branch:
-    """Read a branch by name (`shipped("branch")`) or from a path to a TOML file."""
-    return preset_files.load("branch", name, Branch)
+load_branch = preset_files.loader("branch", Branch)
+"""Reads a branch by name (`shipped("branch")`) or from a path to a TOML file."""
 
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
     """Undamped angular frequencies along x, y, z, rad/s, shape (..., 3), for fruit masses (...) in kg."""
-    moving = _moving_mass(branch, mass)
-    sideways = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
-    return np.stack([sideways, sideways, np.sqrt(branch.stiffness_upright / moving)], axis=-1)
+    return _frequencies(branch, _moving_mass(branch, mass))
+
+
+def _frequencies(branch: Branch, moving: Array) -> Array:
+    omega = np.empty((*moving.shape, 3))
+    omega[..., 0] = omega[..., 1] = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
+    omega[..., 2] = np.sqrt(branch.stiffness_upright / moving)
+    return omega
 
 
 def swing(
@@ -296,8 +236,9 @@ def swing(
     start = checks.points("the displacement of fruit", displacement)
     speed = checks.points("the velocity of fruit", velocity)
     time = checks.numbers("the time step (s)", dt, lowest=0.0)[..., None]
-    omega = natural_frequencies(branch, mass)
-    balance = checks.points("the force on fruit", force) / (_moving_mass(branch, mass)[..., None] * omega**2)
+    moving = _moving_mass(branch, mass)
+    omega = _frequencies(branch, moving)
+    balance = checks.points("the force on fruit", force) / (moving[..., None] * omega**2)
     zeta, x = branch.damping_ratio, start - balance
     if zeta < 1.0:
         damped = omega * np.sqrt(1.0 - zeta**2)

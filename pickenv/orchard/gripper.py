@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, is_dataclass
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Protocol, Union
 
@@ -114,34 +114,28 @@ class CompliantHand(checks.Preset):
         return max(self.intercept / self.lateral, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Misalignment:
-    """Lie of a fruit in the tool: m and rad, each of shape (...); axial is positive beyond the tool's point."""
-
-    lateral: Array
-    axial: Array
-    angle: Array
-
-
-def misalignment(offset: ArrayLike, tool_axis: ArrayLike, wanted_axis: ArrayLike | None = None) -> Misalignment:
-    """Misalignment of a fruit from geometry.
+def misalignment(
+    offset: ArrayLike, tool_axis: ArrayLike, wanted_axis: ArrayLike | None = None
+) -> tuple[Array, Array, Array]:
+    """Misalignment of a fruit in the tool from geometry, as `capture_probability` takes it.
 
     Args:
         offset: From the tool's point to the fruit's centre, m, shape (..., 3).
         tool_axis: Direction in which the tool approaches, shape (..., 3).
         wanted_axis: Direction in which it should approach, shape (..., 3); None means that it does.
+
+    Returns:
+        Lateral and axial, m, the latter positive beyond the tool's point, and the angle, rad, each of shape (...).
     """
     offset, axis = checks.points("the offset", offset), checks.directions("the tool axis", tool_axis)
     axial = np.einsum("...i,...i->...", offset, axis)
     lateral = np.linalg.norm(offset - axial[..., None] * axis, axis=-1)
     if wanted_axis is None:
-        return Misalignment(lateral, axial, np.zeros_like(axial))
+        return lateral, axial, np.zeros_like(axial)
     ideal = checks.directions("the wanted axis", wanted_axis)
     sine = np.linalg.norm(np.cross(axis, ideal), axis=-1)
     angle = np.arctan2(sine, np.einsum("...i,...i->...", axis, ideal))
-    return Misalignment(
-        lateral, axial, np.asarray(np.broadcast_to(angle, np.broadcast_shapes(angle.shape, axial.shape)))
-    )
+    return lateral, axial, np.broadcast_to(angle, np.broadcast_shapes(angle.shape, axial.shape))
 
 
 def capture_probability(

@@ -6,7 +6,7 @@ Files give degrees and millimetres and say so in every key; what leaves this mod
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -59,3 +59,8 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
     return made(kind_of_thing, table, path.name, name=label, text=text if path == Path(name) else "")
+
+
+def loader(kind: str, thing: type[Thing]) -> Callable[[str | Path], Thing]:
+    """`load` of one kind: a function of a preset's name, or of a path."""
+    return partial(load, kind, thing=thing)

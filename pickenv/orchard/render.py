@@ -7,7 +7,6 @@ it. Camera frame: see stereo.py. Units: m, px.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -88,9 +87,8 @@ class StereoPair:
     visible: Array
 
 
-def load_look(name: str | Path) -> Look:
-    """Read a look by name (`shipped("look")`) or from a path to a TOML file."""
-    return preset_files.load("look", name, Look)
+load_look = preset_files.loader("look", Look)
+"""Reads a look by name (`shipped("look")`) or from a path to a TOML file."""
 
 
 def sample_leaves(

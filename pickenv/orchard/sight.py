@@ -10,28 +10,17 @@ tables. Camera frame: x right, y down, z ahead. Units: m, px.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.base import NUMBER, SHARE, WHOLE, InputError, toml_table
-from pickenv.orchard import checks, preset_files
+from pickenv.orchard import checks, preset_files, vision as stereo
 from pickenv.orchard.camera import camera_axes, camera_frame, orchard_frame
 from pickenv.orchard.canopy import Canopy, face
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.render import Leaves, Look, StereoPair, load_look, render_stereo, sample_leaves, turned_leaves
-from pickenv.orchard.vision import (
-    CircleSearch,
-    Detections,
-    StereoCamera,
-    load_circle_search,
-    load_stereo_camera,
-    locate,
-    locate_circles,
-    match_detections,
-)
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """Axes of the three correlations of an error."""
@@ -110,43 +99,33 @@ class SightErrors(checks.Preset):
         super().__post_init__()
 
 
-def load_sight_errors(name: str | Path) -> SightErrors:
-    """Read errors by name (`shipped("sight")`) or from a path to a TOML file."""
-    return preset_files.load("sight", name, SightErrors)
+load_sight_errors = preset_files.loader("sight", SightErrors)
+"""Reads errors by name (`shipped("sight")`) or from a path to a TOML file."""
 
 
-@dataclass(frozen=True, eq=False)
-class Chances:
-    """Draws that decide about fruit before a camera.
+def draw_chances(rng: np.random.Generator, count: int) -> Array:
+    """Draws that decide about ``count`` fruit before a camera, (count, 5).
 
-    Attributes:
-        place: Uniform: how well it is seen, among located fruit of its range, (n,).
-        normal: Standard normal: three of the error, one of whether it is found, (n, 4).
+    The first is uniform: how well a fruit is seen, among located fruit of its range. The others are standard normal:
+    three of the error, one of whether it is found.
     """
-
-    place: Array
-    normal: Array
+    return np.column_stack([rng.random(count), rng.normal(size=(count, 4))])
 
 
-def draw_chances(rng: np.random.Generator, count: int) -> Chances:
-    """Five numbers for each of ``count`` fruit."""
-    return Chances(rng.random(count), rng.normal(size=(count, 4)))
+def next_picture(errors: SightErrors, before: Array, rng: np.random.Generator) -> Array:
+    """The same fruit from the same place once more, as `draw_chances` gives it: the leaves still hang there."""
+    chances, fresh = before.copy(), rng.normal(size=(len(before), 4))
+    chances[:, 1:] = errors.lasting * before[:, 1:] + np.sqrt(1.0 - errors.lasting**2) * fresh
+    return chances
 
 
-def next_picture(errors: SightErrors, before: Chances, rng: np.random.Generator) -> Chances:
-    """The same fruit from the same place once more: the leaves still hang there."""
-    fresh = rng.normal(size=before.normal.shape)
-    normal = errors.lasting * before.normal + np.sqrt(1.0 - errors.lasting**2) * fresh
-    return Chances(before.place, normal)
-
-
-def sighted(errors: SightErrors, depth: ArrayLike, chances: Chances, looks: int = 1) -> tuple[Flags, Flags, Array]:
+def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 1) -> tuple[Flags, Flags, Array]:
     """Fruit as a table of errors has it.
 
     Args:
         errors: The table.
         depth: Distance ahead of the camera, m, (n,).
-        chances: What chance decides.
+        chances: What chance decides, from `draw_chances`.
         looks: Pictures that are averaged: what does not last falls.
 
     Returns:
@@ -157,12 +136,12 @@ def sighted(errors: SightErrors, depth: ArrayLike, chances: Chances, looks: int 
 
     row = np.searchsorted(np.array(errors.edges), np.asarray(depth, dtype=float))
     parts = len(errors.part_bias[0])
-    cell = row, np.minimum((chances.place * parts).astype(np.int64), parts - 1)
-    level, recall = ndtr(chances.normal[:, 3]), np.array(errors.recall)
+    cell = row, np.minimum((chances[:, 0] * parts).astype(np.int64), parts - 1)
+    level, recall = ndtr(chances[:, 4]), np.array(errors.recall)
     located = level < recall[row]
     in_sight = level < np.maximum(np.array(errors.in_sight), recall)[row]
     steady = np.sqrt(errors.lasting + (1.0 - errors.lasting) / looks)
-    miss = (_roots(errors)[cell] * (steady * chances.normal[:, None, :3])).sum(axis=-1)
+    miss = (_roots(errors)[cell] * (steady * chances[:, None, 1:4])).sum(axis=-1)
     return in_sight, located, np.asarray(np.array(errors.part_bias)[cell] + miss)
 
 
@@ -200,9 +179,9 @@ class Eyes:
     vision: str
     detector: str
     canopy: Canopy
-    camera: StereoCamera
+    camera: stereo.StereoCamera
     look: Look
-    search: CircleSearch
+    search: stereo.CircleSearch
     errors: SightErrors | None
 
 
@@ -216,7 +195,11 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
         if name not in names:
             raise InputError(f"unknown {parameter} '{name}'; give one of {', '.join(names)}")
     errors = _errors_in(canopy, detector) if vision == "measured_errors" else None
-    camera, look, search = load_stereo_camera("li2016"), load_look("red_apples"), load_circle_search("li2016")
+    camera, look, search = (
+        stereo.load_stereo_camera("li2016"),
+        load_look("red_apples"),
+        stereo.load_circle_search("li2016"),
+    )
     return Eyes(vision, detector, canopy, camera, look, search, errors)
 
 
@@ -239,7 +222,7 @@ class Viewpoint:
     middle: Array
     looking: Array
 
-    def left_eye(self, camera: StereoCamera) -> Array:
+    def left_eye(self, camera: stereo.StereoCamera) -> Array:
         """The place of the left camera, m."""
         return np.asarray(self.middle - camera.baseline / 2 * camera_axes(self.looking)[0])
 
@@ -295,15 +278,15 @@ def picture(
     return render_stereo(camera, camera_frame(fruit, eye, view.looking), diameters, leaves, look, rng)
 
 
-def read_picture(eyes: Eyes, pair: StereoPair) -> Detections:
+def read_picture(eyes: Eyes, pair: StereoPair) -> stereo.Detections:
     """Fruit that the detector finds, camera frame."""
     if eyes.detector == "circles":
-        return locate_circles(eyes.camera, eyes.search, pair.left, pair.right)
-    return locate(eyes.camera, pair.left, pair.right)
+        return stereo.locate_circles(eyes.camera, eyes.search, pair.left, pair.right)
+    return stereo.locate(eyes.camera, pair.left, pair.right)
 
 
 def located_fruit(
-    pair: StereoPair, detections: Detections, places: Array, diameters: ArrayLike
+    pair: StereoPair, detections: stereo.Detections, places: Array, diameters: ArrayLike
 ) -> tuple[Flags, Array, Array]:
     """Fruit that the detections of a picture locate.
 
@@ -321,7 +304,7 @@ def located_fruit(
     visible = np.flatnonzero(pair.visible > 0)
     if not len(visible):
         return located, positions, detections.positions
-    matched = match_detections(detections, places[visible], SAME * float(np.max(diameters)))
+    matched = stereo.match_detections(detections, places[visible], SAME * float(np.max(diameters)))
     true = matched.fruit >= 0
     fruit = visible[matched.fruit[true]]
     located[fruit], positions[fruit] = True, matched.positions[true]
@@ -336,7 +319,7 @@ def see(
     rng: np.random.Generator,
     *,
     leaves: Leaves | None = None,
-    chances: Chances | None = None,
+    chances: Array | None = None,
     looks: int = 1,
 ) -> Sight:
     """Look at fruit.

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -118,9 +117,8 @@ class StereoCamera:
             raise InputError(f"at its least distance the disparity {name} is wider than its image; raise nearest")
 
 
-def load_stereo_camera(name: str | Path) -> StereoCamera:
-    """Read a stereo camera by name (`shipped("vision")`) or from a path to a TOML file."""
-    return preset_files.load("vision", name, StereoCamera)
+load_stereo_camera = preset_files.loader("vision", StereoCamera)
+"""Reads a stereo camera by name (`shipped("vision")`) or from a path to a TOML file."""
 
 
 def project(camera: StereoCamera, positions: ArrayLike) -> Array:
@@ -145,23 +143,6 @@ def triangulate(camera: StereoCamera, pixels: ArrayLike) -> Array:
 
 
 SQUARE = np.ones((3, 3), dtype=bool)
-
-
-@dataclass(frozen=True, eq=False)
-class Regions:
-    """Fruit regions of one image.
-
-    Attributes:
-        centroids: Column and row, px, shape (m, 2).
-        areas: px, shape (m,).
-        boxes: First row, first column, end row, end column, shape (m, 4).
-        mask: Pixels taken for fruit, shape (height, width).
-    """
-
-    centroids: Array
-    areas: Integers
-    boxes: Integers
-    mask: Flags
 
 
 def red_minus_green(image: ArrayLike) -> Array:
@@ -203,19 +184,18 @@ def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
     return np.asarray(mask, dtype=bool)
 
 
-def fruit_regions(camera: StereoCamera, image: ArrayLike) -> Regions:
-    """Regions of fruit in one image: centroids, areas, boxes."""
+def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Integers]:
+    """Regions of fruit in one image.
+
+    Returns:
+        Centroids, column and row, px, (m, 2); and boxes, first row, first column, end row, end column, (m, 4).
+    """
     require("skimage")
     from skimage.measure import label, regionprops
 
-    mask = fruit_mask(camera, image)
-    regions = regionprops(label(mask, connectivity=2))  # type: ignore[no-untyped-call]
-    return Regions(
-        centroids=np.array([region.centroid[::-1] for region in regions], dtype=float).reshape(-1, 2),
-        areas=np.array([region.area for region in regions], dtype=np.int64),
-        boxes=np.array([region.bbox for region in regions], dtype=np.int64).reshape(-1, 4),
-        mask=mask,
-    )
+    regions = regionprops(label(fruit_mask(camera, image), connectivity=2))  # type: ignore[no-untyped-call]
+    centroids = np.array([region.centroid[::-1] for region in regions], dtype=float).reshape(-1, 2)
+    return centroids, np.array([region.bbox for region in regions], dtype=np.int64).reshape(-1, 4)
 
 
 def matched_sizes(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> None:
@@ -245,10 +225,7 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
     """
     matched_sizes(camera, left, right)
     regions, first, second = fruit_regions(camera, left), red_minus_green(left), red_minus_green(right)
-    matches = [
-        (*centroid, *_disparity(camera, first, second, box))
-        for centroid, box in zip(regions.centroids, regions.boxes, strict=True)
-    ]
+    matches = [(*centroid, *_disparity(camera, first, second, box)) for centroid, box in zip(*regions, strict=True)]
     return _detections(camera, matches)
 
 
@@ -316,36 +293,20 @@ class CircleSearch(checks.Preset):
     source: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Circles:
-    """Fruit of one image, the surest first.
+Edges = tuple[Array, Array]
+"""Sub-pixel edges (k, 2), column and row, and unit slopes (k, 2) towards more red."""
 
-    Attributes:
-        centres: Column and row, px, shape (m, 2).
-        radii: px, shape (m,).
-        mask: Pixels of fruit colour, shape (height, width).
+
+load_circle_search = preset_files.loader("circles", CircleSearch)
+"""Reads a search by name (`shipped("circles")`) or from a path to a TOML file."""
+
+
+def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]:
+    """Circles of fruit in one image (height, width, 3).
+
+    Returns:
+        Column, row and radius of each, px, (m, 3), the surest first; and pixels of fruit colour, (height, width).
     """
-
-    centres: Array
-    radii: Array
-    mask: Flags
-
-
-@dataclass(frozen=True, eq=False)
-class _Edges:
-    """Sub-pixel edges (k, 2), column and row, and unit slopes (k, 2) towards more red."""
-
-    places: Array
-    slopes: Array
-
-
-def load_circle_search(name: str | Path) -> CircleSearch:
-    """Read a search by name (`shipped("circles")`) or from a path to a TOML file."""
-    return preset_files.load("circles", name, CircleSearch)
-
-
-def fruit_circles(search: CircleSearch, image: ArrayLike) -> Circles:
-    """Circles of fruit in one image (height, width, 3)."""
     from scipy import ndimage
 
     require("skimage")
@@ -361,11 +322,10 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> Circles:
             sound = search.smallest - STEP < circle[2] < search.largest + STEP and not _taken(circles, *circle)
             if sound and _filled(mask, *circle) >= search.least_fruit:
                 circles.append(circle)
-    table = np.array(circles, dtype=float).reshape(-1, 3)
-    return Circles(table[:, :2], table[:, 2], mask)
+    return np.array(circles, dtype=float).reshape(-1, 3), mask
 
 
-def _edges(search: CircleSearch, difference: Array, mask: Flags) -> _Edges:
+def _edges(search: CircleSearch, difference: Array, mask: Flags) -> Edges:
     """The steepest slopes of the colour, near the rim of the mask."""
     from scipy import ndimage
 
@@ -380,7 +340,7 @@ def _edges(search: CircleSearch, difference: Array, mask: Flags) -> _Edges:
     top = np.clip(height.argmax(axis=0), 1, len(offsets) - 2)
     edges = np.arange(len(top))
     peak = offsets[top] + 0.5 * summit(height[top - 1, edges], height[top, edges], height[top + 1, edges])
-    return _Edges(np.stack([columns, rows], axis=-1) + peak[:, None] * slopes, slopes)
+    return np.stack([columns, rows], axis=-1) + peak[:, None] * slopes, slopes
 
 
 def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
@@ -391,16 +351,16 @@ def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
     return np.asarray(np.where(flat, 0.0, np.clip(0.5 * (before - after) / np.where(flat, 1.0, bend), -1.0, 1.0)))
 
 
-def _voted(search: CircleSearch, edges: _Edges, shape: tuple[int, int]) -> list[tuple[float, float, float]]:
+def _voted(search: CircleSearch, edges: Edges, shape: tuple[int, int]) -> list[tuple[float, float, float]]:
     """Column, row and radius of circles whose rim is in sight for more than the least arc, the fullest first."""
     from scipy import ndimage
     from skimage.feature import peak_local_max
 
     height, width = shape
     radii = np.arange(search.smallest, search.largest + 1, STEP)
-    votes = np.zeros((len(radii), height, width))
+    votes, (places, slopes) = np.zeros((len(radii), height, width)), edges
     for i, radius in enumerate(radii.tolist()):
-        at = np.rint(edges.places + radius * edges.slopes).astype(np.int64)
+        at = np.rint(places + radius * slopes).astype(np.int64)
         inside = ((at >= 0) & (at < [width, height])).all(axis=1)
         counts = np.bincount(at[inside, 1] * width + at[inside, 0], minlength=height * width)
         full = 2 * 2 * np.pi * radius / (2 * np.pi * SPREAD**2)  # the rim is two pixels wide
@@ -415,11 +375,11 @@ def _taken(circles: list[tuple[float, float, float]], column: float, row: float,
     return any(np.hypot(column - c, row - r) < APART * max(radius, size) for c, r, size in circles)
 
 
-def _fitted(search: CircleSearch, edges: _Edges, column: float, row: float, voted: float) -> tuple[float, float, float]:
+def _fitted(search: CircleSearch, edges: Edges, column: float, row: float, voted: float) -> tuple[float, float, float]:
     """A circle through the edges near a voted one, by least squares in which far edges count little."""
     centre, radius = np.array([column, row]), voted
-    near = np.hypot(*(edges.places - centre).T) < voted + 2 * search.rim
-    places, slopes = edges.places[near], edges.slopes[near]
+    near = np.hypot(*(edges[0] - centre).T) < voted + 2 * search.rim
+    places, slopes = (part[near] for part in edges)
     for _ in range(ROUNDS):
         out = places - centre
         distance = np.hypot(*out.T)
@@ -458,12 +418,8 @@ def locate_circles(
 ) -> Detections:
     """Fruit in the camera frame from a stereo pair; arguments and result as of `pickenv.orchard.vision.locate`."""
     matched_sizes(camera, left, right)
-    circles = fruit_circles(search, left)
-    first, second = red_minus_green(left), red_minus_green(right)
-    matches = [
-        (*centre, *_matched(camera, search, first, second, circles.mask, (*centre, radius)))
-        for centre, radius in zip(circles.centres.tolist(), circles.radii.tolist(), strict=True)
-    ]
+    (circles, mask), first, second = fruit_circles(search, left), red_minus_green(left), red_minus_green(right)
+    matches = [(*circle[:2], *_matched(camera, search, first, second, mask, circle)) for circle in circles.tolist()]
     return _detections(camera, matches)
 
 
@@ -473,7 +429,7 @@ def _matched(
     first: Array,
     second: Array,
     mask: Flags,
-    circle: tuple[float, float, float],
+    circle: Sequence[float],
 ) -> tuple[float, float]:
     """Disparity of a circle, px, and how much of it agrees: mean squared difference, obstacles cut at the contrast."""
     from scipy import ndimage

@@ -39,10 +39,14 @@ class Rescaling(ABC):
 
     Attributes:
         inputs: Numbers in the environment's observation.
+        space: Space of what the policy sees.
+        answers: Space of what it answers, where that differs from the environment's; else None.
         home: What a policy is to be used with, as the end of a sentence.
     """
 
     inputs: Any
+    space: Any
+    answers: Any = None
     home: ClassVar[str]
 
     def check(self, width: int) -> None:
@@ -80,26 +84,15 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
     Args:
         env: The environment.
         scaling: The formulas.
-        space: What the policy sees.
-        actions: What it answers, where that differs from the environment's.
-        most: Largest size of an action's numbers that the environment takes.
         shaping: Discount of the learner, to whose rewards differences of the potential are added, or None.
     """
 
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        scaling: Rescaling,
-        space: spaces.Box,
-        most: float,
-        actions: spaces.Box | None = None,
-        shaping: float | None = None,
-    ) -> None:
+    def __init__(self, env: gym.Env[Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
         gym.Wrapper.__init__(self, env)
-        self.scaling, self._most, self._shaping = scaling, most, shaping
-        self.observation_space = space
-        if actions is not None:
-            self.action_space = actions
+        inner: Any = env.unwrapped
+        self.scaling, self._most, self._shaping = scaling, inner.task.most_action, shaping
+        self.observation_space = scaling.space
+        self.action_space = scaling.answers or env.action_space
         self.raw: Any = np.zeros(scaling.inputs, dtype=np.float32)
         """The observation as the environment gave it."""
 
@@ -121,22 +114,15 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
 class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
     """Native vector environments in another scale; arguments as for `ScaledEnv`."""
 
-    def __init__(
-        self,
-        env: VectorEnv[Any, Any, Any],
-        scaling: Rescaling,
-        space: spaces.Box,
-        most: float,
-        actions: spaces.Box | None = None,
-        shaping: float | None = None,
-    ) -> None:
+    def __init__(self, env: VectorEnv[Any, Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
         VectorWrapper.__init__(self, env)
-        self.scaling, self._most, self._shaping = scaling, most, shaping
-        self.single_observation_space = space
-        self.observation_space = batch_space(space, self.num_envs)
-        if actions is not None:
-            self.single_action_space = actions
-            self.action_space = batch_space(actions, self.num_envs)
+        inner: Any = env.unwrapped
+        self.scaling, self._most, self._shaping = scaling, inner.task.most_action, shaping
+        self.single_observation_space = scaling.space
+        self.observation_space = batch_space(scaling.space, self.num_envs)
+        if scaling.answers is not None:
+            self.single_action_space = scaling.answers
+            self.action_space = batch_space(scaling.answers, self.num_envs)
         self.raw: Any = np.zeros((self.num_envs, scaling.inputs), dtype=np.float32)
         """The observations as the environments gave them."""
         self._idle = np.zeros(self.num_envs, dtype=np.bool_)
@@ -210,6 +196,12 @@ class Scaling(Rescaling):
         return self.joints + 7
 
     @property
+    def space(self) -> spaces.Box:
+        """Space of what the networks see."""
+        high = [1.0] * self.joints + [1.0 + ROUNDING] * 6 + [-math.log10(SMALLEST) / 2.0]
+        return spaces.Box(-np.array(high, np.float32), np.array(high, np.float32), dtype=np.float32)
+
+    @property
     def outputs(self) -> int:
         """Numbers that they answer."""
         return self.joints
@@ -260,7 +252,7 @@ class Scaling(Rescaling):
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.joints):
             return numbers
-        scaled = np.clip(numbers, -1.0, 1.0) * self.share(values, np)
+        scaled = self.commands(values, np.clip(numbers, -1.0, 1.0))
         return np.where(np.abs(numbers) <= most, scaled, numbers).astype(np.float32)
 
 
@@ -311,8 +303,7 @@ class GapScaling(ScaledEnv, RecordConstructorArgs):
             InputError: If its observations are not those of a reach task, flat.
         """
         RecordConstructorArgs.__init__(self, actions=actions)
-        scaling, most = _scaling_of(env, env.observation_space, actions)
-        ScaledEnv.__init__(self, env, scaling, _scaled_space(scaling), most)
+        ScaledEnv.__init__(self, env, _scaling_of(env, env.observation_space, actions))
 
 
 class GapScalingVector(ScaledVector, RecordConstructorArgs):
@@ -339,8 +330,7 @@ class GapScalingVector(ScaledVector, RecordConstructorArgs):
         RecordConstructorArgs.__init__(self, actions=actions)
         if env.metadata.get("torch"):
             raise InputError("GapScalingVector works on NumPy; make the environments with executor='numpy'")
-        scaling, most = _scaling_of(env, env.single_observation_space, actions)
-        ScaledVector.__init__(self, env, scaling, _scaled_space(scaling), most)
+        ScaledVector.__init__(self, env, _scaling_of(env, env.single_observation_space, actions))
 
 
 def scaled_reach(**arguments: Any) -> GapScaling:
@@ -409,14 +399,9 @@ def scaled_reach_vector(**arguments: Any) -> GapScalingVector:
     return GapScalingVector(ReachVectorEnv(**arguments))
 
 
-def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> tuple[Scaling, float]:
-    """The scaling that suits an environment, and the largest size of an action's numbers that it takes."""
+def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> Scaling:
+    """The scaling that suits an environment."""
     task = getattr(env.unwrapped, "task", None)
     if task is None or space.shape != (Scaling(task.joints, task.camera).inputs,):
         raise InputError("GapScaling reads flat observations; wrap a pickenv/Reach-v0 environment")
-    return Scaling(task.joints, task.camera, actions=actions), task.most_action
-
-
-def _scaled_space(scaling: Scaling) -> spaces.Box:
-    high = np.array([1.0] * scaling.joints + [1.0 + ROUNDING] * 6 + [-math.log10(SMALLEST) / 2.0], dtype=np.float32)
-    return spaces.Box(-high, high, dtype=np.float32)
+    return Scaling(task.joints, task.camera, actions=actions)

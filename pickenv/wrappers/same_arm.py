@@ -151,17 +151,28 @@ class _Run:
         options = {"start_joints": start, "goal_joints": self.joints}
         return options if self.task.arms == "fixed" else options | {"arm": arms}
 
-    def saw(self, observation: NDArray[Any]) -> Array:
-        """By how much believed and true tool differ ``(N, 3)``, as the camera saw it."""
-        n = self.task.joints
-        values = observation.astype(float)
-        return np.asarray(values[:, n + 6 : n + 9] - values[:, n + 12 :])
+    def seed(self, seeds: Sequence[int | None], generator: np.random.Generator) -> None:
+        """Begin the streams of poses of rows that are given a seed, or had none."""
+        for i, seed in enumerate(seeds):
+            if seed is not None or not self.count[i]:
+                self.seeds[i] = seed_word(fresh_seed(generator) if seed is None else int(seed))
+                self.count[i] = 0
 
-    def picked(self, error: Array) -> None:
-        """Remember what was seen, and go on to the next pose."""
-        self.tokens = self.memory.after(self.tokens, self.scaled, error)
+    def stand(self, env: Any, still: Array) -> tuple[Any, Any]:
+        """Let the arms stand, remember by how much believed and true tool differ, and go on to the next poses.
+
+        Returns:
+            Rewards and infos of the last step.
+        """
+        n, error = self.task.joints, np.zeros((len(self.joints), 3))
+        for _ in range(self.looks):
+            observation, rewards, _, _, infos = env.step(still)
+            values = np.atleast_2d(observation).astype(float)
+            error += values[:, n + 6 : n + 9] - values[:, n + 12 :]
+        self.tokens = self.memory.after(self.tokens, self.scaled, error / self.looks)
         self.pick += 1
         self.draw()
+        return rewards, infos
 
 
 class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
@@ -208,12 +219,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
     ) -> tuple[Any, dict[str, Any]]:
         """Begin runs on arms that are drawn anew; options: "arm", their numbers."""
         options = given_options(options, ("arm",))
-        fresh: Any = self.env.unwrapped
-        seeds = checked_seeds(seed, self.num_envs)
-        for i, value in enumerate(seeds):
-            if value is not None or not self.run.count[i]:
-                self.run.seeds[i] = seed_word(fresh_seed(fresh.np_random) if value is None else int(value))
-                self.run.count[i] = 0
+        self.run.seed(checked_seeds(seed, self.num_envs), self.env.unwrapped.np_random)
         _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._begin()
         return self.run.shown(), self._infos(infos)
@@ -221,11 +227,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Pick one fruit on every arm."""
         self.env.reset(options=self.run.options(actions, self._arms))
-        error = np.zeros((self.num_envs, 3))
-        for _ in range(self.run.looks):
-            observation, rewards, _, _, infos = self.env.step(self._still)
-            error += self.run.saw(observation)
-        self.run.picked(error / self.run.looks)
+        rewards, infos = self.run.stand(self.env, self._still)
         done = np.full(self.num_envs, self.run.pick >= self.run.picks)
         observations, infos = self.run.shown(), self._infos(infos)
         if done.all():
@@ -331,9 +333,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         options = given_options(options, ("arm",))
         _, info = self.env.reset(seed=seed, options=options)
         inner: Any = self.env.unwrapped
-        if seed is not None or not self.run.count[0]:
-            self.run.seeds[0] = seed_word(fresh_seed(inner.np_random) if seed is None else int(seed))
-            self.run.count[0] = 0
+        self.run.seed([seed], inner.np_random)
         self._arm = inner.arm
         self.run.begin()
         return self.run.shown()[0], self._info(info)
@@ -343,12 +343,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         options = self.run.options(as_numbers("action", action)[None], self._arm)
         options = {key: value[0] if key != "arm" else value for key, value in options.items()}
         self.env.reset(options=options)
-        error, still = np.zeros((1, 3)), np.zeros(self.run.task.joints)
-        reward: SupportsFloat = 0.0
-        for _ in range(self.run.looks):
-            observation, reward, _, _, info = self.env.step(still)
-            error += self.run.saw(observation[None])
-        self.run.picked(error / self.run.looks)
+        reward, info = self.run.stand(self.env, np.zeros(self.run.task.joints))
         return self.run.shown()[0], reward, False, self.run.pick >= self.run.picks, self._info(info)
 
     def _info(self, info: dict[str, Any]) -> dict[str, Any]:

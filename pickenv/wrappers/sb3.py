@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -144,21 +144,21 @@ class Sb3Vec(VecEnv):
         below = {key[4:]: value for key, value in state.items() if key.startswith("env/")}
         self._remembering().take_state_arrays(below)
 
+    def _layers(self) -> Iterator[Any]:
+        """The wrappers, from the outermost on, and the environments within."""
+        env: Any = self.envs
+        while isinstance(env, VectorWrapper):
+            yield env
+            env = env.env
+        yield env
+
     def _remembering(self) -> Any:
         """The outermost of wrappers and environments that gives its state as arrays, and that of all within."""
-        env: Any = self.envs
-        while isinstance(env, VectorWrapper) and not hasattr(env, "state_arrays"):
-            env = env.env
-        return env
+        return next(env for env in self._layers() if hasattr(env, "state_arrays"))
 
     def _scaled(self) -> ScaledVector | None:
         """The scaling around the environments."""
-        env = self.envs
-        while isinstance(env, VectorWrapper):
-            if isinstance(env, ScaledVector):
-                return env
-            env = env.env
-        return None
+        return next((env for env in self._layers() if isinstance(env, ScaledVector)), None)
 
     def close(self) -> None:
         """Close the environments."""
@@ -188,9 +188,7 @@ class Sb3Vec(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
         """Whether a wrapper is around the environments; single-environment wrappers never are."""
-        wrapped, env = False, self.envs
-        while hasattr(env, "env"):
-            wrapped, env = wrapped or isinstance(env, wrapper_class), env.env
+        wrapped = any(isinstance(env, wrapper_class) for env in self._layers())
         return [wrapped] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:

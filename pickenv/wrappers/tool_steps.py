@@ -88,9 +88,22 @@ class ToolSteps(Rescaling):
         return self.joints + 12
 
     @property
+    def space(self) -> spaces.Box:
+        """Space of what the policy sees."""
+        n = self.joints
+        high = np.array([1.0] * n + [1.001] * 4 + [2.0] * 2 + [1.0] * 6, dtype=np.float32)
+        low = np.array([-1.0] * n + [-1.001] * 4 + [-2.0] * 2 + [0.0] * 6, dtype=np.float32)
+        return spaces.Box(low, high, dtype=np.float32)
+
+    @property
     def outputs(self) -> int:
         """Numbers that it answers."""
         return MOVES + 1
+
+    @property
+    def answers(self) -> spaces.Box:
+        """Space of what it answers."""
+        return spaces.Box(-1.0, 1.0, (self.outputs,), dtype=np.float32)
 
     def observe(self, values: Any, xp: Any = np) -> Any:
         """Numbers that the policy sees, ``(..., features)``."""
@@ -204,8 +217,7 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
             InputError: If its observations are not those of a picking task.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)
-        scaling, most = _steps_of(env, env.observation_space)
-        ScaledEnv.__init__(self, env, scaling, _seen_space(scaling), most, _tool_space(), _discount(shaping))
+        ScaledEnv.__init__(self, env, _steps_of(env, env.observation_space, shaping), shaping)
 
 
 class ToolSteppingVector(ScaledVector, RecordConstructorArgs):
@@ -230,8 +242,7 @@ class ToolSteppingVector(ScaledVector, RecordConstructorArgs):
             InputError: If its observations are not those of a picking task.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)
-        scaling, most = _steps_of(env, env.single_observation_space)
-        ScaledVector.__init__(self, env, scaling, _seen_space(scaling), most, _tool_space(), _discount(shaping))
+        ScaledVector.__init__(self, env, _steps_of(env, env.single_observation_space, shaping), shaping)
 
 
 def tool_steps_of(env: Any) -> ToolSteps:
@@ -247,27 +258,12 @@ def tool_steps_of(env: Any) -> ToolSteps:
     return ToolSteps(task.plant.arm.nominal, np.array(task.increment))
 
 
-def _steps_of(env: Any, space: spaces.Space[Any]) -> tuple[ToolSteps, float]:
+def _steps_of(env: Any, space: spaces.Space[Any], shaping: float | None) -> ToolSteps:
     scaling = tool_steps_of(env)
     scaling.check((space.shape or (0,))[0])
-    return scaling, env.unwrapped.task.most_action
-
-
-def _discount(shaping: float | None) -> float | None:
     if shaping is not None and not 0.0 < shaping <= 1.0:
         raise InputError(f"shaping is {shaping}; give a discount above 0 and at most 1, or None")
-    return shaping
-
-
-def _seen_space(scaling: ToolSteps) -> spaces.Box:
-    n = scaling.joints
-    high = np.array([1.0] * n + [1.001] * 4 + [2.0] * 2 + [1.0] * 6, dtype=np.float32)
-    low = np.array([-1.0] * n + [-1.001] * 4 + [-2.0] * 2 + [0.0] * 6, dtype=np.float32)
-    return spaces.Box(low, high, dtype=np.float32)
-
-
-def _tool_space() -> spaces.Box:
-    return spaces.Box(-1.0, 1.0, (MOVES + 1,), dtype=np.float32)
+    return scaling
 
 
 def _length(vector: Any) -> Any:

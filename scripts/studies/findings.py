@@ -125,7 +125,7 @@ def judged(end: Pose, wanted: Pose) -> tuple[Array, Array]:
     """How far ends are from where they should be, mm, and the chance that Li's cup takes the fruit there ``(...)``."""
     offset, axis = wanted.position - end.position, end.rotation[..., 2]
     lying = misalignment(offset, axis, np.broadcast_to(wanted.rotation[..., 2], axis.shape))
-    taken = capture_probability(load_gripper(GRIPPER), lying.lateral, lying.axial, lying.angle)
+    taken = capture_probability(load_gripper(GRIPPER), *lying)
     return 1e3 * np.linalg.norm(offset, axis=-1), taken
 
 

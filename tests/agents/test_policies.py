@@ -22,7 +22,7 @@ from pickenv.agents import (
     roll_out,
     run_reaches,
 )
-from pickenv.agents.evaluation.rollout import MOST_ROWS, PerArm
+from pickenv.agents.evaluation.rollout import MOST_ROWS, per_arm
 from pickenv.arm import InverseSolution, forward, inverse, joint_jacobian, load_arm
 from pickenv.base import InputError
 from pickenv.calibration import link_model, random_joints
@@ -113,10 +113,10 @@ def test_a_batch_acts_like_its_single_rows():
 
 
 def test_rows_go_to_the_compensators_of_their_arms():
-    per_arm = PerArm((lambda joints: joints + 1.0, lambda joints: joints + 2.0), (1, 0, 1))
-    assert per_arm(np.zeros((3, 6)))[:, 0].tolist() == [2.0, 1.0, 2.0]
+    corrected = per_arm((lambda joints: joints + 1.0, lambda joints: joints + 2.0), (1, 0, 1))
+    assert corrected(np.zeros((3, 6)))[:, 0].tolist() == [2.0, 1.0, 2.0]
     with pytest.raises(InputError, match="2 rows of joints were given to compensators of 3 rows"):
-        per_arm(np.zeros((2, 6)))
+        corrected(np.zeros((2, 6)))
 
 
 # Policies and what becomes of their episodes, number by number: filters, scalings, captures and counted steps.
@@ -152,8 +152,8 @@ def test_an_observation_is_read_by_its_parts():
     assert reading.joints == pytest.approx(joints) and reading.camera.tolist() == [7.0, 8.0, 9.0]
     assert reading.believed == pytest.approx(forward(ARM, joints).position)
     assert reading.seen == pytest.approx(forward(ARM, GOAL).position)
-    assert reading.offset == pytest.approx(reading.seen - reading.believed) and reading.arms is None
-    assert read_observation(ARM, np.zeros((4, 18))).arms == 4 and read_observation(ARM, np.zeros(18)).camera is None
+    assert reading.offset == pytest.approx(reading.seen - reading.believed)
+    assert read_observation(ARM, np.zeros(18)).camera is None
     with pytest.raises(InputError, match="has 19 numbers; a policy for 6 joints reads 18, or 21"):
         read_observation(ARM, np.zeros(19))
 

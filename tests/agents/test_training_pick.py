@@ -30,7 +30,7 @@ def test_a_short_training_picks_fruit(tmp_path):
 
 
 def test_a_training_that_was_cut_off_ends_with_the_same_weights(tmp_path, monkeypatch):
-    monkeypatch.setattr("pickenv.agents.training.training.judge", lambda *_: {"collected": 0.0, "reachable": 1.0})
+    monkeypatch.setattr("pickenv.agents.training.training_setup.judge", lambda *_: {"collected": 0.0, "reachable": 1.0})
     given = {"arguments": EASY | {"arms": "per_episode"}, "parameters": SHORT, "checkpoint_every": 64}
     whole = train(Training("ppo", "pickenv/Pick-v0", 256, **given), tmp_path / "whole")
 

@@ -17,6 +17,7 @@ from pickenv.calibration.compensation.compensator import corrected
 from pickenv.envs import PickEnv, ReachEnv, ReachGoalEnv, ReachGoalVectorEnv, ReachVectorEnv
 from pickenv.envs.harvesting import harvest_task
 from pickenv.envs.harvesting.harvest_task import make_harvest_task
+from pickenv.envs.picking.pick_scene import PickScene
 from pickenv.experiments import Noise, StudyConfig, prepared_study
 from pickenv.experiments.study import RAW, chunk_rows, evaluate_arm
 from pickenv.experiments.study_batched import judge_batch
@@ -192,6 +193,7 @@ def test_a_picking_arm_takes_a_fruit_exactly_where_its_gripper_does(gripper):
                 capture_probability(scene.orchard.gripper, lateral_mm * 1e-3, axial_mm * 1e-3, 0.0, scene.diameters[0])
             )
             for chance in (0.0, 0.3, 0.7, 0.9, 1.0 - 1e-9):
-                again = replace(scene, chance=np.array([chance]))
+                again = PickScene(scene.orchard, scene.fruit.copy())
+                again.chance[:] = chance
                 again.grasp(0, (*np.eye(3).ravel(), *point))
                 assert again.attached[0] == (chance < probability)

@@ -117,7 +117,7 @@ def test_no_failure_is_ranked_above_a_success(tolerances):
     mm, deg = (each.ravel() for each in np.meshgrid(mm, deg))
     success = simulation.in_capture_region(task, mm, deg)
     assert np.array_equal(success, (mm <= millimetres) & (deg <= degrees)) and 0 < success.sum() < len(mm)
-    scene = SimpleNamespace(distance_mm=mm, angle_deg=deg, success=success)
+    scene = SimpleNamespace(numbers=(mm, deg, 0.0, deg), success=success)
     reward = simulation.true_reward(NUMPY, task, scene)
     assert reward[~success].max() < reward[success].min() and reward.max() == 0.0
     for better, other in ((mm, deg), (deg, mm)):  # nearer is better, whatever else stays

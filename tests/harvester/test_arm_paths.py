@@ -64,7 +64,7 @@ def duet(machine, late=0.0, beam=None, farthest=None, noise=0.0):
     """
     changes = {k: v for k, v in (("beam", beam), ("farthest", farthest), ("noise", noise)) if v is not None}
     machine = replace(machine, ranger=replace(machine.ranger, **changes))
-    master = pick_point(machine, np.array([[0.2, -1.2, 1.2], [-0.2, -1.2, 1.2]])).master
+    master = pick_point(machine, np.array([[0.2, -1.2, 1.2], [-0.2, -1.2, 1.2]]))
     joints = np.array(
         [[[0.0, 0.3, 0.6], [0.0, -0.1, 0.6]], [[-0.1, 0.35, 0.85], [0.0, 0.0, 0.6]], [[0.0, 0.0, 0.6]] * 2]
     )
@@ -124,7 +124,7 @@ def test_a_plan_of_lis_holds_side_arms_where_fruit_hangs_level_and_never_the_mid
     for _ in range(30):
         corner = np.array([rng.uniform(-0.9, 0.9) - 0.35, -1.4, rng.uniform(0.42, 1.87)])
         fruit = corner + np.array([0.7, 0.4, 0.2]) * rng.random((10, 3))
-        work = zone_work(machine, pick_point(machine, fruit).master, fruit)
+        work = zone_work(machine, pick_point(machine, fruit), fruit)
         work = replace(work, conflict=np.zeros_like(work.conflict), first=rng.uniform(0.0, 4.0, 10))
         times = timetable(work, assign(work, "li"), hold=ultrasonic_hold(machine, work, rng))
         assert (times.held[times.arm == MIDDLE] < 1e-9).all()

@@ -37,7 +37,7 @@ def zone_fruit(rng, count):
 
 def zone(machine, rng, count):
     fruit = zone_fruit(rng, count)
-    return zone_work(machine, pick_point(machine, fruit).master, fruit)
+    return zone_work(machine, pick_point(machine, fruit), fruit)
 
 
 def conflicts(work, times):
@@ -121,7 +121,7 @@ def test_an_empty_zone_is_no_work(machine):
 def test_fruit_out_of_every_arms_reach_is_left_out(machine):
     rng = np.random.default_rng(2)
     fruit = zone_fruit(rng, 6)
-    master = pick_point(machine, fruit).master
+    master = pick_point(machine, fruit)
     work = zone_work(machine, master, np.concatenate([fruit, [[0.0, 3.0, 1.0]]]))
     assert not work.reachable[-1]
     for method in METHODS:

@@ -11,5 +11,5 @@ def test_a_plan_for_20_fruit(benchmark, machine, method):
     if method == "cp-sat":
         pytest.importorskip("ortools")
     fruit = np.array([-0.2, -1.4, 1.0]) + np.array([0.7, 0.4, 0.55]) * np.random.default_rng(20).random((20, 3))
-    work = zone_work(machine, pick_point(machine, fruit).master, fruit)
+    work = zone_work(machine, pick_point(machine, fruit), fruit)
     assert sum(map(len, benchmark(assign, work, method))) == work.reachable.sum()

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from papers.li2016.lab import work_images
 from pickenv.base import InputError
 from pickenv.harvester import (
     Controller,
@@ -22,7 +23,6 @@ from pickenv.harvester import (
     load_picking,
     load_true_machine,
     summary,
-    work_images,
     work_trees,
 )
 from pickenv.orchard import load_canopy, load_eyes, load_sight_errors
@@ -244,7 +244,7 @@ def test_a_second_look_meets_the_luck_of_the_first_as_far_as_it_lasts(machine, t
     given, looked = [], module.see
 
     def see(eyes, view, fruit, *more, chances, **named):
-        given.append((tuple(view.middle), dict(zip(map(tuple, fruit), chances.place, strict=True))))
+        given.append((tuple(view.middle), dict(zip(map(tuple, fruit), chances[:, 0], strict=True))))
         return looked(eyes, view, fruit, *more, chances=chances, **named)
 
     monkeypatch.setattr(module, "see", see)

@@ -20,7 +20,7 @@ from pickenv.harvester.interference import excursion_distances, segment_distance
 def zone(machine, rng, count):
     corner = np.array([rng.uniform(-0.9, 0.9) - 0.35, -1.4, rng.uniform(0.42, 1.87)])
     fruit = corner + np.array([0.7, 0.4, 0.55]) * rng.random((count, 3))
-    return zone_work(machine, pick_point(machine, fruit).master, fruit)
+    return zone_work(machine, pick_point(machine, fruit), fruit)
 
 
 def test_segment_distances_equal_those_of_many_points_along_them():

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from papers.li2016.comparison import tip_errors
+from papers.li2016.lab import sample_image
 from pickenv.arm import forward, load_plant
 from pickenv.base import InputError
 from pickenv.calibration import fit, random_joints, simulated_tracker
-from pickenv.harvester import Controller, Nominal, load_machine, load_true_machine, pick_point, sample_image
+from pickenv.harvester import Controller, Nominal, load_machine, load_true_machine, pick_point
 from pickenv.harvester.true_machine import _local_inverse, _seated
 
 TABLE3_MM = np.array([[3.0, 5.9], [6.6, 8.4], [6.4, 8.2], [6.9, 8.5]])
@@ -17,7 +18,7 @@ TABLE3_MM = np.array([[3.0, 5.9], [6.6, 8.4], [6.4, 8.2], [6.9, 8.5]])
 
 def errors_mm(true, controller, count, rng):
     machine = true.machine
-    masters = np.array([pick_point(machine, sample_image(machine, rng).fruit).master for _ in range(count)])
+    masters = np.array([pick_point(machine, sample_image(machine, rng).fruit) for _ in range(count)])
     slaves = rng.uniform(machine.slave.lower, machine.slave.upper, (count, 3, 3))
     return np.linalg.norm(tip_errors(true, controller, masters, slaves), axis=-1) * 1e3
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -240,10 +240,14 @@ def test_what_a_run_keeps_of_a_tree_is_its_rounds_one_after_another(harvest: Har
             ]
             pick += 1
     assert pick == len(kept.arm) == len(kept.got) > 5 and 0 < kept.got.sum() < pick
-    none = picked_tree(replace(harvest, rounds=[]))
+    idle = copy(harvest)
+    idle.rounds = []
+    none = picked_tree(idle)
     assert (none.zones.shape, none.stands.shape, none.arm.shape) == ((0, 4), (0, 2), (0,))
 
 
 def test_a_harvest_of_nothing_is_refused(true: TrueMachine, harvest: Harvest, tmp_path: Path) -> None:
+    idle = copy(harvest)
+    idle.rounds = []
     with pytest.raises(InputError, match="no round"):
-        inspect_harvest(true.machine, replace(harvest, rounds=[]), tmp_path / "zone.rrd")
+        inspect_harvest(true.machine, idle, tmp_path / "zone.rrd")

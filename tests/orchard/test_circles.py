@@ -22,7 +22,7 @@ from pickenv.orchard import (
     triangulate,
     vision,
 )
-from pickenv.orchard.vision import _Edges, _edges, _filled, _fitted, _matched, _taken, _voted, _window, summit
+from pickenv.orchard.vision import _edges, _filled, _fitted, _matched, _taken, _voted, _window, summit
 
 CAMERA, LOOK, SEARCH = load_stereo_camera("li2016"), load_look("red_apples"), load_circle_search("li2016")
 NONE = np.zeros((0, 3))
@@ -34,10 +34,9 @@ def picture(fruit, seed=0, leaves=NONE):
 
 @pytest.mark.parametrize("place", [[0.0, 0.0, 1.0], [0.313, -0.207, 1.17], [-0.29, 0.21, 1.4]])
 def test_a_fruit_is_a_circle_of_its_place_and_size_to_a_fraction_of_a_pixel(place):
-    found = fruit_circles(SEARCH, picture(place).left)
-    assert found.centres.shape == (1, 2)
-    assert found.centres[0] == pytest.approx(project(CAMERA, place)[:2], abs=0.35)
-    assert found.radii[0] == pytest.approx(CAMERA.focal_length * 0.03 / place[2], abs=0.7)
+    ((*centre, radius),), _ = fruit_circles(SEARCH, picture(place).left)
+    assert centre == pytest.approx(project(CAMERA, place)[:2], abs=0.35)
+    assert radius == pytest.approx(CAMERA.focal_length * 0.03 / place[2], abs=0.7)
 
 
 def test_depth_is_told_to_a_fifth_of_a_pixel_of_disparity():
@@ -52,8 +51,8 @@ def test_depth_is_told_to_a_fifth_of_a_pixel_of_disparity():
 
 def test_touching_fruit_are_two_circles_where_they_are_one_region():
     pair = picture([[-0.03, 0.0, 1.1], [0.03, 0.0, 1.1]])
-    assert len(fruit_regions(CAMERA, pair.left).areas) == 1
-    found = fruit_circles(SEARCH, pair.left).centres
+    assert len(fruit_regions(CAMERA, pair.left)[0]) == 1
+    found = fruit_circles(SEARCH, pair.left)[0][:, :2]
     wanted = project(CAMERA, [[-0.03, 0.0, 1.1], [0.03, 0.0, 1.1]])[:, :2]
     assert found[np.argsort(found[:, 0])] == pytest.approx(wanted, abs=1.0)
 
@@ -67,9 +66,9 @@ def test_what_covers_a_part_of_a_fruit_does_not_move_its_middle(share):
     for image, shift in ((pair.left, 0.0), (pair.right, disparity)):
         edge = round(column - shift - radius + 2 * radius * share)
         image[int(row - 20) : int(row + 20), edge - 30 : edge] = np.uint8([70, 120, 50])
-    found = fruit_circles(SEARCH, pair.left)
-    assert found.centres[0] == pytest.approx([column, row], abs=0.8)
-    assert fruit_regions(CAMERA, pair.left).centroids[0][0] - column > 0.25 * radius * share * 2
+    found, _ = fruit_circles(SEARCH, pair.left)
+    assert found[0, :2] == pytest.approx([column, row], abs=0.8)
+    assert fruit_regions(CAMERA, pair.left)[0][0, 0] - column > 0.25 * radius * share * 2
     (seen,) = locate_circles(CAMERA, SEARCH, pair.left, pair.right).positions
     assert seen == pytest.approx([0.0, 0.0, 1.1], abs=8e-3)
 
@@ -102,13 +101,13 @@ def test_leaves_alone_and_pictures_of_one_colour_hold_no_circles():
     pair = render_stereo(CAMERA, NONE, 0.06, leaves, LOOK, rng)
     assert len(locate_circles(CAMERA, SEARCH, pair.left, pair.right)) == 0
     black = np.zeros_like(pair.left)
-    assert len(fruit_circles(SEARCH, black).radii) == 0
+    assert len(fruit_circles(SEARCH, black)[0]) == 0
 
 
 def test_a_fruit_of_another_size_is_looked_for_where_the_search_says():
     pair = picture([0.0, 0.0, 1.0])  # 15.4 px
-    assert len(fruit_circles(replace(SEARCH, largest=12), pair.left).radii) == 0
-    assert len(fruit_circles(replace(SEARCH, smallest=12, largest=18), pair.left).radii) == 1
+    assert len(fruit_circles(replace(SEARCH, largest=12), pair.left)[0]) == 0
+    assert len(fruit_circles(replace(SEARCH, smallest=12, largest=18), pair.left)[0]) == 1
 
 
 def test_the_summit_of_a_parabola():
@@ -126,7 +125,7 @@ def test_an_edge_is_where_the_colour_changes_most_up_to_two_and_a_half_pixels_fr
     for turned in (lambda part: part, lambda part: part[:, ::-1].copy(), lambda part: part.T.copy()):
         edges = _edges(replace(SEARCH, blur=2.0), turned(step), turned(mask))
         axis = 1 if turned(mask).shape == (60, 40) else 0
-        places, slopes = edges.places[:, axis], edges.slopes[:, axis]
+        places, slopes = edges[0][:, axis], edges[1][:, axis]
         if turned(step)[0, 0] > 0:
             places, slopes = 59 - places, -slopes
         assert len(places) == 80 and slopes == pytest.approx(np.ones(80))
@@ -146,7 +145,7 @@ def test_a_fitted_circle_balances_its_edges_each_the_less_the_farther_and_the_ra
     )
     slopes = -out.copy()
     slopes[::7] = out[::7]  # towards less red: the rim of something else
-    column, row, radius = _fitted(SEARCH, _Edges([40.0, 30.0] + length[:, None] * out, slopes), 40.5, 29.4, 14.0)
+    column, row, radius = _fitted(SEARCH, ([40.0, 30.0] + length[:, None] * out, slopes), 40.5, 29.4, 14.0)
     away = [40.0, 30.0] + length[:, None] * out - [column, row]
     distance = np.linalg.norm(away, axis=1)
     miss = distance - radius
@@ -206,8 +205,8 @@ def test_every_pixel_beside_the_masks_rim_has_its_edge_where_the_slope_is_steepe
         if len({mask[i, j] for i, j in ((r, c), (r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1))
                 if 0 <= i < rows and 0 <= j < columns}) == 2
     ]  # fmt: skip
-    assert len(edges.places) == len(rim) > 100
-    for place, slope, at in zip(edges.places, edges.slopes, rim, strict=True):
+    assert len(edges[0]) == len(rim) > 100
+    for place, slope, at in zip(edges[0], edges[1], rim, strict=True):
         expected = steepest(picture, SEARCH.blur, *at)
         np.testing.assert_allclose([place, slope], expected, atol=1e-9)
 
@@ -216,7 +215,7 @@ def test_where_the_colour_is_the_same_all_around_there_is_no_edge_but_a_faint_st
     step = np.where(np.arange(60) < 30, 0.0, 2.0) * np.ones((20, 1))
     for begins, count in ((30, 40), (50, 0)):
         edges = _edges(SEARCH, step, np.broadcast_to(np.arange(60) >= begins, step.shape))
-        assert len(edges.places) == count and np.isfinite(edges.places).all()
+        assert len(edges[0]) == count and np.isfinite(edges[0]).all()
 
 
 def test_a_summit_is_between_its_neighbours_and_a_slight_bend_is_one():
@@ -235,7 +234,7 @@ def by_votes(search, edges, shape):
     radii = list(range(search.smallest, search.largest + 1, 2))
     votes, spread = np.zeros((len(radii), *shape)), np.outer(kernel(1.5, 6), kernel(1.5, 6))
     for k, radius in enumerate(radii):
-        for place, slope in zip(edges.places, edges.slopes, strict=True):
+        for place, slope in zip(edges[0], edges[1], strict=True):
             column, row = (round(v) for v in place + radius * slope)
             if 0 <= column < shape[1] and 0 <= row < shape[0]:
                 for (i, j), weight in np.ndenumerate(spread):
@@ -267,7 +266,7 @@ def test_votes_are_those_of_every_edge_along_its_slope_for_every_radius(smallest
     angle = rng.uniform(0.0, 2 * np.pi, 12 * len(middles))
     slopes = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     lengths = rng.choice([8.0, 9.0, 10.0, 11.0, 12.0], len(angle))
-    edges = _Edges(np.repeat(middles, 12, axis=0) - lengths[:, None] * slopes, slopes)
+    edges = (np.repeat(middles, 12, axis=0) - lengths[:, None] * slopes, slopes)
     expected = by_votes(search, edges, shape)
     assert len(expected) >= 3
     for k, (share, _) in enumerate(expected):
@@ -280,9 +279,7 @@ def by_rounds(edges, column, row, voted):
     """Gauss-Newton on distances, six rounds at most, from the edges within two rims of the voted circle."""
     x, y, radius = column, row, voted
     near = [
-        (p, s)
-        for p, s in zip(edges.places, edges.slopes, strict=True)
-        if math.hypot(*(p - [column, row])) < voted + 2 * 2.5
+        (p, s) for p, s in zip(edges[0], edges[1], strict=True) if math.hypot(*(p - [column, row])) < voted + 2 * 2.5
     ]
     for _ in range(6):
         rows, weights, misses = [], [], []
@@ -309,7 +306,7 @@ def around(middle, angle, length, towards=None):
     """Edges at angles and distances, their slopes to the middle or turned off by an angle."""
     out = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     turned = angle if towards is None else angle + towards
-    return _Edges(middle + length[:, None] * out, -np.stack([np.cos(turned), np.sin(turned)], axis=-1))
+    return (middle + length[:, None] * out, -np.stack([np.cos(turned), np.sin(turned)], axis=-1))
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -336,18 +333,18 @@ def test_edges_at_the_limits_of_a_fit():
     exact[0] = 12.5  # at angle 0, the rim's limit to the last digit
     assert not moved(exact) and moved(exact - 1e-9 * (np.arange(8) == 0))
     edges = around([30.0, 20.0], angle, np.full(8, 10.0) + 0.5 * (angle > 0))
-    edges.slopes[0] = [-0.8, 0.6]
+    edges[1][0] = [-0.8, 0.6]
     assert _fitted(SEARCH, edges, *start) == start
-    edges.slopes[0] = [-0.81, 0.586]
+    edges[1][0] = [-0.81, 0.586]
     assert _fitted(SEARCH, edges, *start) != start
     for last, moved_by in ((14.99, True), (15.0, False), (16.0, False)):  # they come near as the circle grows
         apart = [np.arange(n) * 2 * np.pi / n for n in (20, 200, 4 if last == 15.0 else 300)]
         length = np.concatenate([np.full(len(a), size) for a, size in zip(apart, (12.4, 14.0, last), strict=True)])
         edges = around([30.0, 20.0], np.concatenate(apart), length)
         if last == 15.0:
-            edges.places[-4:] = [[45.0, 20.0], [15.0, 20.0], [30.0, 35.0], [30.0, 5.0]]  # to the last digit
+            edges[0][-4:] = [[45.0, 20.0], [15.0, 20.0], [30.0, 35.0], [30.0, 5.0]]  # to the last digit
         found = _fitted(SEARCH, edges, *start)
-        fewer = _fitted(SEARCH, _Edges(edges.places[:220], edges.slopes[:220]), *start)
+        fewer = _fitted(SEARCH, [part[:220] for part in edges], *start)
         assert found == pytest.approx(by_rounds(edges, *start), abs=1e-7)
         assert (abs(found[2] - fewer[2]) > 0.1) == moved_by and (moved_by or found == fewer)
     small = around([30.0, 20.0], np.linspace(0.0, 5.0, 9), np.full(9, 0.6))
@@ -364,8 +361,7 @@ def circles_of(monkeypatch, voted, fitted=None, filled=1.0, search=SEARCH):
         monkeypatch.setattr(vision, "_fitted", lambda search, edges, *circle: fitted[voted.index(circle)])
     monkeypatch.setattr(vision, "_voted", lambda *given: voted)
     monkeypatch.setattr(vision, "_filled", lambda *given: filled)
-    found = fruit_circles(search, PAIR.left)
-    return [(*centre, radius) for centre, radius in zip(found.centres.tolist(), found.radii.tolist(), strict=True)]
+    return [tuple(circle) for circle in fruit_circles(search, PAIR.left)[0].tolist()]
 
 
 def test_each_vote_is_looked_at_and_no_fruit_is_taken_twice(monkeypatch):
@@ -390,28 +386,26 @@ def test_pictures_without_red_or_with_nothing_else_hold_no_circles():
     """Grey is not fruit, however green the rest is; one dark pixel in red is blurred away."""
     image = np.full((60, 80, 3), 100, dtype=np.uint8)
     image[:, :40] = [60, 160, 40]
-    grey = fruit_circles(SEARCH, image)
-    assert len(grey.radii) == 0 and not grey.mask.any()
+    grey, mask = fruit_circles(SEARCH, image)
+    assert len(grey) == 0 and not mask.any()
     image[:] = [200, 40, 40]
     image[30, 40] = [40, 40, 40]
-    red = fruit_circles(SEARCH, image)
-    assert red.centres.shape == (0, 2) and red.radii.shape == (0,) and red.mask.all()
+    red, mask = fruit_circles(SEARCH, image)
+    assert red.shape == (0, 3) and mask.all()
 
 
 def test_detections_are_the_circles_that_match_well_enough(monkeypatch):
     least = CAMERA.least_correlation
     matches = [(60.0, least), (70.0, least - 1e-9), (80.0, 1.0), (50.0, 0.9)]
     centres = np.array([[100.0, 90.0], [150.0, 90.0], [300.0, 120.0], [310.5, 30.25]])
-    found = vision.Circles(centres, np.full(4, 10.0), np.zeros((2, 2), dtype=bool))
-    monkeypatch.setattr(vision, "fruit_circles", lambda search, image: found)
+    found, mask = np.column_stack([centres, np.full(4, 10.0)]), np.zeros((2, 2), dtype=bool)
+    monkeypatch.setattr(vision, "fruit_circles", lambda search, image: (found, mask))
     monkeypatch.setattr(vision, "_matched", lambda *given: matches[centres[:, 0].tolist().index(given[5][0])])
     seen = locate_circles(CAMERA, SEARCH, PAIR.left, PAIR.right)
     expected = [[*centres[k], matches[k][0]] for k in (0, 2, 3)]
     np.testing.assert_array_equal(seen.positions, triangulate(CAMERA, expected))
     assert seen.confidence.tolist() == [least, 1.0, 0.9] and seen.fruit.tolist() == [-1, -1, -1]
-    monkeypatch.setattr(
-        vision, "fruit_circles", lambda search, image: replace(found, centres=centres[:0], radii=np.zeros(0))
-    )
+    monkeypatch.setattr(vision, "fruit_circles", lambda search, image: (found[:0], mask))
     assert len(locate_circles(CAMERA, SEARCH, PAIR.left, PAIR.right)) == 0
 
 
@@ -424,7 +418,7 @@ def rim(share=1.0, radius=RADIUS, middle=MIDDLE):
     """Two edges to each pixel of a part of a circle's rim, with slopes towards its middle."""
     angle = np.linspace(0.0, 2.0 * np.pi * share, round(2 * 2 * np.pi * radius * share), endpoint=False)
     out = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    return _Edges(np.array(middle) + radius * out, -out)
+    return (np.array(middle) + radius * out, -out)
 
 
 @pytest.mark.parametrize("radius", [8.0, 14.0, 24.0])

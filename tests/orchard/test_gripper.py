@@ -87,13 +87,13 @@ def test_more_misalignment_never_helps(lateral: float, axial: float, angle: floa
 @given(vectors, vectors)
 def test_lateral_and_axial_are_the_offsets_two_legs(offset: tuple, axis: tuple) -> None:
     axis = np.add(axis, [0.0, 0.0, 1.0])
-    found = misalignment(offset, axis)
-    assert np.hypot(found.lateral, found.axial) == pytest.approx(np.linalg.norm(offset), abs=1e-12)
-    assert found.axial == pytest.approx(np.dot(offset, axis) / np.linalg.norm(axis), abs=1e-12)
-    assert found.angle == 0.0
+    lateral, axial, angle = misalignment(offset, axis)
+    assert np.hypot(lateral, axial) == pytest.approx(np.linalg.norm(offset), abs=1e-12)
+    assert axial == pytest.approx(np.dot(offset, axis) / np.linalg.norm(axis), abs=1e-12)
+    assert angle == 0.0
 
 
 def test_the_angle_is_that_between_the_axes_small_ones_too() -> None:
     for angle in (0.0, 1e-9, 0.3, np.pi / 2, np.pi):
-        found = misalignment(np.zeros(3), [0, np.sin(angle), np.cos(angle)], [0, 0, 2.0])
-        assert found.angle == pytest.approx(angle, rel=1e-6, abs=1e-15)
+        *_, found = misalignment(np.zeros(3), [0, np.sin(angle), np.cos(angle)], [0, 0, 2.0])
+        assert found == pytest.approx(angle, rel=1e-6, abs=1e-15)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.base import InputError, clustered_share_interval, statistic_interval
-from pickenv.orchard import Chances, load_sight_errors, shipped, sighted
+from pickenv.orchard import load_sight_errors, shipped, sighted
 from scripts.studies.measure_sight import (
     Sightings,
     _deviation,
@@ -45,11 +45,17 @@ def test_fruit_is_found_below_its_recall_and_the_last_part_holds_the_end():
     errors = replace(errors, recall=(0.5,) * ranges, in_sight=(0.6,) * ranges)
     normal = np.zeros((4, 4))
     normal[:, 3] = [-1e-6, 0.0, 0.2533, 0.2534]  # the share of 0.6 lies between the last two
-    in_sight, located, error = sighted(errors, np.full(4, 0.9), Chances(np.array([1.0, 1.0, 0.0, 0.0]), normal))
+    in_sight, located, error = sighted(errors, np.full(4, 0.9), np.column_stack([[1.0, 1.0, 0.0, 0.0], normal]))
     assert located.tolist() == [True, False, False, False] and in_sight.tolist() == [True, True, True, False]
     assert error == pytest.approx(np.array(errors.part_bias[0])[[parts - 1, parts - 1, 0, 0]])
     half = replace(errors, in_sight=(0.2,) * ranges)
-    assert sighted(half, np.full(4, 0.9), Chances(np.zeros(4), normal))[0].tolist() == [True, False, False, False]
+    in_sight, *_ = sighted(half, np.full(4, 0.9), np.column_stack([np.zeros(4), normal]))
+    assert in_sight.tolist() == [
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 def made_sightings(n=701, trees=15):

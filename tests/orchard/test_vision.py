@@ -10,6 +10,7 @@ from pickenv.orchard import (
     Detections,
     StereoPair,
     foliage_transmission,
+    fruit_mask,
     fruit_regions,
     load_canopy,
     load_look,
@@ -113,14 +114,14 @@ def test_two_touching_apples_are_one_region() -> None:
     """The paper leaves clusters aside."""
     rng = np.random.default_rng(0)
     pair = render_stereo(CAMERA, [[-0.037, 0, 1.2], [0.037, 0, 1.2]], 0.075, np.zeros((0, 3)), LOOK, rng)
-    assert len(fruit_regions(CAMERA, pair.left).areas) == 1
+    assert len(fruit_regions(CAMERA, pair.left)[0]) == 1
 
 
 def test_regions_under_a_fifth_of_the_largest_are_dropped() -> None:
     rng = np.random.default_rng(0)
     scene_ = [[-0.2, 0, 1.0], [0.2, 0, 1.0]]
     areas = [
-        len(fruit_regions(CAMERA, render_stereo(CAMERA, scene_, [0.08, d], np.zeros((0, 3)), LOOK, rng).left).areas)
+        len(fruit_regions(CAMERA, render_stereo(CAMERA, scene_, [0.08, d], np.zeros((0, 3)), LOOK, rng).left)[0])
         for d in (0.045, 0.03)
     ]
     assert areas == [2, 1]
@@ -137,7 +138,7 @@ def test_leaves_alone_are_no_fruit() -> None:
 
 def test_what_a_pixel_shows_agrees_with_its_colour(bare: list[Scene]) -> None:
     _, pair, _ = bare[0]
-    mask = fruit_regions(CAMERA, pair.left).mask
+    mask = fruit_mask(CAMERA, pair.left)
     assert ((pair.shows >= 0) == mask).mean() > 0.995
 
 

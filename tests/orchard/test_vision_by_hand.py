@@ -66,11 +66,10 @@ def test_regions_are_counted_where_they_lie():
     difference = np.full((60, 90), -50)
     difference[10:30, 40:70] = 100  # 20 rows, 30 columns
     difference[40:54, 5:24] = 100  # 14 rows, 19 columns
-    found = fruit_regions(CAMERA, picture(difference))
-    assert found.centroids.tolist() == [[54.5, 19.5], [14.0, 46.5]]
-    assert found.areas.tolist() == [600, 266] and found.areas.dtype == found.boxes.dtype == np.int64
-    assert found.boxes.tolist() == [[10, 40, 30, 70], [40, 5, 54, 24]]
-    assert found.mask.sum() == 866
+    centroids, boxes = fruit_regions(CAMERA, picture(difference))
+    assert centroids.tolist() == [[54.5, 19.5], [14.0, 46.5]]
+    assert boxes.tolist() == [[10, 40, 30, 70], [40, 5, 54, 24]] and boxes.dtype == np.int64
+    assert fruit_mask(CAMERA, picture(difference)).sum() == 600 + 266
 
 
 def pair(disparity, rng, row=200, column=300, size=(30, 40), noise=12.0):
@@ -105,7 +104,7 @@ def test_depth_is_base_line_and_focal_length_over_the_disparity_of_the_best_matc
     left, right = pair(disparity, np.random.default_rng(disparity), row=row, column=column)
     found = locate(CAMERA, picture(left), picture(right))
     confidence, exact = referee(left, right, row, column, (30, 40), disparity)
-    assert len(found) == len(fruit_regions(CAMERA, picture(left)).areas) == 1
+    assert len(found) == len(fruit_regions(CAMERA, picture(left))[0]) == 1
     assert found.confidence[0] == pytest.approx(confidence, abs=1e-9)
     assert found.positions[0, 2] == pytest.approx(CAMERA.focal_length * CAMERA.baseline / exact, rel=1e-9)
 
@@ -122,7 +121,7 @@ def test_matches_are_looked_for_between_the_nearest_and_the_farthest_distance(di
 
 def test_a_fruit_whose_match_would_lie_outside_the_right_picture_is_left_out():
     left, right = pair(5, np.random.default_rng(0), column=10)
-    assert len(fruit_regions(CAMERA, picture(left)).areas) == 1
+    assert len(fruit_regions(CAMERA, picture(left))[0]) == 1
     assert len(locate(CAMERA, picture(left), picture(right))) == 0
 
 

@@ -12,16 +12,6 @@ from pickenv.arm import Array
 from pickenv.arm.plant.plant_batch import tree_map
 from pickenv.base import InputError
 from pickenv.envs.harvesting import harvest_task as batch
-from pickenv.envs.harvesting.harvest_task import (
-    COLLECTED,
-    HANGING,
-    OPTIONS,
-    HarvestState,
-    HarvestTask,
-    given_zones,
-    harvest_spaces,
-    make_harvest_task,
-)
 from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information
 from pickenv.envs.shared.backends import Flags, Rows
 from pickenv.envs.shared.native_vector import NativeVectorEnv
@@ -29,29 +19,8 @@ from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.harvester import Machine
-from pickenv.pictures.arm_shapes import (
-    CUP_RADIUS,
-    FAINT,
-    GAIN,
-    GHOST,
-    JOINT,
-    LINK,
-    METAL,
-    Solids,
-    cup_solids,
-    frustum_solids,
-    joined_solids,
-)
+from pickenv.pictures import arm_shapes, tree_shapes
 from pickenv.pictures.stage import SIZE, Balls, Eye, Mesh, Rods, Stage, Words, rgba
-from pickenv.pictures.tree_shapes import (
-    GREEN,
-    MISSED_FRUIT,
-    crate,
-    fruit_colours,
-    fruit_solids,
-    ground_around,
-    row_of_trees,
-)
 
 LONGEST = 600
 """Periods of an episode: a minute."""
@@ -152,17 +121,17 @@ class HarvestEnv(DrawnEnv):
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         super().__init__(render_mode)
-        self.task: HarvestTask = make_harvest_task(**arguments)
+        self.task: batch.HarvestTask = batch.make_harvest_task(**arguments)
         self.compensator: Compensate | None = None
-        self.observation_space, self.action_space = harvest_spaces(self.task)
-        self.state: HarvestState | None = None
+        self.observation_space, self.action_space = batch.harvest_spaces(self.task)
+        self.state: batch.HarvestState | None = None
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Information]:
         """Start with another zone; see the class for `options`."""
         super().reset(seed=seed)
-        zones = given_zones(self.task, given_options(options, OPTIONS), 1)
+        zones = batch.given_zones(self.task, given_options(options, batch.OPTIONS), 1)
         self.state = batch.begin_zones(self.task, [self.np_random], **zones)
         if self.render_mode == "human":
             self.render()
@@ -205,7 +174,7 @@ class HarvestVectorEnv(NativeVectorEnv):
         arguments: As for `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
     """
 
-    options = OPTIONS
+    options = batch.OPTIONS
 
     def __init__(
         self,
@@ -218,15 +187,15 @@ class HarvestVectorEnv(NativeVectorEnv):
     ) -> None:
         """See the class."""
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
-        self.task: HarvestTask = make_harvest_task(**arguments)
-        self._set_spaces(*harvest_spaces(self.task))
-        self.state: HarvestState
+        self.task: batch.HarvestTask = batch.make_harvest_task(**arguments)
+        self._set_spaces(*batch.harvest_spaces(self.task))
+        self.state: batch.HarvestState
 
     def _checked(self, actions: ArrayLike) -> NDArray[Any]:
         return checked_action(actions, (self.num_envs, self.task.machine.joints), self.task.most_action)
 
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
-        zones = given_zones(self.task, options, self.num_envs, rows)
+        zones = batch.given_zones(self.task, options, self.num_envs, rows)
         fresh = batch.begin_zones(self.task, [self._rngs[i] for i in rows], **zones)
         if self._begun:
             self.state.put(rows, fresh)
@@ -236,7 +205,7 @@ class HarvestVectorEnv(NativeVectorEnv):
     def _act(self, actions: NDArray[Any], live: Flags) -> NDArray[Any]:
         rewards, rows = np.zeros(self.num_envs), np.flatnonzero(live)
         if rows.size:
-            some: HarvestState = tree_map(lambda values: values[rows], self.state)
+            some: batch.HarvestState = tree_map(lambda values: values[rows], self.state)
             rewards[rows] = batch.step(self.task, some, actions[rows], [self._rngs[i] for i in rows], self.compensator)
             self.state.put(rows, some)
         return rewards
@@ -263,7 +232,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def draw_harvest(
-    task: HarvestTask, states: HarvestState, compensate: Compensate | None, row: int = 0, dark: bool = False
+    task: batch.HarvestTask, states: batch.HarvestState, compensate: Compensate | None, row: int = 0, dark: bool = False
 ) -> Stage:
     """One machine before its zone.
 
@@ -274,22 +243,21 @@ def draw_harvest(
         row: The machine's number.
         dark: Whether the background is dark.
     """
-    state: HarvestState = tree_map(lambda values: values[row : row + 1], states)
+    state: batch.HarvestState = tree_map(lambda values: values[row : row + 1], states)
     machine, target = task.machine, state.joints
     command = target if compensate is None else compensate(target)
-    ghosts = machine.tips(target[:, :3], _slaves(target, machine))[0]
-    tips = task.true.tips(command[:, :3], _slaves(command, machine))[0]
-    drawn_in = _slaves(command, machine).copy()
-    drawn_in[..., 1:] = 0.0
-    pivots = machine.tips(command[:, :3], drawn_in)[0]
-    picked = int((state.status[0] == COLLECTED).sum())
-    solids = joined_solids(
+    ghosts = machine.tips(*machine.parted(target))[0]
+    tips = task.true.tips(*machine.parted(command))[0]
+    master, slaves = machine.parted(command)
+    pivots = machine.tips(master, slaves * [1.0, 0.0, 0.0])[0]
+    picked = int((state.status[0] == batch.COLLECTED).sum())
+    solids = arm_shapes.joined_solids(
         _master(machine, command[0], pivots),
         slave_solids(pivots, tips, machine.body.radius / 2),
-        _ghosts(pivots, tips + GAIN * (ghosts - tips), machine.body.radius / 2),
-        *(cup_solids(tip, UP, CUP_RADIUS) for tip in tips),
+        _ghosts(pivots, tips + arm_shapes.GAIN * (ghosts - tips), machine.body.radius / 2),
+        *(arm_shapes.cup_solids(tip, UP, arm_shapes.CUP_RADIUS) for tip in tips),
         zone_fruit(state),
-        crate(_eye(state), SIZE, picked, float(state.diameters[0].mean()), -machine.base_height),
+        tree_shapes.crate(_eye(state), SIZE, picked, float(state.diameters[0].mean()), -machine.base_height),
         _cameras(task, command[0]),
     )
     seconds = float(state.periods[0]) * CONTROL_PERIOD
@@ -302,11 +270,7 @@ def draw_harvest(
     return Stage(_eye(state), *solids, still=_surroundings(task, state, dark), words=words, dark=dark)
 
 
-def _slaves(joints: Array, machine: Machine) -> Array:
-    return joints[:, 3:].reshape(len(joints), machine.arms, 3)
-
-
-def _master(machine: Machine, joints: Array, pivots: Array) -> Solids:
+def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids:
     """Column, boom and the rail that the slaves hang on."""
     frame, foot = machine.frame3(joints[:3]), -machine.base_height
     axis, shoulder = np.array([0.0, 0.0, foot]), np.array([0.0, 0.0, frame[2]])
@@ -316,55 +280,61 @@ def _master(machine: Machine, joints: Array, pivots: Array) -> Solids:
     start = np.stack([axis, shoulder, ends[0], *(np.array([*pivot[:2], frame[2]]) for pivot in pivots)])
     end = np.stack([top, frame, ends[1], *pivots])
     radius = np.array([0.05, 0.035, 0.03, *[0.022] * len(pivots)])
-    colour = np.concatenate([rgba(METAL, 1), rgba(LINK, 2), rgba(METAL, len(pivots))])
+    colour = np.concatenate([rgba(arm_shapes.METAL, 1), rgba(arm_shapes.LINK, 2), rgba(arm_shapes.METAL, len(pivots))])
     joints_at = np.stack([shoulder, frame])
-    return Solids((Rods(start, end, radius, colour),), (Balls(joints_at, np.array([0.075, 0.05]), rgba(JOINT, 2)),))
+    return arm_shapes.Solids(
+        (Rods(start, end, radius, colour),), (Balls(joints_at, np.array([0.075, 0.05]), rgba(arm_shapes.JOINT, 2)),)
+    )
 
 
-def slave_solids(pivots: Array, tips: Array, radius: float) -> Solids:
+def slave_solids(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
     """Slave arms from their pivots to below their cups, each a tube with a rod in it."""
     ends = tips - 0.06 * UP
     half = pivots + 0.5 * (ends - pivots)
     count = len(tips)
-    tubes = Rods(pivots, half, np.full(count, radius), rgba(LINK, count))
-    rods = Rods(half, ends, np.full(count, 0.6 * radius), rgba(METAL, count))
-    return Solids((tubes, rods), (Balls(pivots, np.full(count, 1.3 * radius), rgba(JOINT, count)),))
+    tubes = Rods(pivots, half, np.full(count, radius), rgba(arm_shapes.LINK, count))
+    rods = Rods(half, ends, np.full(count, 0.6 * radius), rgba(arm_shapes.METAL, count))
+    return arm_shapes.Solids(
+        (tubes, rods), (Balls(pivots, np.full(count, 1.3 * radius), rgba(arm_shapes.JOINT, count)),)
+    )
 
 
-def _ghosts(pivots: Array, tips: Array, radius: float) -> Solids:
+def _ghosts(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
     count = len(tips)
-    rods = Rods(pivots, tips - 0.06 * UP, np.full(count, 0.8 * radius), rgba(GHOST, count, FAINT))
-    return Solids((rods,), (Balls(tips - 0.03 * UP, np.full(count, 0.035), rgba(GHOST, count, FAINT)),))
+    rods = Rods(pivots, tips - 0.06 * UP, np.full(count, 0.8 * radius), rgba(arm_shapes.GHOST, count, arm_shapes.FAINT))
+    return arm_shapes.Solids(
+        (rods,), (Balls(tips - 0.03 * UP, np.full(count, 0.035), rgba(arm_shapes.GHOST, count, arm_shapes.FAINT)),)
+    )
 
 
-def zone_fruit(state: HarvestState) -> Solids:
+def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
     """Fruit that hangs: ripe where it is in reach; lost fruit in another colour where it hung."""
-    hanging = state.status[0] != COLLECTED
-    colours = fruit_colours(state.fruit.shape[1])
-    colours[~state.reachable[0]] = GREEN
-    colours[(state.status[0] != HANGING) & (state.status[0] != COLLECTED)] = MISSED_FRUIT
+    hanging = state.status[0] != batch.COLLECTED
+    colours = tree_shapes.fruit_colours(state.fruit.shape[1])
+    colours[~state.reachable[0]] = tree_shapes.GREEN
+    colours[(state.status[0] != batch.HANGING) & (state.status[0] != batch.COLLECTED)] = tree_shapes.MISSED_FRUIT
     places = state.fruit[0] + state.moved[0]
-    return fruit_solids(places[hanging], state.diameters[0][hanging], colours[hanging])
+    return tree_shapes.fruit_solids(places[hanging], state.diameters[0][hanging], colours[hanging])
 
 
-def _cameras(task: HarvestTask, joints: Array) -> Solids:
+def _cameras(task: batch.HarvestTask, joints: Array) -> arm_shapes.Solids:
     """The stereo pair that looked at the zone from the aisle, before the machine came."""
     frame = task.machine.frame3(joints[:3])
     eye = np.array([frame[0], 0.0, frame[2]])
-    return frustum_solids(eye, np.array([0.0, -1.0, 0.0]), (0.6, 0.45), 0.3, (110, 96, 160))
+    return arm_shapes.frustum_solids(eye, np.array([0.0, -1.0, 0.0]), (0.6, 0.45), 0.3, (110, 96, 160))
 
 
-def _surroundings(task: HarvestTask, state: HarvestState, dark: bool) -> tuple[Mesh, ...]:
+def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool) -> tuple[Mesh, ...]:
     """Ground, and the trees of the zone."""
     canopy, height = task.orchard.canopy, -task.machine.base_height
     middle = np.round(state.fruit[0].mean(axis=0), 1)
     low = (float(middle[0]) - 0.6, -canopy.standoff - canopy.depth, max(float(middle[2]) - 0.5, height + 0.3))
     high = (float(middle[0]) + 0.6, -canopy.standoff, float(middle[2]) + 0.6)
-    trees = row_of_trees(low, high, canopy.leaf_area_per_volume, height)
-    return (ground_around(0.0, -0.5, height, dark), *trees)
+    trees = tree_shapes.row_of_trees(low, high, canopy.leaf_area_per_volume, height)
+    return (tree_shapes.ground_around(0.0, -0.5, height, dark), *trees)
 
 
-def _eye(state: HarvestState) -> Eye:
+def _eye(state: batch.HarvestState) -> Eye:
     """From behind the machine, to its side and above it; it stays where it is during a zone."""
     fruit = state.fruit[0].mean(axis=0)
     target = np.array([0.45 * fruit[0], 0.62 * fruit[1], 0.95 * fruit[2]])

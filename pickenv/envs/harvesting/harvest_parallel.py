@@ -15,10 +15,9 @@ import pettingzoo  # type: ignore[import-untyped,import-not-found,unused-ignore]
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.base import InputError
-from pickenv.envs.harvesting import harvest_task as batch
-from pickenv.envs.harvesting.harvest_env import LONGEST, draw_harvest
-from pickenv.envs.harvesting.harvest_task import HarvestState, HarvestTask, harvest_spaces, make_harvest_task
-from pickenv.envs.shared.arm_env import checked_render_mode, drawn
+from pickenv.envs.harvesting.harvest_env import LONGEST, HarvestEnv
+from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces
+from pickenv.envs.shared.arm_env import checked_render_mode
 from pickenv.envs.shared.task import Compensate, checked_action
 
 ID = "pickenv/Harvest-v0"
@@ -38,16 +37,16 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
 
     def __init__(self, *, max_cycles: int = LONGEST, render_mode: str | None = None, **arguments: Any) -> None:
         """See the class."""
-        self.task: HarvestTask = make_harvest_task(**arguments)
-        self.max_cycles, self.render_mode = max_cycles, checked_render_mode(render_mode, ("rgb_array",))
+        self._env = HarvestEnv(render_mode=checked_render_mode(render_mode, ("rgb_array",)), **arguments)
+        self.task: HarvestTask = self._env.task
+        self.max_cycles, self.render_mode = max_cycles, render_mode
         self.possible_agents = ["master", *(f"slave_{i}" for i in range(self.task.machine.arms))]
         self.agents: list[str] = []
         self.compensator: Compensate | None = None
         observations = harvest_spaces(self.task, extra=len(self.possible_agents))[0]
         self._observations = {name: deepcopy(observations) for name in self.possible_agents}
         self._actions = {name: gym.spaces.Box(-1.0, 1.0, (3,), np.float32) for name in self.possible_agents}
-        self._rng = np.random.default_rng()
-        self._state: HarvestState | None = None
+        self._shared: NDArray[np.float32] | None = None
 
     def observation_space(self, agent: str) -> gym.spaces.Box:
         """The same object for each call."""
@@ -61,11 +60,9 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, dict[str, Any]]]:
         """Start with another zone."""
-        if seed is not None:
-            self._rng = np.random.default_rng(seed)
         self.agents = list(self.possible_agents)
-        self._state = batch.begin_zones(self.task, [self._rng])
-        return self._seen(), self._told()
+        self._shared, info = self._env.reset(seed=seed)
+        return self._seen(), self._told(info)
 
     def step(
         self, actions: dict[str, Any]
@@ -75,39 +72,32 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         Raises:
             InputError: If an action is not three finite numbers, or before the first reset.
         """
-        if self._state is None:
+        if self._shared is None:
             raise InputError("step was called before reset; call reset first")
         if not self.agents:
             return {}, {}, {}, {}, {}
         still: ArrayLike = np.zeros(3)
         parts = [checked_action(actions.get(name, still), (3,), self.task.most_action) for name in self.possible_agents]
-        rewards = batch.step(self.task, self._state, np.concatenate(parts)[None], [self._rng], self.compensator)
-        over = bool(batch.finished(self._state)[0])
-        late = bool(self._state.periods[0] >= self.max_cycles)
-        names = self.agents
-        observations, infos = self._seen(), self._told()
+        self._env.compensator = self.compensator
+        self._shared, reward, over, _, info = self._env.step(np.concatenate(parts))
+        assert self._env.state is not None
+        late, names = bool(self._env.state.periods[0] >= self.max_cycles), self.agents
         if over or late:
             self.agents = []
-        return (
-            observations,
-            dict.fromkeys(names, float(rewards[0])),
-            dict.fromkeys(names, over),
-            dict.fromkeys(names, late),
-            infos,
-        )
+        ends = (dict.fromkeys(names, over), dict.fromkeys(names, late))
+        return self._seen(), dict.fromkeys(names, reward), *ends, self._told(info)
 
     def state(self) -> NDArray[np.float32]:
         """The observation that all agents share, for centralised training."""
-        if self._state is None:
+        if self._shared is None:
             raise InputError("state was called before reset; call reset first")
-        return np.asarray(batch.observe(self.task, self._state)[0])
+        return self._shared.copy()
 
     def render(self) -> NDArray[np.uint8] | None:
         """The whole machine, as in `pickenv/Harvest-v0`."""
-        if self.render_mode is None:
-            return None
-        stage = None if self._state is None else draw_harvest(self.task, self._state, self.compensator)
-        return drawn(stage)
+        self._env.compensator = self.compensator
+        picture: NDArray[np.uint8] | None = None if self.render_mode is None else self._env.render()
+        return picture
 
     def close(self) -> None:
         """Nothing to close."""
@@ -117,10 +107,8 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         mine = np.eye(len(self.possible_agents), dtype=np.float32)
         return {name: np.append(shared, mine[i]).astype(np.float32) for i, name in enumerate(self.possible_agents)}
 
-    def _told(self) -> dict[str, dict[str, Any]]:
-        assert self._state is not None
-        infos = {key: values[0].item() for key, values in batch.information(self._state).items()}
-        return {name: dict(infos) for name in self.possible_agents}
+    def _told(self, info: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        return {name: dict(info) for name in self.possible_agents}
 
 
 pettingzoo.register("parallel", ID, entry_point=HarvestParallelEnv, max_cycles=LONGEST)

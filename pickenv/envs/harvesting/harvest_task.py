@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, partial
 from typing import Annotated, Any
 
 import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
+from pickenv import harvester
 from pickenv.arm import Array
 from pickenv.arm.plant.plant_batch import leaves
 from pickenv.base import MM, NUMBER, InputError, read_toml, toml_table
@@ -18,17 +19,6 @@ from pickenv.base.limits import shown
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_number
-from pickenv.harvester import (
-    Machine,
-    Orchard,
-    Picking,
-    TrueMachine,
-    load_machine,
-    load_orchard,
-    load_picking,
-    load_true_machine,
-    pick_point,
-)
 from pickenv.harvester.interference import arm_distances, pairs_of
 from pickenv.harvester.picking import attempt, draw_luck, pushes
 from pickenv.harvester.trees import SHIPPED, lab_zone, tree_leaves
@@ -96,7 +86,7 @@ def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None 
             fruit, height = corner + zone * rng.random((task.fruit, 3)), corner[2] + zone[2] / 2
         else:
             fruit, x, height = given, given[:, 0].mean(), given[:, 2].mean()
-        diameters = sample_diameters(task.orchard.size, task.fruit, rng)
+        diameters = sample_diameters(task.orchard.fruit_size, task.fruit, rng)
         view = Viewpoint(np.array([x, 0.0, height]), AHEAD)
         sight = see(task.eyes, view, fruit, diameters, rng, leaves=tree_leaves(machine, task.eyes, rng))
         if sight.located.any():
@@ -126,10 +116,8 @@ class Rules:
     motion_cost: Annotated[float, NUMBER.not_negative]
 
 
-@lru_cache(maxsize=1)
-def load_rules() -> Rules:
-    """Read the rules of the task."""
-    return read_toml(Rules, SHIPPED, section="task")
+load_rules = cache(partial(read_toml, Rules, SHIPPED, section="task"))
+"""Reads the rules of the task."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,11 +135,11 @@ class HarvestTask:
         most_action: Largest size of an action's numbers that is taken.
     """
 
-    machine: Machine
-    true: TrueMachine
-    model: Picking
+    machine: harvester.Machine
+    true: harvester.TrueMachine
+    model: harvester.Picking
     rules: Rules
-    orchard: Orchard
+    orchard: harvester.Orchard
     eyes: Eyes
     fruit: int
     most_action: float
@@ -193,14 +181,14 @@ def make_harvest_task(
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
     if spacing_mm is not None:
         check_number("spacing_mm", spacing_mm, positive=True)
-    machine = load_machine(slaves=slaves, spacing=None if spacing_mm is None else spacing_mm * 1e-3)
-    true = load_true_machine(machine)
+    machine = harvester.load_machine(slaves=slaves, spacing=None if spacing_mm is None else spacing_mm * 1e-3)
+    true = harvester.load_true_machine(machine)
     if ideal:
         true = true.ideal()
-    orchard = load_orchard(canopy=canopy)
+    orchard = harvester.load_orchard(canopy=canopy)
     eyes = load_eyes(vision, orchard.canopy, detector)
     most = MOST_ACTION[out_of_range]
-    return HarvestTask(machine, true, load_picking(), load_rules(), orchard, eyes, fruit, most)
+    return HarvestTask(machine, true, harvester.load_picking(), load_rules(), orchard, eyes, fruit, most)
 
 
 def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
@@ -303,7 +291,7 @@ def begin_zones(
         if joints is not None:
             start[i] = joints[i]
         else:
-            master = pick_point(machine, sight.believed[sight.located]).master
+            master = harvester.pick_point(machine, sight.believed[sight.located])
             start[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
     if joints is not None and (distances(task, start) < machine.body.clearance).any():
         raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")
@@ -315,7 +303,7 @@ def begin_zones(
         swing=zeros.copy(),
         velocity=zeros.copy(),
         diameters=diameters,
-        masses=fruit_masses(task.orchard.size, diameters),
+        masses=fruit_masses(task.orchard.fruit_size, diameters),
         believed=sightings,
         error=sightings - positions,
         located=located,
@@ -338,7 +326,7 @@ def distances(task: HarvestTask, joints: Array) -> Array:
     machine = task.machine
     if machine.arms < 2:
         return np.full(len(joints), task.rules.shown)
-    return np.asarray(arm_distances(machine, joints[:, 3:].reshape(len(joints), machine.arms, 3)).min(axis=-1))
+    return np.asarray(arm_distances(machine, machine.parted(joints)[1]).min(axis=-1))
 
 
 def step(
@@ -370,7 +358,7 @@ def step(
     state.closest = np.minimum(state.closest, apart)
     state.periods = state.periods + 1
     commands = target if compensator is None else compensator(target)
-    tips = task.true.tips(commands[:, :3], commands[:, 3:].reshape(len(target), machine.arms, 3))
+    tips = task.true.tips(*machine.parted(commands))
     branch, rules = task.model.branch, task.rules
     if state.swing.any() or state.velocity.any():
         state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
@@ -394,7 +382,7 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
     if arms < 2:
         return np.asarray(blocked.sum(axis=1)), distances(task, target)
     i, j = pairs_of(arms)
-    old, new = start[:, 3:].reshape(n, arms, 3), target[:, 3:].reshape(n, arms, 3).copy()
+    old, new = machine.parted(start)[1], machine.parted(target)[1].copy()
     for _ in range(arms + 1):
         between, after = arm_distances(machine, old + HALF_AND_WHOLE * (new - old))
         bad = np.minimum(between, after) < machine.body.clearance
@@ -468,7 +456,7 @@ def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def work_left(task: HarvestTask, state: HarvestState) -> Array:
     """Mean distance from reachable hanging fruit to the nearest believed cup, m; what shaping is made of."""
-    tips = task.machine.tips(state.joints[:, :3], state.joints[:, 3:].reshape(len(state.joints), -1, 3))
+    tips = task.machine.tips(*task.machine.parted(state.joints))
     away = state.believed[:, None] - tips[:, :, None]
     distance = np.sqrt((away * away).sum(axis=-1)).min(axis=1)
     return np.asarray((distance * pickable(state)).sum(axis=-1) / distance.shape[-1])

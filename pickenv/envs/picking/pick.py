@@ -2,37 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Frame, Geometry
 from pickenv.base import InputError
-from pickenv.envs.picking.pick_arm import PickSight, act_arm, apart_mm, look_at_arm, reach_of
-from pickenv.envs.picking.pick_scene import (
-    LONGEST,
-    MOST_LEFT,
-    PICK_OPTIONS,
-    STILL,
-    PickScene,
-    PickSetting,
-    draw_starts,
-    make_pick,
-    pick_reward,
-    pick_spaces,
-    to_base,
-)
-from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, arm_at_work, standing, tool_dial
+from pickenv.envs.picking.canopies import Canopies, draw_pick
+from pickenv.envs.picking.pick_arm import TOOL, act_arm, look_at_arm, reach_of
+from pickenv.envs.picking.pick_scene import PICK_OPTIONS, PickScene, draw_starts, make_pick, pick_spaces
+from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.simulation import begin
+from pickenv.envs.shared.simulation import ArmState, begin
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import checked_action
-from pickenv.pictures.arm_shapes import Solids, cup_solids, frustum_solids, hand_solids, joined_solids
-from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
-from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
+from pickenv.pictures.stage import Stage
 
 
 class PickEnv(ArmEnv):
@@ -199,8 +184,8 @@ class PickEnv(ArmEnv):
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
         space, self.action_space = pick_spaces(task)
         self.observation_space, self._bounds = space, (space.low, space.high)
-        self.scene: PickScene | None = None
-        self._sight: PickSight | None = None
+        self.canopies: Canopies | None = None
+        self.scene: PickScene
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -212,21 +197,19 @@ class PickEnv(ArmEnv):
         if joints is not None:
             task.given_joints("start_joints", joints)  # refused before anything is drawn
         before = None if seed is not None else self._arm
-        (start,) = draw_starts(
+        ((self.scene, number, key),) = draw_starts(
             task, self.orchard, self._reach, [self.np_random], [before], [options.get("fruit")], [arm]
         )
-        self.scene, self._key = start.scene, self._word(start.key)
-        if start.arm is not None and (task.arms != "fixed" or arm is not None):
-            self._use_arm(start.arm)
+        self._key = self._word(key)
+        if number is not None and (task.arms != "fixed" or arm is not None):
+            self._use_arm(number)
         target = self._start(joints)
-        self._step, self._still = 0, STILL
         self._state = begin(self._x, task, self.plant, self._key, target, (), self._command(target), gripper=1)
-        pose, _ = self._look(0.0)
-        self._number = 0
-        self._choose(pose)
-        if self.render_mode == "human":
-            self.render()
-        return self._observation(), self._information()
+        self.canopies = Canopies(task, self.orchard, 1)
+        self._look(self.canopies, self._state, 0.0)
+        self.canopies.adopt(0, self.scene)
+        self.canopies.choose(0)
+        return self._shown(self.canopies)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:
         """Move the joint target by `action`, then work the gripper.
@@ -234,187 +217,30 @@ class PickEnv(ArmEnv):
         Raises:
             InputError: If the action has another shape or impossible numbers, or before the first reset.
         """
-        values = checked_action(action, (self.task.joints + 1,), self.task.most_action)
-        if self.scene is None or self._state is None or self._sight is None:
+        values, canopies = checked_action(action, (self.task.joints + 1,), self.task.most_action), self.canopies
+        if canopies is None or self._state is None:
             raise InputError("step was called before reset; call reset first")
-        scene, x, task = self.scene, self._x, self.task
-        collected, damaged = scene.tally()
-        numbers = self._numbers(values.tolist())
-        self._state, command, stirred, period = act_arm(x, task, self._state, numbers)
-        gripper, dt = self._plain((command, period))
-        self._still = 0.0 if stirred else min(STILL, self._still + dt)
-        self._step += 1
-        before = tuple(self._plain(self._sight.tool))
-        pose, tool = self._look(period)
-        scene.advance(before, tool, self._number, dt)
-        scene.work_gripper(gripper, self._number, pose, tool)
-        if scene.held is None and not scene.waiting[self._number]:
-            self._choose(pose)
-        now_collected, now_damaged = scene.tally()
-        reward = pick_reward(now_collected - collected, now_damaged - damaged)
-        terminated = scene.held is None and not scene.waiting.any()
-        if self.render_mode == "human":
-            self.render()
-        return self._observation(), reward, terminated, False, self._information()
+        numbers, before = self._numbers(values.tolist()), canopies.sight[TOOL][9:].T.copy()
+        state, gripper, stirred, period = act_arm(self._x, self.task, self._state, numbers)
+        canopies.moments += np.uint64(1)
+        self._look(canopies, state, period)
+        moved = (np.ravel(part) for part in (gripper, stirred, period))
+        (reward,) = canopies.happen(np.ones(1, dtype=np.bool_), before, *moved)
+        observation, information = self._shown(canopies)
+        return observation, float(reward), bool(canopies.finished()[0]), False, information
 
     def _stage(self) -> Stage | None:
-        if self.scene is None or self._state is None or self._sight is None:
-            return None
-        command = np.array(self._plain(self._command(self._state.target)))
-        tool, pose = tuple(self._plain(self._sight.tool)), tuple(self._plain(self._sight.believed))
-        return draw_pick(self.task.plant.arm.nominal, command, tool, pose, self.scene, self._number, self.dark)
+        return None if self.canopies is None else draw_pick(self.canopies, dark=self.dark)
 
-    def _look(self, dt: Scalar) -> tuple[Frame, Frame]:
-        """Let time pass at the present joint target; frames of the believed and the true tool."""
-        assert self._state is not None
-        command, moment = self._command(self._state.target), self._word(self._step)
-        self._state, self._sight = look_at_arm(
-            self._x, self.task, self.plant, self._state, command, self._key, moment, dt
-        )
-        self._sent_command = np.array(self._plain(command))
-        return tuple(self._plain(self._sight.believed)), tuple(self._plain(self._sight.tool))
+    def _look(self, canopies: Canopies, state: ArmState, dt: Scalar) -> None:
+        """Let time pass at the joint target of ``state``."""
+        command, moment = self._command(state.target), self._word(int(canopies.moments[0]))
+        self._state, sight = look_at_arm(self._x, self.task, self.plant, state, command, self._key, moment, dt)
+        canopies.sight[:, 0] = self._plain([*sight, *command])
 
-    def _choose(self, believed: Sequence[float]) -> None:
-        """Go after the waiting fruit that comes next, or stay with the last one."""
-        assert self.scene is not None
-        number = self.scene.following(believed[9:])
-        self._number = self._number if number is None else number
-
-    def _observation(self) -> NDArray[np.float32]:
-        scene, sight = self.scene, self._sight
-        assert scene is not None and sight is not None
-        fruit, tool = scene.seen[self._number], np.array(self._plain(sight.believed)[9:])
-        parts = [
-            self._plain(sight.readings),
-            tool,
-            fruit,
-            fruit - tool,
-            self._plain(sight.turn),
-            [
-                self._still,
-                1.0 - self._step / LONGEST,
-                scene.holds_hanging,
-                scene.holds_detached,
-                scene.waiting.sum() / MOST_LEFT,
-            ],
-        ]
-        low, high = self._bounds
-        return np.asarray(np.concatenate(parts).clip(low, high), dtype=np.float32)
-
-    def _information(self) -> Information:
-        scene, sight = self.scene, self._sight
-        assert scene is not None and sight is not None
-        fruit, funnel = scene.positions[self._number], scene.funnel()
-        away = apart_mm(self._x, self._numbers(fruit.tolist()), sight.tool[9:])
-        away_mm, tilt = self._plain((away, sight.tilt))
-        return {
-            **funnel,
-            "damaged": scene.tally()[1],
-            "is_success": funnel["collected"] == funnel["reachable"],
-            "position_error_mm": away_mm,
-            "grasp_lateral_mm": 1e3 * scene.miss[0],
-            "grasp_axial_mm": 1e3 * scene.miss[1],
-            "tilt_deg": tilt,
-            "joint_command": self._sent_command,
-            "tool_position": np.array(self._plain(sight.tool)[9:]),
-            "fruit_position": fruit.copy(),
-            "fruit_number": self._number,
-        }
-
-
-# A canopy and the arm that picks in it as a stage to draw. Units: m; mm in words.
-
-
-CAMERA = (110, 96, 160)
-
-
-def draw_pick(
-    nominal: Geometry, command: Array, tool: Frame, believed: Frame, scene: PickScene, number: int, dark: bool
-) -> Stage:
-    """The arm, its ghost, its gripper, the camera and the trees.
-
-    Args:
-        nominal: The arm as its controller believes it to be.
-        command: What the drives got ``(n,)``, rad or m.
-        tool: Frame of the true tool.
-        believed: Frame of the tool as the controller believes it to be.
-        scene: The fruit.
-        number: The fruit that the arm is after.
-        dark: Whether the background is dark.
-    """
-    orchard, funnel = scene.orchard, scene.funnel()
-    point, axis = np.array(tool[9:]), np.array(tool[6:9])
-    offset = point - scene.positions[number]
-    solids = joined_solids(
-        arm_at_work(nominal, command, point, axis, np.array(believed[9:])),
-        gripper_solids(orchard, point, axis, scene.held is not None),
-        canopy_fruit(scene),
-        crate(pick_eye(orchard), SIZE, funnel["collected"], float(np.mean(scene.diameters)), ground_of(orchard)),
-        camera_solids(orchard),
-    )
-    missed = scene.attempted & ~scene.attached
-    words = (
-        Words(f"picked {funnel['collected']} of {funnel['reachable']}", "top left", large=True),
-        Words(f"missed {int(missed.sum())}", "top left"),
-        Words(f"{1e3 * float(np.linalg.norm(offset)):.1f} mm from the fruit", "top right"),
-        Words(GHOST_WORDS, "bottom left"),
-    )
-    still = (*standing(nominal, ground_of(orchard), dark), *trees_of(orchard))
-    dial = tool_dial(axis, offset, 1e3 * orchard.gripper.tolerance)
-    return Stage(pick_eye(orchard), *solids, still=still, words=words, dial=dial, dark=dark)
-
-
-def gripper_solids(orchard: PickSetting, point: Array, axis: Array, closed: bool) -> Solids:
-    """The cup, as wide as its opening; or the hand, around a usual fruit."""
-    if orchard.gripper.kind == "cup":
-        return cup_solids(point, axis, orchard.station.tool_radius)
-    return hand_solids(point, axis, orchard.station.tool_radius, closed)
-
-
-def canopy_fruit(scene: PickScene) -> Solids:
-    """Fruit that hangs or is in the gripper: ripe where it can still be tried, another colour where it was missed."""
-    present = ~scene.collected & ~(scene.damaged & scene.detached)
-    if scene.held is not None:
-        present[scene.held] = True
-    colours = fruit_colours(len(scene.rest))
-    colours[~scene.reachable] = GREEN
-    colours[scene.attempted & ~scene.attached] = MISSED_FRUIT
-    gripped = present & scene.detached
-    hanging = present & ~gripped
-    places, sizes = scene.positions, scene.diameters
-    return joined_solids(
-        fruit_solids(places[hanging], sizes[hanging], colours[hanging]),
-        fruit_solids(places[gripped], sizes[gripped], colours[gripped], stems=False),
-    )
-
-
-def camera_solids(orchard: PickSetting) -> Solids:
-    """The camera that looks at the canopy, and what it sees."""
-    canopy, camera = orchard.canopy, orchard.camera
-    middle = (canopy.bottom + canopy.top) / 2
-    eye = to_base(orchard, np.array([0.0, -canopy.standoff, middle]))
-    ahead = to_base(orchard, np.array([0.0, 0.0, middle])) - eye
-    half_angles = [side / 2 / camera.focal_length for side in camera.image]
-    return frustum_solids(eye, ahead / np.linalg.norm(ahead), half_angles, 0.3 * float(np.linalg.norm(ahead)), CAMERA)
-
-
-def trees_of(orchard: PickSetting) -> tuple[Mesh, ...]:
-    """The section of canopy before the arm."""
-    canopy = orchard.canopy
-    ends = np.array([[-canopy.width / 2, 0.0, canopy.bottom], [canopy.width / 2, canopy.depth, canopy.top]])
-    corners = to_base(orchard, ends)
-    low, high = (tuple(float(value) for value in end) for end in (corners.min(axis=0), corners.max(axis=0)))
-    return row_of_trees(low, high, canopy.leaf_area_per_volume, ground_of(orchard))
-
-
-def ground_of(orchard: PickSetting) -> float:
-    """Height of the ground in the arm's base frame, m."""
-    return float(to_base(orchard, np.zeros(3))[2])
-
-
-def pick_eye(orchard: PickSetting) -> Eye:
-    """From behind the arm, to its side and above it."""
-    canopy = orchard.canopy
-    face = to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
-    target = face * [0.62, 0.62, 0.62]
-    return Eye(target + np.array([1.35, 2.15, 0.75]), target)
+    def _shown(self, canopies: Canopies) -> tuple[NDArray[np.float32], Information]:
+        if self.render_mode == "human":
+            self.render()
+        infos = {key: values[0] for key, values in canopies.information().items()}
+        information = {key: value if value.ndim else value.item() for key, value in infos.items()}
+        return canopies.observations(*self._bounds)[0], information

@@ -9,28 +9,17 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 from types import ModuleType
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
-from scipy.stats import qmc
 
-from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse
+from pickenv.arm import Array, Geometry, Plant, Pose, inverse
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.base import InputError
-from pickenv.envs.shared import situation
+from pickenv.envs.shared import simulation, situation
 from pickenv.envs.shared.backends import Executor, Flags
-from pickenv.envs.shared.simulation import (
-    DEGREES,
-    ArmState,
-    Components,
-    length,
-    move,
-    nominal_frames,
-    nominal_readings,
-    scaled,
-)
+from pickenv.envs.shared.spaces import spread_poses
 from pickenv.envs.shared.task import Task, inexact
 
 # Which points an arm reaches from below with its tool upright: where fruit can be picked. Base frame, m.
@@ -49,9 +38,7 @@ class Reach:
     def __init__(self, geometry: Geometry, approach: float) -> None:
         """Sample the arm's upright poses once; each question then starts from the nearest one."""
         self.geometry, self.approach = geometry, approach
-        spread = qmc.Halton(geometry.joints, scramble=False).random(2**14)
-        joints = geometry.lower + (geometry.upper - geometry.lower) * spread
-        poses = forward(geometry, joints)
+        joints, poses = spread_poses(geometry)
         upright = poses.rotation[:, 2, 2] > np.cos(np.radians(30.0))
         if not upright.any():
             raise InputError("this arm cannot hold its tool upright, so it cannot pick from below; take qiao2026")
@@ -95,27 +82,15 @@ STIRRED = 1e-9
 """A joint target that moves by more than this does not stand still, rad or m."""
 
 
-class PickSight(NamedTuple):
-    """The arm as it is seen.
-
-    Attributes:
-        readings: Joint readings scaled to the joint limits, n.
-        believed: Frame of the believed tool, 12.
-        turn: Upright against the believed attitude, rotation vector, 3.
-        tool: Frame of the true tool, 12.
-        tilt: Angle between its axis and the vertical, degrees.
-    """
-
-    readings: Components
-    believed: Components
-    turn: Components
-    tool: Components
-    tilt: Scalar
+BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
+"""The arm as it is seen, number by number: frames of the believed and of the true tool, upright against the believed
+attitude (rotation vector), the angle between the true tool's axis and the vertical (degrees), and from `SIGHT` on joint
+readings scaled to the limits."""
 
 
 def act_arm(
-    x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]
-) -> tuple[ArmState, Scalar, Scalar, Scalar]:
+    x: Executor, task: Task, state: simulation.ArmState, action: Sequence[Scalar]
+) -> tuple[simulation.ArmState, Scalar, Scalar, Scalar]:
     """An action, late where actions are, on the joint target.
 
     Returns:
@@ -124,7 +99,7 @@ def act_arm(
     setting, values = task.situation, state.drawn
     arrived, sent = situation.acted(x, setting, values, state.sent, action)
     *moves, gripper = arrived
-    target = move(x, task, state.target, situation.in_period(x, setting, values, moves))
+    target = simulation.move(x, task, state.target, situation.in_period(x, setting, values, moves))
     away = [abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)]
     stirred = away[0]
     for joint in away[1:]:
@@ -136,27 +111,27 @@ def look_at_arm(
     x: Executor,
     task: Task,
     plant: Plant,
-    state: ArmState,
+    state: simulation.ArmState,
     command: Sequence[Scalar],
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
-) -> tuple[ArmState, PickSight]:
-    """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`."""
+) -> tuple[simulation.ArmState, simulation.Components]:
+    """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`.
+
+    Returns:
+        The state afterwards, and the arm as it is seen, laid out from `BELIEVED` to `SIGHT`.
+    """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
-    read = nominal_readings(x, plant, plant_state, state.target, command)
+    read = simulation.nominal_readings(x, plant, plant_state, state.target, command)
     arrived, late = situation.sensed(x, task.situation, state.drawn, state.sensed, key, moment, read, (), dt)
-    pose, tool = nominal_frames(x, task, list(arrived))[1], inexact(ended)
-    return state._replace(sensed=late, plant=plant_state), PickSight(
-        readings=scaled(x, task, arrived),
-        believed=pose,
-        turn=upright_turn(x.m, pose[6:9]),
-        tool=tool,
-        tilt=DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0)),
-    )
+    pose, tool = simulation.nominal_frames(x, task, list(arrived))[1], inexact(ended)
+    tilt = simulation.DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0))
+    turn, readings = upright_turn(x.m, pose[6:9]), simulation.scaled(x, task, arrived)
+    return state._replace(sensed=late, plant=plant_state), (*pose, *tool, *turn, tilt, *readings)
 
 
-def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> Components:
+def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> simulation.Components:
     """Rotation vector of the shortest turn that brings a unit vector upright, three components in rad."""
     ax, ay, az = axis
     sine = m.sqrt(ax * ax + ay * ay)
@@ -164,8 +139,3 @@ def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> Components:
     about_x, about_y, about_z = ay * scale, -ax * scale, sine * 0.0
     reversed_ = (sine < 1e-12) & (az < 0)  # any axis across will do
     return chosen(m, reversed_, about_z + math.pi, about_x), chosen(m, reversed_, about_z, about_y), about_z
-
-
-def apart_mm(x: Executor, fruit: Sequence[Scalar], tool: Sequence[Scalar]) -> Scalar:
-    """Distance between two points, mm."""
-    return 1e3 * length(x, [a - b for a, b in zip(fruit, tool, strict=True)])

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv import orchard as trees
 from pickenv.arm import Array, Frame
@@ -78,20 +78,9 @@ def _origin(orchard: PickSetting) -> Array:
     return np.array([station.middle, station.face, station.mount - orchard.canopy.bottom])
 
 
-class Contact(NamedTuple):
-    """Fruit as it stands to a tool.
-
-    Attributes:
-        across: From the tool's axis to each fruit, m, shape (..., n, 3).
-        gap: Its length, m, shape (..., n).
-        overlap: How far the tool is inside the fruit, m, shape (..., n).
-        touched: Whether it is.
-    """
-
-    across: Array
-    gap: Array
-    overlap: Array
-    touched: Flags
+Contact = tuple[Array, Array, Array, Flags]
+"""Fruit as it stands to a tool: the way from the tool's axis to each, m (..., n, 3), and its length (..., n); how far
+the tool is inside the fruit, m, and whether it touches it (..., n)."""
 
 
 def contact(station: trees.Station, positions: Array, diameters: Array, point: Array, axis: Array) -> Contact:
@@ -110,29 +99,45 @@ def contact(station: trees.Station, positions: Array, diameters: Array, point: A
     gap = np.sqrt(_dot(across, across))
     radius, high = diameters / 2, np.maximum(along, 0.0)
     wide = station.tool_radius + np.sqrt(np.maximum(radius * radius - high * high, 0.0))
-    return Contact(across, gap, wide - gap, (gap < wide) & (along > -station.tool_length) & (along < radius))
+    return across, gap, wide - gap, (gap < wide) & (along > -station.tool_length) & (along < radius)
 
 
 def _dot(one: Array, other: Array) -> Array:
     return np.asarray(one[..., 0] * other[..., 0] + one[..., 1] * other[..., 1] + one[..., 2] * other[..., 2])
 
 
-@dataclass(eq=False)
+FRUIT = np.dtype(
+    [
+        *((name, float, 3) for name in ("rest", "seen")),
+        *((name, float) for name in ("diameters", "masses")),
+        *((name, float, 3) for name in ("displacement", "velocity")),
+        *((name, float) for name in ("chance", "pull_limit", "twist_limit")),
+        *((name, bool) for name in ("visible", "reachable", *FATES)),
+    ]
+)
+"""All that is known of one fruit; see `PickScene`."""
+
+Fruit = NDArray[np.void]
+"""Fruit, each of type `FRUIT`."""
+
+
 class PickScene:
     """All fruit of an episode, and what has become of it; arrays with one entry per fruit.
 
     Attributes:
         orchard: What kind it is.
+        fruit: All its numbers (n,); the others are parts of it.
         rest: Where it hangs, m, shape (n, 3).
+        seen: Where the camera saw it, m, shape (n, 3).
         diameters: m.
         masses: kg.
-        strength: Pull and twist that take it off.
-        chance: Uniform numbers that decide grasps.
-        seen: Where the camera saw it, m, shape (n, 3).
-        visible: Whether the camera found it.
-        reachable: Whether it was found where the arm can get at it, with a free way from below.
         displacement: How far it hangs from its rest, m, shape (n, 3).
         velocity: m/s, shape (n, 3).
+        chance: Uniform numbers that decide grasps.
+        pull_limit: Pull that takes it off, N.
+        twist_limit: Twist about its stem that does, N m.
+        visible: Whether the camera found it.
+        reachable: Whether it was found where the arm can get at it, with a free way from below.
         attempted: Whether the gripper has closed on it; likewise attached, detached, collected and damaged.
         held: Number of the fruit in the gripper, or None.
         miss: How far the last grasp was from its fruit, across and along the tool's axis, m.
@@ -140,31 +145,35 @@ class PickScene:
         detached_at: Height of the believed tool when the fruit in it came off, m.
     """
 
-    orchard: PickSetting
+    fruit: Fruit
     rest: Array
+    seen: Array
     diameters: Array
     masses: Array
-    strength: trees.Strength
+    displacement: Array
+    velocity: Array
     chance: Array
-    seen: Array
+    pull_limit: Array
+    twist_limit: Array
     visible: Flags
     reachable: Flags
-    displacement: Array = field(init=False)
-    velocity: Array = field(init=False)
-    attempted: Flags = field(init=False)
-    attached: Flags = field(init=False)
-    detached: Flags = field(init=False)
-    collected: Flags = field(init=False)
-    damaged: Flags = field(init=False)
-    held: int | None = None
-    miss: tuple[float, float] = (0.0, 0.0)
-    grip: Array = field(default_factory=lambda: np.zeros(3))
-    detached_at: float = 0.0
+    attempted: Flags
+    attached: Flags
+    detached: Flags
+    collected: Flags
+    damaged: Flags
 
-    def __post_init__(self) -> None:
-        self.displacement, self.velocity = np.zeros_like(self.rest), np.zeros_like(self.rest)
-        for name in FATES:
-            setattr(self, name, np.zeros(len(self.rest), dtype=bool))
+    def __init__(self, orchard: PickSetting, fruit: Fruit) -> None:
+        self.orchard = orchard
+        self.held: int | None = None
+        self.miss, self.grip, self.detached_at = (0.0, 0.0), np.zeros(3), 0.0
+        self.keep(fruit)
+
+    def keep(self, fruit: Fruit) -> None:
+        """Take ``fruit`` for its own, and write what becomes of it there."""
+        self.fruit = fruit
+        for name in FRUIT.names or ():
+            setattr(self, name, fruit[name])
 
     @property
     def positions(self) -> Array:
@@ -181,21 +190,6 @@ class PickScene:
         """Whether the gripper holds a fruit that is off its stem."""
         return self.held is not None and bool(self.detached[self.held])
 
-    @property
-    def holds_hanging(self) -> bool:
-        """Whether the gripper holds a fruit that is on its stem."""
-        return self.held is not None and not self.detached[self.held]
-
-    def tally(self) -> tuple[int, int]:
-        """Fruit collected undamaged, and damaged."""
-        return int((self.collected & ~self.damaged).sum()), int(self.damaged.sum())
-
-    def funnel(self) -> dict[str, int]:
-        """Fruit that got through each stage; none has more than the one before."""
-        stages = ("visible", "reachable", "attempted", "attached", "detached")
-        passed = {stage: int(getattr(self, stage).sum()) for stage in stages}
-        return {"present": len(self.rest), **passed, "collected": self.tally()[0]}
-
     def following(self, tool: ArrayLike) -> int | None:
         """Number of the waiting fruit that comes next, as it was seen and from where the tool is, or None."""
         waiting = np.flatnonzero(self.waiting)
@@ -205,19 +199,6 @@ class PickScene:
         rank = np.einsum("ij,ij->i", away, away) if along is None else away @ along
         return int(waiting[np.argmin(rank)])
 
-    def advance(self, before: Frame, tool: Frame, target: int | None, dt: float) -> None:
-        """Let the fruit swing for ``dt`` seconds, and the tool push what is in its way."""
-        if self.displacement.any() or self.velocity.any():
-            self.displacement[:], self.velocity[:] = trees.swing(
-                self.orchard.branch, self.displacement, self.velocity, self.masses, dt
-            )
-        point, way = np.array(tool[9:]), np.array(tool[9:]) - np.array(before[9:])
-        if self.holds_hanging:
-            self.carry(point, way)
-        contacts = contact(self.orchard.station, self.positions, self.diameters, point, np.array(tool[6:9]))
-        if contacts.touched.any():
-            self.meet(contacts, target, way, dt)
-
     def carry(self, point: Array, moved: Array) -> None:
         """Take the fruit in the gripper along, and its branch."""
         assert self.held is not None
@@ -225,16 +206,16 @@ class PickScene:
         self.displacement[self.held] = self.grip + point
         self.velocity[self.held] = 0.0
 
-    def meet(self, found: Contact, target: int | None, moved: Array, dt: float) -> None:
+    def meet(self, found: Contact, target: int, moved: Array, dt: float) -> None:
         """Push what the tool touches: neither what is off its stem nor what it holds."""
-        touched = found.touched & ~self.detached
+        across, gap, overlap, touched = found
+        touched = touched & ~self.detached
         if self.held is not None:
             touched[self.held] = False
-        if target is not None:  # what stands above the opening goes in
-            touched[target] &= found.gap[target] > self.orchard.station.tool_radius
+        touched[target] &= gap[target] > self.orchard.station.tool_radius  # what stands above the opening goes in
         speed = np.linalg.norm(moved) / dt if dt else 0.0
         for i in np.flatnonzero(touched):
-            self._push(self.positions[i], found.across[i] / max(found.gap[i], 1e-9) * found.overlap[i])
+            self._push(self.positions[i], across[i] / max(gap[i], 1e-9) * overlap[i])
             self.damaged[i] |= speed > self.orchard.station.bruise_speed
 
     def work_gripper(self, share: float, number: int, believed: Frame, tool: Frame) -> None:
@@ -262,12 +243,10 @@ class PickScene:
     def grasp(self, i: int, tool: Frame) -> None:
         """Close the gripper on fruit ``i``: its one attempt."""
         point, axis = np.array(tool[9:]), np.array(tool[6:9])
-        lie = trees.misalignment(self.positions[i] - point, axis, UP)
-        probability = trees.capture_probability(
-            self.orchard.gripper, lie.lateral, lie.axial, lie.angle, self.diameters[i]
-        )
+        lateral, axial, angle = trees.misalignment(self.positions[i] - point, axis, UP)
+        probability = trees.capture_probability(self.orchard.gripper, lateral, axial, angle, self.diameters[i])
         self.attempted[i] = True
-        self.miss = float(lie.lateral), float(lie.axial)
+        self.miss = float(lateral), float(axial)
         if self.chance[i] < float(probability):
             self.attached[i] = True
             self.held, self.grip = i, self.displacement[i] - point
@@ -282,7 +261,7 @@ class PickScene:
         spring = np.array([branch.stiffness_sideways] * 2 + [branch.stiffness_upright])
         pull = float(np.linalg.norm(spring * self.displacement[i]))
         torque = self.orchard.station.twist * max(share, 0.0)
-        turned, torn = torque >= float(self.strength.twist[i]), pull >= float(self.strength.pull[i])
+        turned, torn = torque >= float(self.twist_limit[i]), pull >= float(self.pull_limit[i])
         self.detached[i] = turned or torn
         self.damaged[i] |= torn and not turned
 
@@ -353,25 +332,20 @@ def _given_fruit(given: Any) -> Array:
 def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
     """Fruit drawn or given, and looked at; reachable is what is seen with a free way from below. None without fruit."""
     if given is None:
-        sample = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
-        positions, diameters = sample.positions, sample.diameters
+        positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
         if not len(positions):
             return None
     else:
         positions, diameters = to_orchard(orchard, given), trees.sample_diameters(orchard.size, len(given), rng)
     sightings, visible = looked_at(orchard, rng, positions, diameters)
     clear = trees.approach_clear(positions, diameters, UP, orchard.station.blocked, orchard.station.approach)
-    return PickScene(
-        orchard=orchard,
-        rest=to_base(orchard, positions),
-        diameters=diameters,
-        masses=trees.fruit_masses(orchard.size, diameters),
-        strength=trees.sample_strength(orchard.detachment, len(positions), rng),
-        chance=rng.random(len(positions)),
-        seen=to_base(orchard, sightings),
-        visible=visible,
-        reachable=visible & clear,
-    )
+    fruit = np.zeros(len(positions), FRUIT)
+    fruit["rest"], fruit["seen"] = to_base(orchard, positions), to_base(orchard, sightings)
+    fruit["diameters"], fruit["masses"] = diameters, trees.fruit_masses(orchard.size, diameters)
+    fruit["pull_limit"], fruit["twist_limit"] = trees.sample_strength(orchard.detachment, len(positions), rng)
+    fruit["chance"] = rng.random(len(positions))
+    fruit["visible"], fruit["reachable"] = visible, visible & clear
+    return PickScene(orchard, fruit)
 
 
 def looked_at(
@@ -385,8 +359,8 @@ def looked_at(
         view = trees.Viewpoint(viewpoint, ahead)
         sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=orchard.looks)
         return sight.believed, sight.located
-    hidden = trees.occlusion(canopy, positions, diameters, viewpoint)
-    probability = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), hidden.visible)
+    visible, visible_side = trees.occlusion(canopy, positions, diameters, viewpoint)
+    probability = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), visible)
     draws = rng.normal(size=(count, DRAWS))
     draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
     sightings = trees.measured_positions(
@@ -394,9 +368,9 @@ def looked_at(
         positions,
         viewpoint,
         draws,
-        visible=hidden.visible,
+        visible=visible,
         diameters=diameters,
-        visible_side=hidden.visible_side,
+        visible_side=visible_side,
     )
     return sightings, (rng.random(count) < probability) & trees.in_image(camera, positions, viewpoint, ahead)
 
@@ -487,19 +461,9 @@ PICK_OPTIONS = ("fruit", "start_joints", "arm")
 """Options of `reset`."""
 
 
-@dataclass(frozen=True, eq=False)
-class PickStart:
-    """The draws of an episode.
-
-    Attributes:
-        scene: The fruit.
-        arm: Number of the true arm, or None where there is but one.
-        key: Of the streams from which the situation is looked up.
-    """
-
-    scene: PickScene
-    arm: int | None
-    key: int
+PickStart = tuple[PickScene, int | None, int]
+"""The draws of an episode: the fruit, the number of the true arm, None where there is but one, and the key of the
+streams from which the situation is looked up."""
 
 
 def draw_starts(
@@ -531,5 +495,5 @@ def draw_starts(
             arm = int(rng.integers(task.population))
         if number is not None:
             arm = task.given_arm(number)
-        starts.append(PickStart(scene, arm, 0 if task.situation.plain else int(rng.integers(2**63))))
+        starts.append((scene, arm, 0 if task.situation.plain else int(rng.integers(2**63))))
     return starts

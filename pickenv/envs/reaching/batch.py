@@ -1,11 +1,11 @@
 """Many reach tasks side by side: their state, component by component, and how an episode begins, on any executor.
 
-`numpy_batch` and `torch_batch` say where the numbers live and how a step goes through them.
+`NumpyBatch` and `torch_batch` say where the numbers live and how a step goes through them.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -13,44 +13,10 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant
 from pickenv.arm.plant.plant_batch import leaves, tree_map
+from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Words
 from pickenv.envs.shared.backends import GOAL, Rows, Scalar, episode_key, stream_key
-from pickenv.envs.shared.simulation import (
-    GOAL_NUMBERS,
-    ArmState,
-    View,
-    act,
-    begin,
-    drawn_arm,
-    flat_observation,
-    goal_attempt,
-    goal_observation,
-    goal_reward,
-    look,
-    nominal_frames,
-    true_reward,
-)
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task
-
-
-class Start(NamedTuple):
-    """Beginnings of episodes, one entry per environment that begins one.
-
-    Attributes:
-        seeds: Streams' seeds.
-        episodes: Numbers of the episodes.
-        start: Joint targets ``(count, n)``, or None for mid-range.
-        goal: Joints of wanted poses ``(count, n)``, or None.
-        frames: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
-        arm: Numbers of true arms ``(count,)``, or None to draw them.
-    """
-
-    seeds: Words
-    episodes: Words
-    start: Array | None = None
-    goal: Array | None = None
-    frames: Array | None = None
-    arm: NDArray[np.intp] | None = None
 
 
 class Views(NamedTuple):
@@ -71,7 +37,7 @@ class Views(NamedTuple):
     vectors: Scalar
 
 
-class Batch(ArmBatch):
+class Batch(ArmBatch, ABC):
     """The state of N reach tasks.
 
     Attributes:
@@ -101,33 +67,56 @@ class Batch(ArmBatch):
             compensate: Turns joint targets into joint commands, or None.
         """
 
-    def restart(self, rows: Rows, how: Start, compensate: Compensate | None) -> None:
-        """Begin an episode in the environments ``rows``."""
+    def restart(
+        self,
+        rows: Rows,
+        seeds: Words,
+        episodes: Words,
+        compensate: Compensate | None,
+        start: Array | None = None,
+        goal: Array | None = None,
+        frames: Array | None = None,
+        arm: NDArray[np.intp] | None = None,
+    ) -> None:
+        """Begin an episode in the environments ``rows``; all else has one entry for each of these.
+
+        Args:
+            rows: The environments.
+            seeds: Streams' seeds.
+            episodes: Numbers of the episodes.
+            compensate: Turns joint targets into joint commands, or None.
+            start: Joint targets ``(count, n)``, or None for mid-range.
+            goal: Joints of wanted poses ``(count, n)``, or None.
+            frames: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
+            arm: Numbers of true arms ``(count,)``, or None to draw them.
+        """
         x, task, places = self.x, self.task, self.indices(rows)
-        keys = episode_key(x, self.words(how.seeds), self.words(how.episodes))
+        keys = episode_key(x, self.words(seeds), self.words(episodes))
         self.keys[places] = keys
         if task.arms != "fixed":
-            arms = drawn_arm(x, task, self.words(how.seeds), keys) if how.arm is None else how.arm
+            arms = simulation.drawn_arm(x, task, self.words(seeds), keys) if arm is None else arm
             self.take_arms(rows, self.host(arms).astype(np.intp))
         for a, b in self.blocks(len(rows)):
             some, key = places[a:b], keys[a:b]
-            start = self.starts(key, None if how.start is None else how.start[a:b])
-            if how.frames is None:
-                joints = self._draw_goals(key) if how.goal is None else list(self.numbers(how.goal[a:b].T))
-                goal = nominal_frames(x, task, joints)[1]
+            target = self.starts(key, None if start is None else start[a:b])
+            if frames is None:
+                joints = self._draw_goals(key) if goal is None else list(self.numbers(goal[a:b].T))
+                wanted = simulation.nominal_frames(x, task, joints)[1]
             else:
-                goal = tuple(self.numbers(how.frames[a:b].T))
-            state = begin(x, task, self.plant_of(some), key, start, goal, self.commands(compensate, start))
+                wanted = tuple(self.numbers(frames[a:b].T))
+            state = simulation.begin(
+                x, task, self.plant_of(some), key, target, wanted, self.commands(compensate, target)
+            )
             self.write(self.columns, some, state.columns)
 
-    def scene(self, row: int, compensate: Compensate | None) -> View:
+    def scene(self, row: int, compensate: Compensate | None) -> simulation.View:
         """Everything that can be seen of one environment, on floats; no time passes."""
         place = self.indices(np.array([row]))
         state = self.state_of([column[place] for column in self.columns])
         command, key = self.commands(compensate, list(state.target)), self.keys[place]
-        _, scene = look(self.x, self.task, self.plant_of(place), state, command, key, key * 0, 0.0)
+        _, scene = simulation.look(self.x, self.task, self.plant_of(place), state, command, key, key * 0, 0.0)
         plain = (tuple(map(self._float, part)) if isinstance(part, tuple) else self._float(part) for part in scene)
-        return View(*plain)  # type: ignore[arg-type]
+        return simulation.View(*plain)  # type: ignore[arg-type]
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
         """Views of all, with those of the environments ``rows`` replaced; in memory of its own."""
@@ -139,7 +128,11 @@ class Batch(ArmBatch):
     def widths(self) -> tuple[int, ...]:
         """Numbers in each part of the observation."""
         n = self.task.joints
-        return (n + 3, GOAL_NUMBERS, GOAL_NUMBERS) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
+        return (
+            (n + 3, simulation.GOAL_NUMBERS, simulation.GOAL_NUMBERS)
+            if self.goal_dict
+            else (n + 12 + 3 * self.task.camera,)
+        )
 
     def _draw_goals(self, keys: Scalar) -> Columns:
         """Joints of the first pose of each stream that is wanted."""
@@ -147,7 +140,7 @@ class Batch(ArmBatch):
         joints = list(self.numbers(np.zeros((task.joints, len(keys)))))
         open_ = self.indices(np.arange(len(keys)))
         for attempt in range(GOAL_ATTEMPTS):
-            tried, fits = goal_attempt(self.x, task, streams[open_], attempt)
+            tried, fits = simulation.goal_attempt(self.x, task, streams[open_], attempt)
             self.write(joints, open_, tried)
             open_ = open_[~(fits & (open_ >= 0))]
             if not len(open_):
@@ -174,7 +167,7 @@ class NumpyBatch(NumpyArms, Batch):
         out = self._empty(self.count)
         for block, plant in zip(self._blocks, self._plants, strict=True):
             state = self.state_of([column[block] for column in self.columns])
-            state = act(self.x, self.task, state, list(actions[:, block]))
+            state = simulation.act(self.x, self.task, state, list(actions[:, block]))
             period = self.task.situation.value("period", state.drawn)
             self._show(out, block, block, state, plant, compensate, moments[block], period)
         return out
@@ -193,7 +186,7 @@ class NumpyBatch(NumpyArms, Batch):
         out: Views,
         place: slice,
         where: Any,
-        state: ArmState,
+        state: simulation.ArmState,
         plant: Plant,
         compensate: Compensate | None,
         moments: Words,
@@ -202,15 +195,15 @@ class NumpyBatch(NumpyArms, Batch):
         """Let ``dt`` pass for the environments ``where``, and put what they show into ``out`` at ``place``."""
         x, task = self.x, self.task
         command = self.commands(compensate, list(state.target))
-        state, scene = look(x, task, plant, state, command, self.keys[where], moments, dt)
-        parts = goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
+        state, scene = simulation.look(x, task, plant, state, command, self.keys[where], moments, dt)
+        parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
         for array, part in zip(out.observation, parts, strict=True):
             self.write(list(array), place, part)
         if self.goal_dict:  # of goals as they are returned
             goals = (part[:, place].astype(np.float64) for part in out.observation[1:])
-            out.reward[place] = goal_reward(x, task, *goals)
+            out.reward[place] = simulation.goal_reward(x, task, *goals)
         else:
-            out.reward[place] = true_reward(x, task, scene)
+            out.reward[place] = simulation.true_reward(x, task, scene)
         out.success[place] = scene.success
         self.write(list(out.numbers), place, scene.numbers)
         if self.poses:

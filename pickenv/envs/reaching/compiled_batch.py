@@ -17,17 +17,9 @@ from pickenv.arm import Array, Plant, plants_on
 from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, SYMBOLS, WORD, Compiled, Outputs, Trace, Traced
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
+from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects
 from pickenv.envs.shared.backends import MASK, Executor
-from pickenv.envs.shared.simulation import (
-    ArmState,
-    act,
-    flat_observation,
-    goal_observation,
-    goal_reward,
-    look,
-    true_reward,
-)
 from pickenv.envs.shared.task import Compensate, Task
 
 TRACER = Executor(
@@ -107,7 +99,7 @@ class CompiledBatch(NumpyBatch):
         trace, outputs = Trace(), list[Outputs]()
         state = self.state_of(trace.inputs("columns", len(self.columns)))
         if part != "look":
-            state = act(TRACER, self.task, state, trace.inputs("actions", self.task.joints))
+            state = simulation.act(TRACER, self.task, state, trace.inputs("actions", self.task.joints))
         if part == "act":
             outputs += self._remembered(state)
         else:
@@ -115,25 +107,25 @@ class CompiledBatch(NumpyBatch):
             outputs += self._looked(trace, state, command)
         return Compiled(trace, outputs, self.count)
 
-    def _remembered(self, state: ArmState) -> list[Outputs]:
+    def _remembered(self, state: simulation.ArmState) -> list[Outputs]:
         """Outputs of the state's changes."""
         columns = state.columns
         changed = Outputs("columns", columns[self.fixed :], DOUBLE, self.fixed)
         return [Outputs("columns", columns[: self.task.joints]), changed]
 
-    def _looked(self, trace: Trace, state: ArmState, command: Sequence[Traced]) -> list[Outputs]:
+    def _looked(self, trace: Trace, state: simulation.ArmState, command: Sequence[Traced]) -> list[Outputs]:
         """Outputs of the memory and the views after a command."""
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
         period = task.situation.value("period", state.drawn)
-        state, scene = look(x, task, self._traced_plant(trace), state, command, key, moment, period)
-        parts = goal_observation(scene) if self.goal_dict else (flat_observation(scene),)
+        state, scene = simulation.look(x, task, self._traced_plant(trace), state, command, key, moment, period)
+        parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
         observation = [[trace.single(value) for value in part] for part in parts]
         if self.goal_dict:  # of goals as they are returned
             goals = ([trace.double(value) for value in part] for part in observation[1:])
-            reward = goal_reward(x, task, *goals)
+            reward = simulation.goal_reward(x, task, *goals)
         else:
-            reward = true_reward(x, task, scene)
+            reward = simulation.true_reward(x, task, scene)
         return [
             *self._remembered(state),
             *(Outputs(f"observation{i}", part, SINGLE) for i, part in enumerate(observation)),

@@ -41,6 +41,7 @@ def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) 
     look = arm_look(nominal)
     command, tool, fruit = np.array(scene.command), np.array(scene.tool), np.array(scene.fruit)
     axis = forward(nominal, command).rotation[:, 2]
+    distance_mm, angle_deg, *_ = scene.numbers
     solids = joined_solids(
         arm_at_work(nominal, command, tool, axis, np.array(scene.believed)),
         cup_solids(tool, axis, CUP_RADIUS),
@@ -48,7 +49,7 @@ def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) 
         sprig(fruit, FRUIT),
     )
     words = (
-        Words(f"{scene.distance_mm:.2f} mm, {scene.angle_deg:.2f}° from the fruit", large=True),
+        Words(f"{distance_mm:.2f} mm, {angle_deg:.2f}° from the fruit", large=True),
         Words(f"green ring: {tolerance_mm:g} mm", "bottom left"),
         Words(GHOST_WORDS, "bottom left"),
     )

@@ -14,7 +14,7 @@ from pickenv.arm.kinematics.backend import chosen
 from pickenv.arm.plant.plant_file import IDEAL
 from pickenv.base import InputError, is_there, register, require
 from pickenv.base.registry import get, names
-from pickenv.envs.reaching.batch import Batch, NumpyBatch, Start, Views
+from pickenv.envs.reaching.batch import Batch, NumpyBatch, Views
 from pickenv.envs.reaching.reach import GOAL_KEYS, draw_reach, rewards_of_goals
 from pickenv.envs.shared.backends import Flags, Rows, fresh_seed, seed_word
 from pickenv.envs.shared.difficulty import on_ladder
@@ -138,12 +138,12 @@ class ReachVectorEnv(NativeVectorEnv):
     def _begin(self, rows: Rows, options: dict[str, Any], seeded: Flags) -> None:
         how = self._asked(options, rows)
         self._episodes[rows] = np.where(seeded[rows], np.uint64(0), self._episodes[rows] + np.uint64(1))
-        self.batch.restart(rows, Start(self._seeds[rows], self._episodes[rows], **how), self.compensator)
+        self.batch.restart(rows, self._seeds[rows], self._episodes[rows], self.compensator, **how)
         views = self.batch.show(rows, self.compensator)
         self._views = views if len(rows) == self.num_envs else self.batch.merged(self._views, rows, views)
 
     def _asked(self, options: dict[str, Any], rows: Rows) -> dict[str, Any]:
-        """Starts, goals and arms that options ask for in the environments ``rows``, as `Start` takes them."""
+        """Starts, goals and arms that options ask for in the environments ``rows``, as `Batch.restart` takes them."""
         joints, frames = given_goals(self.task, options, self.num_envs)
         how: dict[str, Any] = {
             "goal": None if joints is None else joints[rows],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -42,7 +41,7 @@ def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
         ) from error
 
 
-class ArmBatch(ABC):
+class ArmBatch:
     """The state of N arms; where their numbers live is for `numbers` to `copy`: in NumPy, unless overridden.
 
     Attributes:
@@ -116,13 +115,15 @@ class ArmBatch(ABC):
         """An array in memory of its own."""
         return np.copy(values)
 
-    @abstractmethod
     def given(self, actions: ArrayLike) -> Scalar:
-        """Actions as the executor's array, as they come."""
+        """Actions as the executor's array; where there is nothing to convert they are not copied."""
+        ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"
+        return np.asarray(actions) if ready else as_numbers("actions", actions)
 
-    @abstractmethod
     def components(self, actions: Scalar) -> tuple[Scalar, float, float]:
         """Actions ``(N, n)`` as components ``(n, N)``, their least and their largest number."""
+        numbers = actions.T.astype(np.float64, order="C")
+        return numbers, float(numbers.min()), float(numbers.max())
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Everything that the arms' next step depends on."""
@@ -220,13 +221,3 @@ class NumpyArms(ArmBatch):
         self.plant = exact_plant(self.plant)
         self._blocks = [slice(a, b) for a, b in self.blocks(self.count)]
         self._plants = [self.plant_of(block) for block in self._blocks]
-
-    def given(self, actions: ArrayLike) -> Array:
-        """Actions as an array; where there is nothing to convert they are not copied."""
-        ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"
-        return np.asarray(actions) if ready else as_numbers("actions", actions)
-
-    def components(self, actions: Array) -> tuple[Array, float, float]:
-        """Actions component by component, their least and their largest number."""
-        numbers: Array = actions.T.astype(np.float64, order="C")
-        return numbers, float(numbers.min()), float(numbers.max())

@@ -17,16 +17,7 @@ from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import PlainSpec
 from pickenv.envs.shared.task import Compensate, Task, check_choice, exact_plant
-from pickenv.pictures.arm_shapes import (
-    GAIN,
-    ArmLook,
-    Solids,
-    arm_look,
-    arm_solids,
-    ghost_points,
-    ghost_solids,
-    joined_solids,
-)
+from pickenv.pictures import arm_shapes
 from pickenv.pictures.stage import Dial, Mesh, Pixels, Rgb, Stage
 from pickenv.pictures.tree_shapes import ground_around, pedestal
 
@@ -192,10 +183,10 @@ class ArmEnv(DrawnEnv):
 
 
 MARK: Rgb = (0, 114, 178)
-GHOST_WORDS = f"ghost: the arm as believed, deviation × {GAIN}"
+GHOST_WORDS = f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}"
 
 
-def arm_at_work(geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array) -> Solids:
+def arm_at_work(geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array) -> arm_shapes.Solids:
     """The true arm and its ghost.
 
     Args:
@@ -205,18 +196,20 @@ def arm_at_work(geometry: Geometry, command: Array, tool: Array, axis: Array, be
         axis: Direction in which it points ``(3,)``.
         believed: Where the controller believes it ``(3,)``, m.
     """
-    look = arm_look(geometry)
-    true = arm_solids(look, true_points(geometry, command, tool), axis)
-    return joined_solids(true, ghost_solids(look, ghost_points(geometry, command, tool, believed)))
+    look = arm_shapes.arm_look(geometry)
+    true = arm_shapes.arm_solids(look, true_points(geometry, command, tool), axis)
+    return arm_shapes.joined_solids(
+        true, arm_shapes.ghost_solids(look, arm_shapes.ghost_points(geometry, command, tool, believed))
+    )
 
 
 def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
     """Ground, and what the arm's base stands on."""
     x, y, z = (float(value) for value in geometry.base.position)
-    return ground_around(x, y, ground, dark), pedestal(x, y, ground, z, float(arm_look(geometry).radius[0]))
+    return ground_around(x, y, ground, dark), pedestal(x, y, ground, z, float(arm_shapes.arm_look(geometry).radius[0]))
 
 
-def ground_below(look: ArmLook, geometry: Geometry) -> float:
+def ground_below(look: arm_shapes.ArmLook, geometry: Geometry) -> float:
     """Height of a ground that an arm does not reach, m."""
     return float(min(look.low[2] - 0.1, geometry.base.position[2] - 0.35))
 

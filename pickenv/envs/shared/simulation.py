@@ -74,10 +74,8 @@ class View(NamedTuple):
         tool: True tool position, 3.
         fruit: True fruit position, 3.
         error: True tool against fruit: m and rotation vector, 6.
-        distance_mm: Its length.
-        angle_deg: Its angle.
-        noncompensable_deg: The part of the angle that no joint motion removes.
-        compensable_deg: The rest of it.
+        numbers: Its length, mm, its angle, deg, the part of the angle that no joint motion removes, and the rest of it,
+            as `NUMBER_KEYS` names them.
         success: Whether the fruit is inside the capture region.
     """
 
@@ -92,16 +90,8 @@ class View(NamedTuple):
     tool: Components
     fruit: Components
     error: Components
-    distance_mm: Scalar
-    angle_deg: Scalar
-    noncompensable_deg: Scalar
-    compensable_deg: Scalar
+    numbers: Components
     success: Scalar
-
-    @property
-    def numbers(self) -> Components:
-        """The numbers that `NUMBER_KEYS` names."""
-        return self.distance_mm, self.angle_deg, self.noncompensable_deg, self.compensable_deg
 
     @property
     def vectors(self) -> Components:
@@ -247,6 +237,7 @@ def look(
     angle_deg = DEGREES * length(x, turn)
     noncompensable_deg = DEGREES * _lost_angle(x, task, links, turn)
     square = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
+    compensable_deg = m.sqrt(clipped(m, square, 0.0, math.inf))
     return state._replace(sensed=late, plant=plant_state), View(
         readings=scaled(x, task, readings),
         believed=pose[9:],
@@ -259,10 +250,7 @@ def look(
         tool=true[9:],
         fruit=goal[9:],
         error=error,
-        distance_mm=distance_mm,
-        angle_deg=angle_deg,
-        noncompensable_deg=noncompensable_deg,
-        compensable_deg=m.sqrt(clipped(m, square, 0.0, math.inf)),
+        numbers=(distance_mm, angle_deg, noncompensable_deg, compensable_deg),
         success=in_capture_region(task, distance_mm, angle_deg),
     )
 
@@ -334,25 +322,19 @@ def _frame(goal: Sequence[Scalar]) -> Frame:
 
 def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
     """Reward from the truth: see `pickenv/Reach-v0`."""
-    if task.sparse:
-        return _sparse(x, scene.success, scene.distance_mm)
-    return _dense(x, task, scene.success, scene.distance_mm, scene.angle_deg)
+    distance_mm, angle_deg, *_ = scene.numbers
+    return _reward(x, task, scene.success, distance_mm, angle_deg)
 
 
 def goal_reward(x: Executor, task: Task, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> Scalar:
     """Reward of an achieved against a desired goal, `GOAL_NUMBERS` each: see `pickenv/ReachGoal-v0`."""
     dx, dy, dz, *turn = goal_gap(x.m, achieved, desired)
     distance_mm, angle_deg = 1e3 * length(x, (dx, dy, dz)), DEGREES * length(x, turn)
-    success = in_capture_region(task, distance_mm, angle_deg)
+    return _reward(x, task, in_capture_region(task, distance_mm, angle_deg), distance_mm, angle_deg)
+
+
+def _reward(x: Executor, task: Task, success: Scalar, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
     if task.sparse:
-        return _sparse(x, success, distance_mm)
-    return _dense(x, task, success, distance_mm, angle_deg)
-
-
-def _dense(x: Executor, task: Task, success: Scalar, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
+        return chosen(x.m, success, 0.0, distance_mm * 0.0 - 1.0)
     outside = chosen(x.m, success, 0.0 * distance_mm, 0.0 * distance_mm + task.edge_cost)
     return -x.m.log10(1.0 + distance_mm) - 0.5 * x.m.log10(1.0 + angle_deg) - outside
-
-
-def _sparse(x: Executor, success: Scalar, distance_mm: Scalar) -> Scalar:
-    return chosen(x.m, success, 0.0, distance_mm * 0.0 - 1.0)

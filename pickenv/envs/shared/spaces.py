@@ -137,7 +137,7 @@ def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None
 def _reached(task: Task, position: Array) -> Array:
     """Joints ``(n,)`` whose nominal tool is at a position ``(3,)`` and points upwards within the largest tilt."""
     geometry = task.plant.arm.nominal
-    joints, poses = _spread(geometry)
+    joints, poses = spread_poses(geometry)
     upright = np.flatnonzero(poses.rotation[:, 2, 2] >= task.min_upright)
     away = np.linalg.norm(poses.position[upright] - position, axis=1)
     near = upright[np.argsort(away, kind="stable")[:NEAREST]]
@@ -165,7 +165,7 @@ def _far(name: str, task: Task, position: Array, how: str = "") -> InputError:
 
 
 @lru_cache(maxsize=4)
-def _spread(geometry: Geometry) -> tuple[Array, Pose]:
+def spread_poses(geometry: Geometry) -> tuple[Array, Pose]:
     """Joints spread evenly over their ranges, and the nominal tool there."""
     shares = qmc.Halton(geometry.joints, scramble=False).random(POOL)
     joints = geometry.lower + (geometry.upper - geometry.lower) * shares

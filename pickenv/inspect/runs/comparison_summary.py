@@ -211,7 +211,7 @@ def _across(policy: RecordedPolicy) -> Array:
     axis, across = policy.tool_rotation[..., 2], policy.miss_mm.copy()
     comparable = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
     apart = (policy.fruit_position - policy.tool_position)[comparable]
-    across[comparable] = 1e3 * misalignment(apart, axis[comparable]).lateral
+    across[comparable] = 1e3 * misalignment(apart, axis[comparable])[0]
     return _finite(across)
 
 

@@ -54,8 +54,8 @@ def gripped(comparison: Comparison) -> dict[str, Gripped]:
         ends = policy.ends
         axis = comparison.plant.tool_pose(ends.joint_command).rotation[..., 2]
         lying = misalignment(comparison.fruit - ends.tool_position, axis, target)
-        success = {n: capture_probability(g, lying.lateral, lying.axial, lying.angle) for n, g in grippers.items()}
-        by_policy[policy.label] = Gripped(lying.lateral * 1e3, success)
+        success = {name: capture_probability(gripper, *lying) for name, gripper in grippers.items()}
+        by_policy[policy.label] = Gripped(lying[0] * 1e3, success)
     return by_policy
 
 

@@ -138,11 +138,11 @@ def test_haste_costs_fruit_waiting_pays_and_so_does_calibration(calibrated):
 def test_only_a_fast_tool_bruises_what_it_meets(speed, bruised):
     env = gym.make("pickenv/Pick-v0", camera="perfect")
     env.reset(seed=0, options={"fruit": [FRUIT[0]]})
-    scene = env.unwrapped.scene
+    canopies, scene = env.unwrapped.canopies, env.unwrapped.scene
     beside = scene.positions[0] - [0.05, 0.0, 0.01]
     step = np.array([speed * scene.orchard.station.bruise_speed * 0.1, 0.0, 0.0])
-    before, after = ((*np.eye(3).ravel(), *point) for point in (beside - step, beside))
-    scene.advance(before, after, None, 0.1)
+    canopies.sight[pickenv.envs.picking.pick.TOOL, 0] = *np.eye(3).ravel(), *beside
+    canopies.meet(np.array([True]), (beside - step)[None], np.array([0.1]))
     assert scene.damaged.tolist() == [bruised]
     assert scene.displacement[0, 0] > 0.01
 
@@ -185,7 +185,7 @@ def test_a_pulled_fruit_is_torn_and_a_push_moves_neighbours():
     while not info["attached"]:
         observation, _, _, _, info = env.step(driver.act(observation))
     held = scene.held
-    scene.strength.twist[held], scene.strength.pull[held] = np.inf, 10.0
+    scene.twist_limit[held], scene.pull_limit[held] = np.inf, 10.0
     rest = scene.displacement.copy()
     lower = np.array([0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0])
     while not info["detached"]:

@@ -10,8 +10,9 @@ import pytest
 
 from pickenv.arm import forward
 from pickenv.envs import PickEnv
-from pickenv.envs.picking.pick_scene import PickScene
-from pickenv.orchard import Strength
+from pickenv.envs.picking.canopies import Canopies
+from pickenv.envs.picking.pick_arm import TOOL
+from pickenv.envs.picking.pick_scene import FRUIT, PickScene
 
 STAGES = ("present", "visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
 START = np.array([0.0, 0.3, 0.4, 0.0, 0.2, 0.0])
@@ -31,17 +32,18 @@ def env():
 def scene_of(orchard, rest, **changes):
     """Fruit of 60 mm and 100 g at rest, seen where it hangs, all in reach, which a twist of 0.3 N m or 5 N take off."""
     rest = np.atleast_2d(np.asarray(rest, dtype=float))
-    n = len(rest)
     usual = {
-        "diameters": np.full(n, 0.06),
-        "masses": np.full(n, 0.1),
-        "strength": Strength(np.full(n, 5.0), np.full(n, 0.3)),
-        "chance": np.zeros(n),
-        "seen": rest.copy(),
-        "visible": np.ones(n, dtype=bool),
-        "reachable": np.ones(n, dtype=bool),
+        "diameters": 0.06,
+        "masses": 0.1,
+        "pull_limit": 5.0,
+        "twist_limit": 0.3,
+        "visible": True,
+        "reachable": True,
     }
-    return PickScene(orchard, rest, **(usual | changes))
+    fruit = np.zeros(len(rest), FRUIT)
+    for name, values in {"rest": rest, "seen": rest, **usual, **changes}.items():
+        fruit[name] = values
+    return PickScene(orchard, fruit)
 
 
 def before(env, *offsets, start=START, **changes):
@@ -49,7 +51,16 @@ def before(env, *offsets, start=START, **changes):
     tool = forward(env.plant.arm.nominal, start).position
     env.reset(seed=0, options={"fruit": [[0.6, -0.7, 0.5]], "start_joints": start})
     env.scene = scene_of(env.orchard, tool + np.array(offsets), **changes)
+    env.canopies.adopt(0, env.scene)
     return env.scene
+
+
+def advance(env, scene, before, tool, number=0):
+    """A tenth of a second in which the true tool, after fruit ``number``, gets from one frame to another."""
+    canopies = Canopies(env.task, scene.orchard, 1)
+    canopies.adopt(0, scene)
+    canopies.sight[TOOL, 0], canopies.number[0] = tool, number
+    canopies.meet(np.array([True]), np.array([before[9:]]), np.array([0.1]))
 
 
 def act(env, action):
@@ -167,7 +178,7 @@ def test_a_detached_fruit_that_is_dropped_is_damaged(env):
 @pytest.mark.parametrize(("limit", "torn"), [(6.12, 1), (6.14, 0)])
 def test_a_fruit_pulled_off_untwisted_is_damaged_and_never_counts_as_collected(env, limit, torn):
     """50 mm down and 50 across against 120 and 25 N/m: sqrt(6^2 + 1.25^2) = 6.1288 N."""
-    scene = before(env, [0.0, 0.0, 0.0], strength=Strength(np.array([limit]), np.array([0.3])))
+    scene = before(env, [0.0, 0.0, 0.0], pull_limit=limit)
     act(env, CLOSE)
     pulled = [0.0, 1.0, 0.0, 0.0, -1.0, 0.0, 0.0]
     assert act(env, pulled) == (-0.25 * torn - 0.002, (1, 1, 1, 1, 1, torn, 0, torn), False, False)
@@ -182,7 +193,7 @@ def test_a_fruit_pulled_off_untwisted_is_damaged_and_never_counts_as_collected(e
 ])  # fmt: skip
 def test_a_limit_that_is_just_met_takes_the_fruit_off(env, pull, twist, off, torn):
     """62.5 mm upwards against 120 N/m are 7.5 N, and half of the gripper's twist 0.25 N m, exactly."""
-    scene = scene_of(env.orchard, [[0.0, 0.0, 0.0]], strength=Strength(np.array([pull]), np.array([twist])))
+    scene = scene_of(env.orchard, [[0.0, 0.0, 0.0]], pull_limit=pull, twist_limit=twist)
     scene.grasp(0, upright(np.zeros(3)))
     scene.displacement[0] = [0.0, 0.0, 0.0625]
     scene.twist(0.5)
@@ -193,7 +204,7 @@ def test_a_fruit_in_the_gripper_goes_with_the_tool_and_is_let_go_at_rest(env):
     """50 mm aside; its neighbour, 150 mm off, is pulled along by exp(-1) of that."""
     scene = scene_of(env.orchard, [[0.0, 0.0, 0.0], [-0.15, 0.0, 0.0]])
     scene.grasp(0, upright([0.002, 0.0, 0.0]))
-    scene.advance(upright([0.002, 0.0, 0.0]), upright([0.002, 0.05, 0.0]), 0, 0.1)
+    advance(env, scene, upright([0.002, 0.0, 0.0]), upright([0.002, 0.05, 0.0]))
     assert scene.displacement[0] == pytest.approx([0.0, 0.05, 0.0]) and not scene.velocity[0].any()
     assert scene.displacement[1] == pytest.approx([0.0, 0.05 / math.e, 0.0])
     scene.let_go()
@@ -239,17 +250,17 @@ def test_a_tool_that_runs_into_a_fruit_at_half_a_metre_a_second_damages_it(env, 
 def test_the_tool_is_a_cylinder_that_touches_fruit_beside_and_below_its_point(env, place, touched):
     scene = scene_of(env.orchard, [[5.0, 5.0, 5.0], place, place])
     scene.detached[2] = True  # in another's hands
-    scene.advance(upright(np.zeros(3)), upright(np.zeros(3)), 0, 0.1)
+    advance(env, scene, upright(np.zeros(3)), upright(np.zeros(3)))
     assert scene.displacement[1].any() == touched and not scene.damaged.any()
 
 
 @pytest.mark.parametrize(("aside", "goes_in"), [(0.037, True), (0.0375, True), (0.038, False)])
 def test_what_stands_above_the_opening_of_the_tool_goes_in(env, aside, goes_in):
     scene = scene_of(env.orchard, [[aside, 0.0, 0.0], [-0.3, 0.0, 0.0]])
-    scene.advance(upright([0.0, 0.0, -0.001]), upright(np.zeros(3)), 0, 0.1)
+    advance(env, scene, upright([0.0, 0.0, -0.001]), upright(np.zeros(3)))
     assert scene.displacement[0].any() != goes_in
     scene = scene_of(env.orchard, [[aside, 0.0, 0.0], [-0.3, 0.0, 0.0]])
-    scene.advance(upright([0.0, 0.0, -0.001]), upright(np.zeros(3)), 1, 0.1)  # after another fruit it pushes this one
+    advance(env, scene, upright([0.0, 0.0, -0.001]), upright(np.zeros(3)), 1)  # after another fruit it pushes this one
     assert scene.displacement[0].any()
 
 

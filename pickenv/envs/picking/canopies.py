@@ -1,0 +1,313 @@
+"""Picking arms before their canopies, one or many: all fruit in one array, each `PickScene` holds its part.
+
+What happens to all fruit in every period goes through the array at once; what happens to one canopy now and then, a
+grasp or a push, goes through its scene. Both write the same numbers. Units: m, rad, s.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.lib.recfunctions import structured_to_unstructured, unstructured_to_structured
+from numpy.typing import NDArray
+
+from pickenv import orchard as trees
+from pickenv.arm import Array
+from pickenv.envs.picking import pick_scene
+from pickenv.envs.picking.pick_arm import BELIEVED, SIGHT, TILT, TOOL, TURN
+from pickenv.envs.shared.arm_env import GHOST_WORDS, arm_at_work, standing, tool_dial
+from pickenv.envs.shared.backends import NUMPY, Flags, Rows
+from pickenv.envs.shared.simulation import length
+from pickenv.envs.shared.task import Task
+from pickenv.pictures.arm_shapes import Solids, cup_solids, frustum_solids, hand_solids, joined_solids
+from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
+from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
+
+ABSENT = np.zeros((), pick_scene.FRUIT)
+"""Fruit that is not there, far away: an array has room for the fullest canopy."""
+ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
+
+STAGES = ("visible", "reachable", "attempted", "attached", "detached")
+OWN = ("sight", "number", "still", "moments")
+
+
+def tally_of(fruit: pick_scene.Fruit) -> NDArray[np.int64]:
+    """Fruit ``(..., n)`` collected undamaged, and damaged, ``(..., 2)``."""
+    damaged, tally = fruit["damaged"], np.empty((*fruit.shape[:-1], 2), dtype=np.int64)
+    tally[..., 0], tally[..., 1] = (fruit["collected"] & ~damaged).sum(axis=-1), damaged.sum(axis=-1)
+    return tally
+
+
+class Canopies:
+    """N picking arms, as they were seen last, and the fruit before them.
+
+    Attributes:
+        scenes: The canopies one by one; what changes in them are parts of the array.
+        fruit: All fruit, (N, most fruit of a canopy).
+        present: Fruit of each canopy.
+        held: Number of the fruit in each gripper, or -1.
+        off: Whether the fruit in the gripper is off its stem.
+        miss: How far each last grasp was from its fruit, across and along the tool's axis, (N, 2).
+        tally: Fruit collected undamaged, and damaged, (N, 2).
+        sight: What was seen of the arms last, as `pickenv.envs.picking.pick_arm.look_at_arm` gives it, then the joint
+            commands, (numbers, N).
+        number: Of the fruit that each is after.
+        still: Time since each joint target moved, s.
+        moments: Steps of each episode.
+    """
+
+    def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
+        self.task, self.orchard, self.count = task, orchard, count
+        self.scenes: list[Any] = [None] * count
+        self.fruit = np.full((count, 1), ABSENT)
+        self.present = np.zeros(count, dtype=np.int64)
+        self.held = np.full(count, -1)
+        self.off = np.zeros(count, dtype=np.bool_)
+        self.miss = np.zeros((count, 2))
+        self.tally = np.zeros((count, 2), dtype=np.int64)
+        self.sight = np.zeros((SIGHT + 2 * task.joints, count))
+        self.number: Rows = np.zeros(count, dtype=np.int64)
+        self.still, self.moments = np.full(count, pick_scene.STILL), np.zeros(count, dtype=np.uint64)
+
+    def adopt(self, row: int, scene: pick_scene.PickScene) -> None:
+        """Put a canopy before arm ``row``."""
+        n = len(scene.rest)
+        if n > self.fruit.shape[1]:
+            before, self.fruit = self.fruit, np.full((self.count, n), ABSENT)
+            self.fruit[:, : before.shape[1]] = before
+            for other, there in enumerate(self.scenes):
+                if there is not None:
+                    there.keep(self.fruit[other, : self.present[other]])
+        self.fruit[row] = ABSENT
+        self.fruit[row, :n] = scene.fruit
+        scene.keep(self.fruit[row, :n])
+        self.scenes[row], self.present[row] = scene, n
+        self.tally[row] = tally_of(scene.fruit)
+        self._note(row)
+
+    def choose(self, row: int) -> None:
+        """Go after the waiting fruit that comes next, or stay with the last one."""
+        number = self.scenes[row].following(self.sight[BELIEVED][9:, row])
+        self.number[row] = self.number[row] if number is None else number
+
+    def meet(self, going: Flags, before: Array, period: Array) -> None:
+        """Let the fruit swing for ``period`` seconds, and the tools push what is in their way or carry what they hold.
+
+        Args:
+            going: Arms that are at work, (N,).
+            before: True tool positions at the beginning, m, (N, 3).
+            period: (N,).
+        """
+        fruit, station = self.fruit, self.orchard.station
+        swinging = fruit["displacement"].any(axis=(1, 2)) | fruit["velocity"].any(axis=(1, 2))
+        rows = np.flatnonzero(going & swinging)
+        if rows.size:
+            apart, speed, masses = (fruit[name][rows] for name in ("displacement", "velocity", "masses"))
+            fruit["displacement"][rows], fruit["velocity"][rows] = trees.swing(
+                self.orchard.branch, apart, speed, masses, period[rows, None]
+            )
+        point, axis = self.sight[TOOL][9:].T.copy(), self.sight[TOOL][6:9].T.copy()
+        moved = point - before
+        for row in np.flatnonzero(going & (self.held >= 0) & ~self.off).tolist():
+            self.scenes[row].carry(point[row], moved[row])
+        contacts = pick_scene.contact(station, fruit["rest"] + fruit["displacement"], fruit["diameters"], point, axis)
+        for row in np.flatnonzero(going & contacts[-1].any(axis=1)).tolist():
+            across, gap, overlap, touched = (part[row, : self.present[row]] for part in contacts)
+            self.scenes[row].meet((across, gap, overlap, touched), int(self.number[row]), moved[row], period[row])
+            self._note(row)
+
+    def happen(self, going: Flags, before: Array, gripper: Array, stirred: Flags, period: Array) -> Array:
+        """Let all happen that follows from the arms' moves, and work the grippers.
+
+        Args:
+            going: Arms that are at work; nothing happens before the others, (N,).
+            before: True tool positions at the beginning of the period, m, (N, 3).
+            gripper: The grippers' commands, (N,).
+            stirred: Whether each joint target moved, (N,).
+            period: Time that passes, s, (N,).
+
+        Returns:
+            Rewards, (N,).
+        """
+        self.still[:] = np.where(stirred, 0.0, np.minimum(pick_scene.STILL, self.still + period))
+        self.meet(going, before, period)
+        rows = np.flatnonzero(going & ((self.held >= 0) | (gripper > pick_scene.CLOSE)))
+        poses, tools = (self.sight[part][:, rows].T.tolist() for part in (BELIEVED, TOOL))
+        for row, pose, tool in zip(rows.tolist(), poses, tools, strict=True):
+            scene, number = self.scenes[row], int(self.number[row])
+            scene.work_gripper(float(gripper[row]), number, pose, tool)
+            self._note(row)
+            if scene.held is None and not scene.waiting[number]:
+                self.choose(row)
+        so_far, self.tally = self.tally, tally_of(self.fruit)
+        collected, damaged = (self.tally - so_far).T
+        return np.where(going, pick_scene.pick_reward(collected, damaged), 0.0)
+
+    def finished(self) -> Flags:
+        """Arms with no fruit left to try and an empty gripper."""
+        return (self.held < 0) & ~self._waiting().any(axis=1)
+
+    def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
+        """Observations of the controllers, ``(N, n + 17)``."""
+        n = self.task.joints
+        sight, tools = self.sight, self.sight[BELIEVED][9:]
+        positions = self.fruit["seen"][np.arange(self.count), self.number].T
+        counters = (
+            self.still,
+            1.0 - self.moments / pick_scene.LONGEST,
+            (self.held >= 0) & ~self.off,
+            self.off,
+            self._waiting().sum(axis=1) / pick_scene.MOST_LEFT,
+        )
+        parts = (sight[SIGHT : SIGHT + n], tools, positions, positions - tools, sight[TURN], counters)
+        return np.concatenate(parts).T.clip(low, high).astype(np.float32, order="C")
+
+    def information(self) -> dict[str, NDArray[Any]]:
+        """The truth, as `pickenv/Pick-v0` explains it."""
+        n, tool = self.task.joints, self.sight[TOOL][9:]
+        mine = self.fruit[np.arange(self.count), self.number]
+        positions = mine["rest"] + mine["displacement"]
+        passed = {stage: self.fruit[stage].sum(axis=1) for stage in STAGES}
+        collected, damaged = self.tally.T.copy()
+        return {
+            "present": self.present.copy(),
+            **passed,
+            "collected": collected,
+            "damaged": damaged,
+            "is_success": collected == passed["reachable"],
+            "position_error_mm": 1e3 * length(NUMPY, list(positions.T - tool)),
+            "grasp_lateral_mm": 1e3 * self.miss[:, 0],
+            "grasp_axial_mm": 1e3 * self.miss[:, 1],
+            "tilt_deg": self.sight[TILT].copy(),
+            "joint_command": self.sight[SIGHT + n :].T.copy(),
+            "tool_position": tool.T.copy(),
+            "fruit_position": positions,
+            "fruit_number": self.number.copy(),
+        }
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Everything that the next step depends on: of the arms, all fruit of all canopies, and the grippers."""
+        grips = [
+            [-1.0 if scene.held is None else scene.held, *scene.miss, *scene.grip, scene.detached_at]
+            for scene in self.scenes
+        ]
+        each = structured_to_unstructured(np.concatenate([scene.fruit for scene in self.scenes]))
+        own = {name: getattr(self, name) for name in OWN}
+        return own | {"present": self.present, "each": each, "grips": np.array(grips)}
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """The inverse of `state_arrays`."""
+        for name in OWN:
+            getattr(self, name)[:] = state[name]
+        fruit = np.split(unstructured_to_structured(state["each"], pick_scene.FRUIT), np.cumsum(state["present"])[:-1])
+        for row, (some, grip) in enumerate(zip(fruit, state["grips"].tolist(), strict=True)):
+            scene = pick_scene.PickScene(self.orchard, some)
+            number, across, along, *grips, scene.detached_at = grip
+            scene.held, scene.miss = None if number < 0 else int(number), (across, along)
+            scene.grip = np.array(grips)
+            self.adopt(row, scene)
+
+    def _waiting(self) -> Flags:
+        """Fruit that can still be tried, (N, most)."""
+        return np.asarray(self.fruit["reachable"] & ~self.fruit["attempted"])
+
+    def _note(self, row: int) -> None:
+        """Write down what a grasp, a push or a twist has changed in a scene."""
+        scene = self.scenes[row]
+        self.held[row] = -1 if scene.held is None else scene.held
+        self.off[row], self.miss[row] = scene.holds_detached, scene.miss
+
+
+# A canopy and the arm that picks in it as a stage to draw. Units: m; mm in words.
+
+
+CAMERA = (110, 96, 160)
+
+
+def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
+    """The arm, its ghost, its gripper, the camera and the trees.
+
+    Args:
+        canopies: One arm before its canopy, or more.
+        row: The arm's number.
+        dark: Whether the background is dark.
+    """
+    nominal, sight, scene = canopies.task.plant.arm.nominal, canopies.sight[:, row], canopies.scenes[row]
+    orchard, number = scene.orchard, canopies.number[row]
+    point, axis, command = sight[TOOL][9:], sight[TOOL][6:9], sight[SIGHT + canopies.task.joints :]
+    collected, reachable = int(canopies.tally[row, 0]), int(scene.reachable.sum())
+    offset = point - scene.positions[number]
+    solids = joined_solids(
+        arm_at_work(nominal, command, point, axis, sight[BELIEVED][9:]),
+        gripper_solids(orchard, point, axis, scene.held is not None),
+        canopy_fruit(scene),
+        crate(pick_eye(orchard), SIZE, collected, float(np.mean(scene.diameters)), ground_of(orchard)),
+        camera_solids(orchard),
+    )
+    missed = scene.attempted & ~scene.attached
+    words = (
+        Words(f"picked {collected} of {reachable}", "top left", large=True),
+        Words(f"missed {int(missed.sum())}", "top left"),
+        Words(f"{1e3 * float(np.linalg.norm(offset)):.1f} mm from the fruit", "top right"),
+        Words(GHOST_WORDS, "bottom left"),
+    )
+    still = (*standing(nominal, ground_of(orchard), dark), *trees_of(orchard))
+    dial = tool_dial(axis, offset, 1e3 * orchard.gripper.tolerance)
+    return Stage(pick_eye(orchard), *solids, still=still, words=words, dial=dial, dark=dark)
+
+
+def gripper_solids(orchard: pick_scene.PickSetting, point: Array, axis: Array, closed: bool) -> Solids:
+    """The cup, as wide as its opening; or the hand, around a usual fruit."""
+    if orchard.gripper.kind == "cup":
+        return cup_solids(point, axis, orchard.station.tool_radius)
+    return hand_solids(point, axis, orchard.station.tool_radius, closed)
+
+
+def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
+    """Fruit that hangs or is in the gripper: ripe where it can still be tried, another colour where it was missed."""
+    present = ~scene.collected & ~(scene.damaged & scene.detached)
+    if scene.held is not None:
+        present[scene.held] = True
+    colours = fruit_colours(len(scene.rest))
+    colours[~scene.reachable] = GREEN
+    colours[scene.attempted & ~scene.attached] = MISSED_FRUIT
+    gripped = present & scene.detached
+    hanging = present & ~gripped
+    places, sizes = scene.positions, scene.diameters
+    return joined_solids(
+        fruit_solids(places[hanging], sizes[hanging], colours[hanging]),
+        fruit_solids(places[gripped], sizes[gripped], colours[gripped], stems=False),
+    )
+
+
+def camera_solids(orchard: pick_scene.PickSetting) -> Solids:
+    """The camera that looks at the canopy, and what it sees."""
+    canopy, camera = orchard.canopy, orchard.camera
+    middle = (canopy.bottom + canopy.top) / 2
+    eye = pick_scene.to_base(orchard, np.array([0.0, -canopy.standoff, middle]))
+    ahead = pick_scene.to_base(orchard, np.array([0.0, 0.0, middle])) - eye
+    half_angles = [side / 2 / camera.focal_length for side in camera.image]
+    return frustum_solids(eye, ahead / np.linalg.norm(ahead), half_angles, 0.3 * float(np.linalg.norm(ahead)), CAMERA)
+
+
+def trees_of(orchard: pick_scene.PickSetting) -> tuple[Mesh, ...]:
+    """The section of canopy before the arm."""
+    canopy = orchard.canopy
+    ends = np.array([[-canopy.width / 2, 0.0, canopy.bottom], [canopy.width / 2, canopy.depth, canopy.top]])
+    corners = pick_scene.to_base(orchard, ends)
+    low, high = (tuple(float(value) for value in end) for end in (corners.min(axis=0), corners.max(axis=0)))
+    return row_of_trees(low, high, canopy.leaf_area_per_volume, ground_of(orchard))
+
+
+def ground_of(orchard: pick_scene.PickSetting) -> float:
+    """Height of the ground in the arm's base frame, m."""
+    return float(pick_scene.to_base(orchard, np.zeros(3))[2])
+
+
+def pick_eye(orchard: pick_scene.PickSetting) -> Eye:
+    """From behind the arm, to its side and above it."""
+    canopy = orchard.canopy
+    face = pick_scene.to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
+    target = face * [0.62, 0.62, 0.62]
+    return Eye(target + np.array([1.35, 2.15, 0.75]), target)
