@@ -140,7 +140,7 @@ STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": (
 def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
     """The arm; one that only carries poses where they are finished."""
     described = [load_description(description) for description in _each(columns)]
-    if any(description.views is not None and description.views.poses for description in described):
+    if any(description.poses for description in described):
         if arm is not None:
             raise InputError("finished poses have no joints to calibrate; leave the arm out, or describe its [joints]")
         return pose_carrier()

@@ -7,8 +7,8 @@ It names separator, decimal sign, units, conventions and uncertainties; which se
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, make_dataclass
+from collections.abc import Callable
+from dataclasses import KW_ONLY, make_dataclass
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_type_hints
@@ -63,7 +63,7 @@ def _lost(found: Any, _context: Any) -> tuple[str, ...]:
 
 @toml_table
 class LengthsTable:
-    """[position]; fields are called as in `pickenv.calibration.reading.description.ColumnDescription`."""
+    """[position]: expressions of x, y and z, or of lengths; their uncertainty, and columns of their repeat sigma."""
 
     _: KW_ONLY
     position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
@@ -238,10 +238,6 @@ class PixelsTable:
             raise InputError("columns of [pixels] need view and corner: which picture, and which corner of the board")
 
 
-Section = LengthsTable | ContactTable | TiltTable | PixelsTable
-"""The section that says what was measured."""
-
-
 @toml_table
 class LensTable:
     """[camera]: the lens, by a file or by its numbers, and whether it is to be fitted."""
@@ -335,6 +331,10 @@ class TorquesTable:
         return self.units if self.units or self.unit is None else (self.unit,) * len(self.columns)
 
 
+Recorded = tuple[tuple[str, ...], tuple[float, ...], float]
+"""Columns of a condition, what turns each into SI, and what is subtracted before."""
+
+
 @toml_table
 class ConditionsTable:
     """[conditions]."""
@@ -342,6 +342,19 @@ class ConditionsTable:
     temperature: TemperatureTable | None = None
     payload: PayloadTable | None = None
     torques: TorquesTable | None = None
+
+    def recorded(self, joint_units: tuple[str, ...]) -> dict[str, Recorded]:
+        """The conditions by name; torques are in the joints' own units where none is given."""
+        recorded: dict[str, Recorded] = {}
+        if (warmth := self.temperature) is not None:
+            usual = 20.0 if warmth.unit == "degC" else 0.0
+            recorded["temperature"] = (warmth.column,), (1.0,), usual if warmth.reference is None else warmth.reference
+        if (mass := self.payload) is not None:
+            recorded["payload"] = (mass.column,), (MASSES[mass.unit],), mass.reference
+        if (torques := self.torques) is not None:
+            units = torques.each or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
+            recorded["torque"] = torques.columns, tuple(TORQUES[unit] for unit in units), 0.0
+        return recorded
 
 
 @toml_table
@@ -414,10 +427,34 @@ class DescriptionFile:
         return next(kind for kind in kinds() if getattr(self, kind, None) is not None)
 
     @property
-    def measured(self) -> Section:
-        """The section of that kind."""
-        section: Section = getattr(self, self.kind)
-        return section
+    def measured(self) -> Any:
+        """The section of that kind, of any class."""
+        return getattr(self, self.kind)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number."""
+        return getattr(self.measured, "position", ())
+
+    @property
+    def unit(self) -> str:
+        """Their unit: mm or m; of a tilt deg, rad or g."""
+        return getattr(self.measured, "position_unit", "mm")
+
+    @property
+    def std(self) -> float:
+        """Standard uncertainty of a coordinate, of a length, or of a ball's rest, m; of a tilt, rad."""
+        return getattr(self.measured, "position_std", None) or POSITION_STD
+
+    @property
+    def joint_columns(self) -> tuple[str, ...]:
+        """Expressions of the joint columns, in joint order; none beside finished poses."""
+        return () if self.joints is None else self.joints.columns
+
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Their units."""
+        return () if self.joints is None else self.joints.each
 
 
 def description_file() -> type[DescriptionFile]:
@@ -435,119 +472,33 @@ def description_file() -> type[DescriptionFile]:
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
 
 
-MEASURED = ("position", "position_unit", "position_std", "position_std_columns")
-"""Keys of a section that are its own words for any kind."""
-
-
-@dataclass(frozen=True)
-class Condition:
-    """A recorded condition: its columns, what turns them into SI, and what is subtracted first."""
-
-    columns: tuple[str, ...]
-    scales: tuple[float, ...]
-    reference: float = 0.0
-
-
-@dataclass(frozen=True)
-class ColumnDescription:
-    """Layout of a foreign file.
-
-    Attributes:
-        where: The description's own file, for messages.
-        separator: Character between columns.
-        decimal: Decimal sign, "." or ",".
-        names: Column names of a file without a header, or None.
-        joints: Expressions of the joint columns, in joint order.
-        joint_units: Their units.
-        kind: What was measured, one of `kinds`.
-        position: Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number.
-        position_unit: mm or m; of a tilt deg, rad or g.
-        position_std: Standard uncertainty of a coordinate, of a length, or of a ball's rest, m; of a tilt, rad.
-        section: The file's whole section of that kind.
-        std_stated: Whether the description says it, or the default is assumed.
-        position_std_columns: Columns of the repeat sigma of each coordinate, in the position's unit; may be empty.
-        rotation: Expressions of the attitude's columns; empty for positions only.
-        convention: Attitude convention, a key of `CONVENTIONS`; None where the description names none.
-        rotation_unit: deg or rad.
-        attitude_std: Standard uncertainty of an attitude coordinate, rad.
-        conditions: Recorded temperature, payload and torques.
-        views: The whole file where it is about views of a board.
-    """
-
-    where: str
-    joints: tuple[str, ...]
-    joint_units: tuple[str, ...]
-    kind: str = "position"
-    position: tuple[str, ...] = ()
-    position_unit: str = "mm"
-    position_std: float = POSITION_STD
-    separator: str = ","
-    decimal: str = "."
-    names: tuple[str, ...] | None = None
-    std_stated: bool = False
-    position_std_columns: tuple[str, ...] = ()
-    rotation: tuple[str, ...] = ()
-    convention: str | None = "rotation_vector"
-    rotation_unit: str = "rad"
-    attitude_std: float = ATTITUDE_STD
-    conditions: Mapping[str, Condition] | None = None
-    views: DescriptionFile | None = None
-    section: Section | None = None
-
-
-def load_description(name: str | Path) -> ColumnDescription:
+def load_description(name: str | Path) -> DescriptionFile:
     """Read a column description by name (a shipped one) or from a path to a TOML file.
 
     Raises:
         InputError: If it is unknown or malformed; the message names the file and key.
     """
-    path = file_named("column description", name, DESCRIPTIONS)
-    file = read_toml(description_file(), path)
-    section = file.measured
-    stated: dict[str, Any] = {k: value for k, value in vars(section).items() if k in MEASURED and value is not None}
-    joints, joint_units = ((), ()) if file.joints is None else (file.joints.columns, file.joints.each)
-    description = ColumnDescription(
-        where=str(path),
-        separator=file.separator,
-        decimal=file.decimal,
-        names=file.names,
-        joints=joints,
-        joint_units=joint_units,
-        kind=file.kind,
-        views=None if file.pixels is None else file,
-        **stated,
-        std_stated="position_std" in stated,
-        section=section,
-        **({} if file.rotation is None else {**vars(file.rotation), "rotation_unit": file.rotation.unit()}),
-        conditions=_conditions(file.conditions, joint_units),
-    )
-    _refuse_repeats(description)
+    path = description_path(name)
+    description = read_toml(description_file(), path)
+    _refuse_repeats(description, path)
     return description
 
 
-def _conditions(table: ConditionsTable, joint_units: tuple[str, ...]) -> dict[str, Condition]:
-    """Recorded conditions, each with what turns it into SI."""
-    conditions = {}
-    if (warmth := table.temperature) is not None:
-        usual = 20.0 if warmth.unit == "degC" else 0.0
-        conditions["temperature"] = Condition(
-            (warmth.column,), (1.0,), usual if warmth.reference is None else warmth.reference
-        )
-    if (mass := table.payload) is not None:
-        conditions["payload"] = Condition((mass.column,), (MASSES[mass.unit],), mass.reference)
-    if (torques := table.torques) is not None:
-        units = torques.each or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
-        conditions["torque"] = Condition(torques.columns, tuple(TORQUES[unit] for unit in units))
-    return conditions
+def description_path(name: str | Path) -> Path:
+    """The file of a column description by name, or by its path."""
+    return file_named("column description", name, DESCRIPTIONS)
 
 
-def _refuse_repeats(description: ColumnDescription) -> None:
+def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
     """A column that stands for two things is a slip: one of them is lost, and the fit need not show it."""
-    roles = [(f"joint {i + 1}", text) for i, text in enumerate(description.joints)]
-    for section, columns in ((description.kind, description.position), ("rotation", description.rotation)):
+    roles = [(f"joint {i + 1}", text) for i, text in enumerate(description.joint_columns)]
+    sections = {description.kind: description.columns}
+    if description.rotation is not None:
+        sections["rotation"] = description.rotation.rotation
+    for name, (columns, *_) in description.conditions.recorded(description.joint_units).items():
+        sections[f"conditions.{name}"] = columns
+    for section, columns in sections.items():
         roles += [(f"column {i + 1} of [{section}]", text) for i, text in enumerate(columns)]
-    for name, condition in (description.conditions or {}).items():
-        roles += [(f"column {i + 1} of [conditions.{name}]", text) for i, text in enumerate(condition.columns)]
     roles_of: dict[str, str] = {}
     for role, text in roles:
         tree, quoted = expression_tree(text)
@@ -556,20 +507,16 @@ def _refuse_repeats(description: ColumnDescription) -> None:
             plain = plain.replace(f"'__quoted_{i}'", repr(name))
         if plain in roles_of:
             raise InputError(
-                f"{description.where}: '{shortened(text)}' is given for {roles_of[plain]} and for {role}; "
-                "name each column once"
+                f"{path}: '{shortened(text)}' is given for {roles_of[plain]} and for {role}; name each column once"
             )
         roles_of[plain] = role
 
 
-OWN_CONDITIONS = {
-    "temperature_degC": ("temperature", Condition(("temperature_degC",), (1.0,), 20.0)),
-    "payload_kg": ("payload", Condition(("payload_kg",), (1.0,))),
-}
-"""Columns of our own CSV format beside joints and poses, and what they record."""
+OWN_CONDITIONS = ("temperature_degC", "payload_kg")
+"""Columns of our own CSV format beside joints and poses."""
 
 
-def own_description(geometry: Geometry, header: list[str], where: str) -> ColumnDescription:
+def own_description(geometry: Geometry, header: list[str], where: str) -> DescriptionFile:
     """The description of our own CSV format, for an arm and a file's header."""
     expected = joint_columns(geometry.prismatic)
     joints, units = [], []
@@ -594,34 +541,30 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
                 f"{where}: column '{shortened(column)}' is none of our format's, which records "
                 f"{' and '.join(OWN_CONDITIONS)}; rename it, describe it in [conditions] of `columns`, or remove it"
             )
-    return ColumnDescription(
-        where=where,
-        joints=tuple(joints),
-        joint_units=tuple(units),
-        position=tuple(f"{axis}_{position_unit}" for axis in "xyz"),
-        position_unit=position_unit,
-        rotation=tuple(f"r{axis}_{rotation_unit}" for axis in "xyz") if has_rotation else (),
-        rotation_unit=rotation_unit,
-        conditions=dict(condition for column, condition in OWN_CONDITIONS.items() if column in header),
+    angles, (warmth, mass) = tuple(f"r{axis}_{rotation_unit}" for axis in "xyz"), OWN_CONDITIONS
+    return DescriptionFile(
+        joints=JointsTable(tuple(joints), units=tuple(units)),
+        position=LengthsTable(position=tuple(f"{axis}_{position_unit}" for axis in "xyz"), position_unit=position_unit),
+        rotation=RotationTable(angles, rotation_unit, "rotation_vector") if has_rotation else None,
+        conditions=ConditionsTable(
+            TemperatureTable(warmth, "degC") if warmth in header else None,
+            PayloadTable(mass, "kg") if mass in header else None,
+        ),
     )
 
 
-def joint_scales(description: ColumnDescription, geometry: Geometry) -> tuple[float, ...]:
-    """Factors that turn the joint columns into rad and m.
+def joint_scales(description: DescriptionFile, where: str, geometry: Geometry) -> tuple[float, ...]:
+    """Factors that turn the joint columns into rad and m; ``where`` is the description's place, for messages.
 
     Raises:
         InputError: If the number or the units of the joints are not the arm's.
     """
     n = geometry.joints
-    if len(description.joints) != n:
-        raise InputError(
-            f"{description.where}: {len(description.joints)} joint columns are named, but the arm has {n} joints"
-        )
+    if len(description.joint_units) != n:
+        raise InputError(f"{where}: {len(description.joint_units)} joint columns are named, but the arm has {n} joints")
     for i, unit in enumerate(description.joint_units):
         units = LENGTHS if geometry.prismatic[i] else ANGLES
         if unit not in units:
             kind = "prismatic" if geometry.prismatic[i] else "revolute"
-            raise InputError(
-                f"{description.where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(units)}"
-            )
+            raise InputError(f"{where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(units)}")
     return tuple(TO_SI[unit] for unit in description.joint_units)
