@@ -71,7 +71,6 @@ from .model.measurements import (
 )
 from .model.observations import (
     Observations as Observations,
-    OneGroup as OneGroup,
     blocked_split as blocked_split,
     contiguous_folds as contiguous_folds,
     same_poses as same_poses,

@@ -22,7 +22,7 @@ from pickenv.base import InputError, single_threaded
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.measurements import FRAME_TOLERANCES, Measurements, frame_columns, random_joints
 from pickenv.calibration.model.noise import RowNoise
-from pickenv.calibration.model.observations import Equations, Observations
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import PriorModel
 
 PROBES = 60
@@ -145,7 +145,7 @@ def is_angle(name: str) -> bool:
 def identify(
     model: ErrorModel,
     start: Geometry | ArmModel,
-    data: Measurements | Sequence[Equations],
+    data: Measurements | Sequence[Observations],
     *,
     max_iterations: int = 20,
     whiten: Callable[[Array], Array] | None = None,
@@ -279,7 +279,7 @@ def identify(
 
 
 def identify_converged(
-    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Equations]
+    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Observations]
 ) -> Identification:
     """`identify`; where that wanders among parameters that the data hardly show, again without those.
 
@@ -331,13 +331,13 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
     return Progress(offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after <= 1e-7 * after))
 
 
-def _residual(sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
+def _residual(sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
     """Stated residuals of all data."""
     return np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
 
 
 def _jacobian(
-    model: ErrorModel, sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array], tolerance: Array
+    model: ErrorModel, sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array], tolerance: Array
 ) -> Array:
     """Stated, scaled Jacobian: unknowns first, then the model's columns."""
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
@@ -400,16 +400,15 @@ def _posterior(matrix: Array, scale: Array) -> Array:
 
 
 def _enough_poses(
-    model: ErrorModel, arm: ArmModel, sets: Sequence[Equations], unknowns: Sequence[Array], rank: int, rows: int
+    model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
     """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
     parameters = len(model.names) + sum(len(values) for values in unknowns)
     if rows >= 2 * parameters:
         return  # whatever the rank elsewhere, there are enough
     part, full = sets[0], rank
-    imagined = getattr(part, "imagined", None)  # not every data set can be asked at other poses
-    if len(sets) == 1 and imagined is not None:
-        probe = imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
+    if len(sets) == 1 and not part.stations:  # stations cannot be asked at other poses
+        probe = part.imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
         links = model.some(model.columns < len(arm.geometry.parameter_names))
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
         matrix, names = _jacobian(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
@@ -536,7 +535,7 @@ def identifiability(
 
 def identifiable_parameters(
     model: ErrorModel,
-    sets: Sequence[Equations],
+    sets: Sequence[Observations],
     arm: ArmModel,
     unknowns: Sequence[Array],
     matrix: Array,

@@ -32,7 +32,7 @@ from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, move_pose
 from pickenv.arm.plant.campaign import TRACKER, NormalDraws, measured_poses, normal_draws
 from pickenv.base import InputError, register, write_whole
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
-from pickenv.calibration.model.observations import Observations, OneGroup, Origins, Rows, extent, hash_of, origins_of
+from pickenv.calibration.model.observations import Observations, Origins, Rows, hash_of, origins_of, worked_out
 
 POSITION_STD = 15e-6
 """Standard uncertainty of a position when a file states none, m: a laser tracker at a few metres."""
@@ -52,7 +52,7 @@ FRAMES_COLUMN = "frames"
 
 @register("observation", "tracked")
 @dataclass(frozen=True, eq=False)
-class Measurements(OneGroup):
+class Measurements(Observations):
     """A data set: N poses of an arm with n joints; the commonest of `Observations`.
 
     Attributes:
@@ -88,7 +88,7 @@ class Measurements(OneGroup):
         """Number of poses."""
         return len(self.joints)
 
-    @property
+    @worked_out
     def kind(self) -> str:
         """Name of the kind: "pose" or "position"."""
         return "position" if self.rotation is None else "pose"
@@ -339,7 +339,7 @@ class InstrumentStation:
 
 
 @dataclass(frozen=True, eq=False)
-class Stacked:
+class Stacked(Observations):
     """Stations of one arm, one after the other.
 
     Attributes:
@@ -347,9 +347,8 @@ class Stacked:
     """
 
     stations: tuple[InstrumentStation, ...]
-    poses = views = None
 
-    @property
+    @worked_out
     def rounding(self) -> float:
         """The first one's."""
         return self.parts[0].rounding
@@ -359,46 +358,46 @@ class Stacked:
         """The data sets."""
         return tuple(station.data for station in self.stations)
 
-    @property
+    @worked_out
     def joints(self) -> Array:
         """Of all rows."""
         return np.concatenate([part.joints for part in self.parts])
 
-    @property
+    @worked_out
     def source(self) -> str:
         """The first one's."""
         more = len(self.stations) - 1
         return self.parts[0].source + (f" and {more} more" if more else "")
 
-    @property
+    @worked_out
     def kind(self) -> str:
         """All kinds: position+sockets."""
         return "+".join(dict.fromkeys(part.kind for part in self.parts))
 
-    @property
+    @worked_out
     def framed(self) -> bool:
         """Whether any instrument has a frame."""
         return any(part.framed for part in self.parts)
 
-    @property
+    @worked_out
     def sized(self) -> bool:
         """Whether any knows a length."""
         return any(part.sized for part in self.parts)
 
-    @property
+    @worked_out
     def miss_unit(self) -> str:
         """Angles beside lengths count as what they move at a metre."""
         units = {part.miss_unit for part in self.parts}
         return units.pop() if len(units) == 1 else "mm"
 
-    @property
+    @worked_out
     def conditions(self) -> Conditions:
         """Conditions that every station recorded."""
         parts = [vars(part.conditions) for part in self.parts]
         common = [name for name in parts[0] if all(part[name] is not None for part in parts)]
         return Conditions(**{name: np.concatenate([part[name] for part in parts]) for name in common})
 
-    @property
+    @worked_out
     def origins(self) -> Origins:
         """File and line of every row."""
         parts = [origins_of(part) for part in self.parts]
@@ -456,10 +455,6 @@ class Stacked:
         """Of the first one, whose frames are the arm's."""
         return self.parts[0].rough_poses(prismatic)
 
-    def span(self, tool: Array) -> float:
-        """Of all rows."""
-        return extent(tool, self.miss_unit)
-
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
         """Of all stations, each by its own tool."""
         stations = self._with(unknowns)
@@ -468,10 +463,6 @@ class Stacked:
     def readings(self) -> Array:
         """Of all stations, each in columns of its own."""
         return np.asarray(block_diag(*(part.readings() for part in self.parts)))
-
-    def fingerprint(self) -> str:
-        """Of joints and readings."""
-        return hash_of(self.joints, self.readings())
 
     def select(self, rows: ArrayLike) -> Self:
         """The stations that hold only the given rows; those without any are left out."""

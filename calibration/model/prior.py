@@ -29,6 +29,7 @@ from pickenv.calibration.model.arm_model import (
     joint_zeros_model,
     with_terms,
 )
+from pickenv.calibration.model.observations import Observations, worked_out
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
@@ -54,8 +55,8 @@ MADE = (ZEROS, LENGTHS, ANGLES)
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
-    """Parameters expected near those of a reference model; one more data set among `Equations`.
+class Prior(Observations):
+    """Parameters expected near those of a reference model; one more data set among `Observations`.
 
     Attributes:
         reference: The model expected.
@@ -71,22 +72,10 @@ class Prior:
     framed: bool = False
     sized: bool = False
 
-    @property
+    @worked_out
     def joints(self) -> Array:
         """No poses."""
         return np.zeros((0, self.reference.geometry.joints))
-
-    def unknowns(self) -> tuple[str, ...]:
-        """None."""
-        return ()
-
-    def tolerances(self) -> Array:
-        """Of none."""
-        return np.zeros(0)
-
-    def start(self, model: ArmModel) -> Array:
-        """Nothing to start."""
-        return np.zeros(0)
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Expected minus present values, in standard deviations."""

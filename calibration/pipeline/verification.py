@@ -25,7 +25,6 @@ from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, frames_mod
 from pickenv.calibration.model.measurements import OWN, Measurements
 from pickenv.calibration.model.observations import (
     BLOCKS,
-    Equations,
     Observations,
     Rows,
     equally_spaced,
@@ -135,7 +134,7 @@ def restationed(
     ]
     near = min(fits, key=lambda fit: fit.chi_square).arm_model
     # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
-    settled: list[Equations] = [few, replace(before, reference=near)]
+    settled: list[Observations] = [few, replace(before, reference=near)]
     model_there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
     poses = same_poses(data.joints)
     others = np.flatnonzero(~np.isin(poses, poses[used]))

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,11 +164,11 @@ def _shown(first: FirstRows, joints: Array) -> NDArray[np.bool_]:
 
 def readings_at(first: FirstRows, joints: Array) -> Observations:
     """Rows that the instrument would read at other joints; of a board the corners that are in the picture there."""
-    data: Any = first.data  # all kinds but stations can be imagined, which `first_rows` refuses
-    rows: Observations = data.imagined(joints)
+    data = first.data
+    rows = data.imagined(joints)  # not stations, which `first_rows` refuses
     if rows.views is None:
         return rows
-    margin = WARY * float(np.sqrt(np.mean(data.pixel_errors(first.model, first.unknowns) ** 2)))
+    margin = WARY * float(np.sqrt(np.mean(data.views.pixel_errors(first.model, first.unknowns) ** 2)))
     visible: Observations = replace(rows.views, seen=rows.views.visible(first.model, first.unknowns, margin))
     return visible
 
