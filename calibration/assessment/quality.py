@@ -20,7 +20,6 @@ from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import (
     Identifiability,
     Identification,
-    Observability,
     is_angle,
     observability_of,
 )
@@ -125,11 +124,11 @@ def base_combinations(found: Identifiability) -> dict[str, str]:
     Coefficients between lengths and angles are in mm/deg or deg/mm; shares below `SMALL_SHARE` are left out.
     """
     texts = {name: name for name in found.kept_names}
-    for item in found.dropped:
-        for name, share in item.absorbed_by.items():
-            if name not in texts or (abs(share) < SMALL_SHARE and is_angle(name) == is_angle(item.name)):
+    for dropped, absorbed in found.dropped.items():
+        for name, share in absorbed.items():
+            if name not in texts or (abs(share) < SMALL_SHARE and is_angle(name) == is_angle(dropped)):
                 continue  # what only the choice of a frame ties has no share of its own
-            texts[name] += f" {'-' if share < 0 else '+'} {_coefficient(share, name, item.name)}{item.name}"
+            texts[name] += f" {'-' if share < 0 else '+'} {_coefficient(share, name, dropped)}{dropped}"
     return texts
 
 
@@ -406,7 +405,7 @@ class Quality:
         grade: The verdict.
         reason: The one thing that it rests on most, in one clause.
         findings: All that a reader must know, the gravest first.
-        observability: Of the kept geometric parameters on the training poses.
+        observability: Indices of the kept geometric parameters on the training poses, by name.
         completeness: The chi^2 test.
         pairs: Correlated parameters.
         workspace: Expected errors where rows were measured and where the arm will work; None without priors.
@@ -415,7 +414,7 @@ class Quality:
     grade: Grade
     reason: str
     findings: tuple[Finding, ...]
-    observability: Observability
+    observability: dict[str, float]
     completeness: Completeness
     pairs: tuple[tuple[str, str, float], ...]
     workspace: Workspace | None

@@ -364,7 +364,7 @@ def ros2_offsets(calibration: Calibration, order: Order) -> Document:
         before = decimal_number(data[param.end : end].decode().strip())
         if before is None or not np.isfinite(before):
             raise InputError(f"{onto}: the offset of joint '{shortened(name)}' is no number; write one, in rad or m")
-        edits.append(Edit(param.end, end, repr(before - float(value)).encode()))
+        edits.append((param.end, end, repr(before - float(value)).encode()))
     return Document(edited(data, edits), notes)
 
 

@@ -333,7 +333,7 @@ def _moved_body(data: bytes, tag: StartTag, values: MjcfValues, new: Pose) -> li
     edits: list[Edit] = []
     if orientation != "quat" and "quat" in texts:
         start, _, end = attribute_spans(data, tag)[0][orientation]
-        edits.append(Edit(start, end + 1, f'quat="{texts.pop("quat")}"'.encode()))
+        edits.append((start, end + 1, f'quat="{texts.pop("quat")}"'.encode()))
     return edits + attribute_edits(data, tag, texts)
 
 
@@ -419,7 +419,7 @@ def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list
         number = re.compile(rb"\b" + key.encode() + rb"\s*:\s*([-+.\w]+)").search(data, start, end)
         if number is None:
             raise InputError(f"{path}: '{shortened(name)}' has no '{key}' in its own lines; write it out there")
-        edits.append(Edit(number.start(1), number.end(1), yaml_number(value).encode()))
+        edits.append((number.start(1), number.end(1), yaml_number(value).encode()))
     return edits
 
 

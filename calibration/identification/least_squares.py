@@ -428,20 +428,6 @@ def _enough_poses(
 # combination that absorbs it is named. The count does not depend on the order, the choice within a tied group does.
 
 
-@dataclass(frozen=True)
-class Dropped:
-    """A parameter that the data cannot tell from others.
-
-    Attributes:
-        name: The parameter.
-        absorbed_by: What a deviation of 1 (m or rad) of it looks like in the kept parameters (m or rad); empty if the
-            parameter has no effect on the measurements at all.
-    """
-
-    name: str
-    absorbed_by: dict[str, float]
-
-
 @dataclass(frozen=True, eq=False)
 class Identifiability:
     """Result of `identifiability`.
@@ -449,7 +435,8 @@ class Identifiability:
     Attributes:
         names: All parameters, in order.
         kept: Indices of the identifiable base set.
-        dropped: The others, each with what absorbs it.
+        dropped: The others, each with what absorbs it: what a deviation of 1 (m or rad) of it looks like in the kept
+            parameters (m or rad); empty if it has no effect on the measurements at all.
         r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, ~0 for dropped ones (eq (9)).
         phi: |R_kk| / mean |R_kk|, the paper's ratio (eq (10)).
         singular_values: Of the scaled stacked Jacobian of the kept parameters, per pose (divided by sqrt(N)).
@@ -457,7 +444,7 @@ class Identifiability:
 
     names: tuple[str, ...]
     kept: NDArray[np.int64]
-    dropped: tuple[Dropped, ...]
+    dropped: dict[str, dict[str, float]]
     r_diagonal: Array
     phi: Array
     singular_values: Array
@@ -510,16 +497,15 @@ def identifiability(
     adds = diagonal > least
     base = np.flatnonzero(adds)
     triangle = basis.T @ r[:, base]
-    dropped = []
+    dropped = {}
     for k in np.flatnonzero(~adds).tolist():
         share = solve_triangular(triangle, basis.T @ r[:, k]) * tolerance[base] / tolerance[k]
         scaled = np.abs(share) * tolerance[k] / tolerance[base]
-        absorbed = {names[j]: float(c) for j, c, s in zip(base, share, scaled, strict=True) if s > 1e-3}
-        dropped.append(Dropped(names[k], absorbed))
+        dropped[names[k]] = {names[j]: float(c) for j, c, s in zip(base, share, scaled, strict=True) if s > 1e-3}
     return Identifiability(
         names=names,
         kept=base,
-        dropped=tuple(dropped),
+        dropped=dropped,
         r_diagonal=diagonal,
         phi=diagonal / diagonal.mean(),
         singular_values=np.linalg.svd(r[:, base], compute_uv=False) / np.sqrt(poses),
@@ -556,7 +542,7 @@ def identifiable_parameters(
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.
     """
     poses, geometry = sum(len(part.joints) for part in sets), arm.geometry
-    fixed: dict[str, Dropped] = {}
+    fixed: dict[str, dict[str, float]] = {}
     if not any(part.framed for part in sets):
         by_arm = np.concatenate([part.jacobian(arm, values)[0] for part, values in zip(sets, unknowns, strict=True)])
         base = [f"base_{name}" for name in FRAME_PARAMETERS]
@@ -565,17 +551,17 @@ def identifiable_parameters(
         columns = np.hstack([by_arm[:, frame_columns(geometry, "base")] * FRAME_TOLERANCES, by_model[:, further]])
         scales = np.r_[FRAME_TOLERANCES, others.tolerance]
         chain = identifiability(columns, (*base, *others.names), scales, poses, rank_tolerance)
-        fixed = {item.name: item for item in chain.dropped} | {name: Dropped(name, {}) for name in base}
+        fixed = chain.dropped | {name: {} for name in base}
     free = np.where([name in fixed for name in names], 0.0, matrix)
     result = identifiability(free, names, tolerance, poses, rank_tolerance)
     if not any(part.sized for part in sets):
         size = _longest_link(geometry, result)
         free = np.where([name in size for name in names], 0.0, free)
         result, fixed = identifiability(free, names, tolerance, poses, rank_tolerance), fixed | size
-    return replace(result, dropped=tuple(fixed.get(item.name, item) for item in result.dropped))
+    return replace(result, dropped={name: fixed.get(name, absorbed) for name, absorbed in result.dropped.items()})
 
 
-def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, Dropped]:
+def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, dict[str, float]]:
     """The longest link that can be seen, and how the other lengths would grow with it."""
     names = [f"a{i}" for i in range(geometry.links)] + [f"d{i + 1}" for i in range(geometry.links)]
     values = dict(zip(names, [*geometry.a, *geometry.d], strict=True))
@@ -583,8 +569,7 @@ def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, Dro
     if not lengths:
         return {}
     longest = max(lengths, key=lambda name: abs(lengths[name]))
-    others = {name: -value / lengths[longest] for name, value in lengths.items() if name != longest}
-    return {longest: Dropped(longest, others)}
+    return {longest: {name: -value / lengths[longest] for name, value in lengths.items() if name != longest}}
 
 
 # How well a data set tells the parameters: observability indices O1-O5 from the Jacobian's singular values. O1 Borm
@@ -592,39 +577,17 @@ def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, Dro
 # Sun and Hollerbach 2008. Rows in standard uncertainties, columns in tolerances, so the indices have no unit.
 
 
-@dataclass(frozen=True)
-class Observability:
+def observability(singular_values: Array, poses: int) -> dict[str, float]:
     """Observability of m parameters from n poses; larger is better, save for the condition number.
-
-    Attributes:
-        o1: (s1 … sm)^(1/m) / sqrt(n): geometric mean; a D-optimal set maximises it.
-        o2: sm / s1: inverse condition number.
-        o3: sm: how well the worst combination is seen.
-        o4: sm^2 / s1: noise amplification.
-        o5: 1 / sum(1 / si): A-optimality's relative.
-        condition: s1 / sm.
-        poses: n.
-    """
-
-    o1: float
-    o2: float
-    o3: float
-    o4: float
-    o5: float
-    condition: float
-    poses: int
-
-    def as_dict(self) -> dict[str, float]:
-        """For JSON."""
-        return dict(vars(self))
-
-
-def observability(singular_values: Array, poses: int) -> Observability:
-    """Indices O1 to O5.
 
     Args:
         singular_values: Of the scaled stacked Jacobian of the identifiable parameters ``(m,)``.
         poses: Number of poses stacked.
+
+    Returns:
+        By name: "o1" (s1 … sm)^(1/m) / sqrt(n), their geometric mean, which a D-optimal set maximises; "o2" sm / s1,
+        the inverse condition number; "o3" sm, how well the worst combination is seen; "o4" sm^2 / s1, noise
+        amplification; "o5" 1 / sum(1 / si), A-optimality's relative; "condition" s1 / sm; "poses" n.
 
     Raises:
         ValueError: If a singular value is not above zero: such parameters are not identifiable and must be left out.
@@ -632,17 +595,17 @@ def observability(singular_values: Array, poses: int) -> Observability:
     s = np.sort(np.asarray(singular_values, dtype=float))[::-1]
     if not len(s) or s[-1] <= 0:
         raise ValueError("observability is defined for identifiable parameters, whose singular values are above zero")
-    return Observability(
-        o1=float(np.exp(np.mean(np.log(s))) / np.sqrt(poses)),
-        o2=float(s[-1] / s[0]),
-        o3=float(s[-1]),
-        o4=float(s[-1] ** 2 / s[0]),
-        o5=float(1.0 / np.sum(1.0 / s)),
-        condition=float(s[0] / s[-1]),
-        poses=poses,
-    )
+    return {
+        "o1": float(np.exp(np.mean(np.log(s))) / np.sqrt(poses)),
+        "o2": float(s[-1] / s[0]),
+        "o3": float(s[-1]),
+        "o4": float(s[-1] ** 2 / s[0]),
+        "o5": float(1.0 / np.sum(1.0 / s)),
+        "condition": float(s[0] / s[-1]),
+        "poses": poses,
+    }
 
 
-def observability_of(found: Identifiability, poses: int) -> Observability:
+def observability_of(found: Identifiability, poses: int) -> dict[str, float]:
     """Indices of an identification's kept parameters on its own poses."""
     return observability(found.singular_values * np.sqrt(poses), poses)

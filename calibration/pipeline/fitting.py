@@ -133,7 +133,7 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, m
         "joint_ranges": [data.joints.min(axis=0).tolist(), data.joints.max(axis=0).tolist()],
         "frames": "known" if aligned is None else "fitted",
         "rank": solution.identifiability.rank,
-        "dropped": {item.name: item.absorbed_by for item in solution.identifiability.dropped},
+        "dropped": solution.identifiability.dropped,
         "prior": model.source,
         "terms": sorted(kind_of_term(term) for term in model.start.terms),
         "residual": None,

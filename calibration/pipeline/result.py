@@ -385,7 +385,7 @@ class Result:
         solution = self.geometric.identification
         rows = [
             ("measured", self.train.kind),
-            ("condition number of the geometry", figure(self.quality.observability.condition)),
+            ("condition number of the geometry", figure(self.quality.observability["condition"])),
             (
                 "least squares",
                 f"{len(solution.residual_rms) - 1} iterations, {figure(1e3 * solution.solve_seconds)} ms",
@@ -432,10 +432,10 @@ class Result:
             "rank": solution.identifiability.rank,
             "parameters_told": solution.spent,
             "changes": self.parameters(),
-            "dropped": {item.name: item.absorbed_by for item in solution.identifiability.dropped},
+            "dropped": solution.identifiability.dropped,
             "workspace": None if self.quality.workspace is None else self.quality.workspace.as_dict(),
             "prior": None if prior is None else {"source": prior.source, "scales": dict(prior.scales)},
-            "condition": self.quality.observability.condition,
+            "condition": self.quality.observability["condition"],
             "converged": self.fit.identification.converged,
             "solve_seconds": solution.solve_seconds,
             "unknowns_mm": unknowns_in("mm", solution.unknowns),

@@ -153,7 +153,7 @@ def test_axes_gate_poses_and_origin_are_there(page, evidence):
         low, high = (figure(1e3 * end) for end in region.calibrated_ends)
         assert f"{region.region} {figure(1e3 * region.nominal)} (" in text
         assert f"{figure(1e3 * region.calibrated)} ({low} to {high}) {100 * region.gain:.0f} %" in text
-    assert figure(evidence.quality.observability.condition) in text
+    assert figure(evidence.quality.observability["condition"]) in text
     record = evidence.fit.calibration.record
     assert record["data_fingerprint"] in text and "seed 7" in text and record["versions"]["numpy"] in text
 

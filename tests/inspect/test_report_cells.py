@@ -367,7 +367,7 @@ def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: py
     regions, ranges, tables = parts_of(built(lambda: calibration_report.calibration_page(r)), "Were the poses good?")
     assert regions.rows == r.quality.workspace.block().rows and len(regions.rows) == 2
     seen = r.quality.observability
-    told = [seen.condition, seen.o1, seen.o2, seen.o3, seen.o4, seen.o5]
+    told = [seen[name] for name in ("condition", "o1", "o2", "o3", "o4", "o5")]
     indices, _ = tables.parts
     assert [row[1] for row in indices.rows] == [figure(value) for value in told]
     pairs = [("a1", "d2", 0.987 - 0.01 * i) for i in range(12)]

@@ -243,12 +243,12 @@ def _poses(r: Result, train: Observations) -> Section:
     ranges: Pair | None = None
     caption = f"Where the {len(train.joints)} fitted poses lie within the joint limits."
     indices = (
-        ("condition number", figure(observability.condition), "how unevenly parameters are seen; near 1 is best"),
-        ("O1", figure(observability.o1), "mean sensitivity; D-optimal poses maximise it"),
-        ("O2", figure(observability.o2), "inverse condition number"),
-        ("O3", figure(observability.o3), "sensitivity to the worst-seen combination"),
-        ("O4", figure(observability.o4), "noise amplification"),
-        ("O5", figure(observability.o5), "mean parameter variance, inverse"),
+        ("condition number", figure(observability["condition"]), "how unevenly parameters are seen; near 1 is best"),
+        ("O1", figure(observability["o1"]), "mean sensitivity; D-optimal poses maximise it"),
+        ("O2", figure(observability["o2"]), "inverse condition number"),
+        ("O3", figure(observability["o3"]), "sensitivity to the worst-seen combination"),
+        ("O4", figure(observability["o4"]), "noise amplification"),
+        ("O5", figure(observability["o5"]), "mean parameter variance, inverse"),
     )
     pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
     hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")

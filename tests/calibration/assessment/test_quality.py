@@ -25,7 +25,6 @@ from pickenv.calibration.assessment.quality import (
     correlated_pairs,
     grade_quality,
 )
-from pickenv.calibration.identification.least_squares import Dropped
 from pickenv.calibration.pipeline.calibration import pose_uncertainty
 
 
@@ -205,7 +204,7 @@ def test_coefficients_between_lengths_and_angles_name_their_unit():
         return Identifiability(
             names=(kept, dropped),
             kept=np.array([0]),
-            dropped=(Dropped(dropped, {kept: share}),),
+            dropped={dropped: {kept: share}},
             r_diagonal=np.ones(2),
             phi=np.ones(2),
             singular_values=np.ones(1),
