@@ -141,44 +141,26 @@ def _coefficient(share: float, kept: str, dropped: str) -> str:
     return (unit and f"{value:.4g}{unit}") or ("" if abs(value - 1) < 1e-6 else f"{value:.4g} ")
 
 
-@dataclass(frozen=True)
-class AxisErrors:
-    """Errors along one degree of freedom, mm or deg.
-
-    Attributes:
-        axis: x, y, z, rx, ry or rz.
-        unit: mm or deg.
-        mean: Signed mean (bias).
-        std: Standard deviation.
-        rmse: Root mean square.
-        max: Largest size.
-    """
-
-    axis: str
-    unit: str
-    mean: float
-    std: float
-    rmse: float
-    max: float
-
-
-def axis_errors(errors: Array, unit: str = "mm") -> tuple[AxisErrors, ...]:
+def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float, float, float]]:
     """Statistics of pose errors ``(N, 6)``, position errors ``(N, 3)`` or lengths' ``(N, 1)`` per degree of freedom.
 
     Args:
         errors: m and rad.
         unit: "deg" where they are misses of directions ``(N, 1 to 3)``, rad.
+
+    Returns:
+        By axis with its unit, as "x (mm)": signed mean (bias), standard deviation, root mean square and largest size.
     """
     axes: tuple[str, ...] = AXES if errors.shape[1] > 1 else ("length",)
     if unit == "deg":
         axes = ("r1", "r2", "r3")
-    rows = []
+    statistics = {}
     for axis, column in zip(axes, errors.T, strict=False):
         unit_of_axis = "deg" if axis.startswith("r") else "mm"
         column = column * MISS_UNITS[unit_of_axis]
-        sizes = column.mean(), column.std(), np.sqrt(np.mean(column**2)), np.abs(column).max()
-        rows.append(AxisErrors(axis, unit_of_axis, *map(float, sizes)))
-    return tuple(rows)
+        mean, std, rms, most = column.mean(), column.std(), np.sqrt(np.mean(column**2)), np.abs(column).max()
+        statistics[f"{axis} ({unit_of_axis})"] = float(mean), float(std), float(rms), float(most)
+    return statistics
 
 
 # How far off the arm is where it will work: expected errors over a declared workspace, of drawing and calibration. The

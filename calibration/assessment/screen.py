@@ -128,17 +128,17 @@ OWN = (
 def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
     """The identified harmonics for JSON, the largest first; amplitudes in degrees or mm, 1 sigma beside."""
     geometry, rows = found.geometry, []
-    for item in harmonics_of(found):
-        unit, scale = ("mm", 1e3) if geometry.prismatic[item.joint] else ("deg", float(np.degrees(1.0)))
+    for joint, order, order_std, amplitude, amplitude_std in harmonics_of(found):
+        unit, scale = ("mm", 1e3) if geometry.prismatic[joint] else ("deg", float(np.degrees(1.0)))
         rows.append(
             {
-                "joint": item.joint + 1,
-                "name": geometry.joint_names[item.joint],
-                "order": item.order,
-                "order_std": item.order_std,
+                "joint": joint + 1,
+                "name": geometry.joint_names[joint],
+                "order": order,
+                "order_std": order_std,
                 "unit": unit,
-                "amplitude": item.amplitude * scale,
-                "amplitude_std": item.amplitude_std * scale,
+                "amplitude": amplitude * scale,
+                "amplitude_std": amplitude_std * scale,
             }
         )
     return rows

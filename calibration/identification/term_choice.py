@@ -178,32 +178,18 @@ ROUNDS = 3
 """Steps of Gauss-Newton that refine the orders."""
 
 
-@dataclass(frozen=True)
-class FoundHarmonic:
-    """One harmonic of one joint's drive, identified; with standard uncertainties.
-
-    Attributes:
-        joint: The joint, from 0.
-        order: Cycles per turn (2 pi over the period, 1/m, of a prismatic joint).
-        order_std: Of the order; None where it was given.
-        amplitude: rad or m.
-        amplitude_std: Of the amplitude.
-    """
-
-    joint: int
-    order: float
-    order_std: float | None
-    amplitude: float
-    amplitude_std: float
+Harmonic = tuple[int, float, float | None, float, float]
+"""A harmonic of a joint's drive, identified: the joint, from 0; its order in cycles per turn (2 pi over the period,
+1/m, of a prismatic joint) with the standard uncertainty, None where it was given; the amplitude with its own, rad or m."""
 
 
-def harmonics_of(found: Identification) -> tuple[FoundHarmonic, ...]:
+def harmonics_of(found: Identification) -> list[Harmonic]:
     """The identified harmonics, the largest first."""
     model, names_fitted = found.arm_model, found.identifiability.kept_names
     place = {name: i for i, name in enumerate(names_fitted)}
     names = model.parameter_names[len(model.geometry.parameter_names) :]
     value = dict(zip(names, model.coefficients, strict=True))
-    harmonics = []
+    harmonics: list[Harmonic] = []
     for term in model.terms:
         if not isinstance(term, PeriodicTerm):
             continue
@@ -217,8 +203,8 @@ def harmonics_of(found: Identification) -> tuple[FoundHarmonic, ...]:
             rows = [place[pair[k]] for k in fitted]
             slope = wave[fitted] / max(amplitude, 1e-300)
             variance = float(slope @ found.covariance[np.ix_(rows, rows)] @ slope)
-            harmonics.append(FoundHarmonic(joint, order, std, amplitude, float(np.sqrt(variance))))
-    return tuple(sorted(harmonics, key=lambda item: -item.amplitude))
+            harmonics.append((joint, order, std, amplitude, float(np.sqrt(variance))))
+    return sorted(harmonics, key=lambda item: -item[3])
 
 
 def every_order(geometry: Geometry) -> PeriodicTerm:

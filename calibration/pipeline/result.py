@@ -67,10 +67,11 @@ from pickenv.calibration.pipeline.fitting import (
     NOMINAL,
     Fit,
     HeldOut,
-    PixelFigures,
     held_out_of,
+    pixel_block,
     pixel_figures,
     tracked_rows,
+    view_names,
     what_is_left,
     without_residual,
 )
@@ -106,7 +107,7 @@ class Result:
         floor: What the files say about noise; None if not read from files.
         left_out: Rows far off that were left out.
         unit: Serial number of the robot, where it was named.
-        pixels: Reprojection errors; None where no pictures were taken.
+        pixels: Reprojection errors, for JSON; None where no pictures were taken.
         stations: What files were said to have of their own; None where the rows told it.
     """
 
@@ -124,7 +125,7 @@ class Result:
     floor: NoiseFloor | None = None
     left_out: tuple[LeftOut, ...] = ()
     unit: str | None = None
-    pixels: PixelFigures | None = None
+    pixels: dict[str, Any] | None = None
     stations: str | None = None
 
     @property
@@ -260,7 +261,7 @@ class Result:
             blocks.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note, "terms"))
         blocks += [stiffness_block(self.stiffnesses), harmonic_block(self.harmonics)]
         blocks += [] if self.gate is None else [self._gate(self.gate)]
-        blocks += [] if self.pixels is None else [self.pixels.block()]
+        blocks += [] if self.pixels is None else [pixel_block(self.pixels, view_names(self.test.views))]
         sure = self.uncertainty.block(self.fit.calibration.model, self.test.joints, self.test.conditions)
         return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
 
@@ -446,7 +447,7 @@ class Result:
             "harmonics": {"note": OWN, "found": self.harmonics} if self.harmonics else None,
             "stiffnesses": self.stiffnesses or None,
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
-            **({} if self.pixels is None else self.pixels.as_dict()),
+            **(self.pixels or {}),
         }
 
 
@@ -562,7 +563,7 @@ def assess(
         base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, remaining, tracked)
     pixels = None
     if train.views is not None:
-        pixels = pixel_figures(bare, train.views, test.views, held_out)
+        pixels = pixel_figures(bare, train.views, held_out)
     name, region = workspace or workspace_joints(None, arm.nominal)
     remains = position_rms(after) if train.miss_unit == "mm" else 0.0
     over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name, remains)

@@ -283,12 +283,11 @@ def test_a_calibrations_page_cell_by_cell(kind: str, results: dict[str, Result])
     assert drawing.name == "error_cumulative"
     lines = {line.get_label(): len(line.get_xdata()) for line in drawing.draw().axes[0].get_lines()}
     assert lines == dict.fromkeys(names, len(test) + 1)
-    for row, found in zip(
-        axes.rows, zip(*(axis_errors(r.errors[n]) for n in names.values()), strict=True), strict=True
-    ):
-        said = [figure(v) for a in found for v in (a.mean, a.std, a.rmse, a.max)]
+    by_stage = [axis_errors(r.errors[n]) for n in names.values()]
+    for row, axis in zip(axes.rows, by_stage[0], strict=True):
+        said = [figure(value) for stage in by_stage for value in stage[axis]]
         signed = [("+" if i % 4 == 0 and not text.startswith("-") else "") + text for i, text in enumerate(said)]
-        assert row == [f"{found[0].axis} ({found[0].unit})", *signed]
+        assert row == [axis, *signed]
     repeat = figure(1e3 * r.uncertainty.position_repeat)
     assert page.origin["Scatter of one reach"] == f"{repeat} mm per coordinate, beside the parameters'"
     assert page.origin["Reproduce"] == "seed 5" and page.origin["Unit"] == "not named"

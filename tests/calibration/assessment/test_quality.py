@@ -114,10 +114,10 @@ def test_combinations_are_what_is_identified(qiao, exact):
 
 def test_statistics_per_degree_of_freedom():
     errors = np.array([[1e-3, 0, 0, np.radians(2), 0, 0], [-3e-3, 0, 0, np.radians(2), 0, 0]])
-    x, y, *_, rx, _, _ = axis_errors(errors)
-    assert (x.axis, x.unit, x.mean, x.std, x.max) == ("x", "mm", pytest.approx(-1), pytest.approx(2), pytest.approx(3))
-    assert x.rmse == pytest.approx(np.sqrt(5)) and (y.rmse, y.max) == (0, 0)
-    assert (rx.unit, rx.mean, rx.std) == ("deg", pytest.approx(2), pytest.approx(0, abs=1e-12))
+    axes = axis_errors(errors)
+    assert list(axes) == ["x (mm)", "y (mm)", "z (mm)", "rx (deg)", "ry (deg)", "rz (deg)"]
+    assert axes["x (mm)"] == pytest.approx((-1, 2, np.sqrt(5), 3)) and axes["y (mm)"][2:] == (0, 0)
+    assert axes["rx (deg)"][:2] == pytest.approx((2, 0), abs=1e-12)
     assert len(axis_errors(errors[:, :3])) == 3
 
 
@@ -127,7 +127,7 @@ def test_verdicts(calibrated):
     before, after = (test.difference(g) for g in (found.calibration.nominal, found.calibration.identified))
     good = grade_quality(found.identification, trained, before, after)
     assert good.grade == "good" and good.verdict().startswith("good: on 200 held-out rows the error falls from")
-    assert axis_errors(after)[2].rmse < axis_errors(before)[2].rmse
+    assert axis_errors(after)["z (mm)"][2] < axis_errors(before)["z (mm)"][2]
     worse = grade_quality(found.identification, trained, after, before)
     assert worse.grade == "do not use" and worse.findings[0].weight == "fail" and "no better" in worse.reason
     assert worse.findings[0] not in worse.others

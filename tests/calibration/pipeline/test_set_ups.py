@@ -60,7 +60,7 @@ def day(
 
 
 def said(arm: Arm, days: Sequence[Measurements]) -> list[tuple[tuple[int, ...], tuple[str, ...]]]:
-    return [(each.parts, each.own) for each in set_ups(arm, days)]
+    return list(set_ups(arm, days))
 
 
 @pytest.mark.parametrize("poses", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["positions", "poses"])

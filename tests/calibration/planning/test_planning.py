@@ -114,7 +114,7 @@ def test_twenty_planned_poses_are_well_conditioned(qiao, seed):
     """Base 16: condition at most 37 where random poses have 54 or so; O1 1.29 times theirs from even draws."""
     model = link_model(qiao.nominal)
     planned = plan_poses(qiao, model, 20, np.random.default_rng(seed))
-    assert len(planned.arm.parameters) == 16
+    assert len(planned.arm["parameters"]) == 16
     assert planned.arm["condition"] <= 37.0
     assert 45.0 < planned.arm["random_condition"] < 70.0
     even = random_joints(qiao.nominal, 2000, np.random.default_rng(seed))

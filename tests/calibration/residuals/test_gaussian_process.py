@@ -14,13 +14,13 @@ from pickenv.calibration import identify, link_model, random_joints, simulated_t
 from pickenv.calibration.residuals import gaussian_process
 from pickenv.calibration.residuals.gaussian_process import (
     AMPLITUDES,
+    LENGTH_SCALES,
+    NOISES,
     GaussianProcess,
-    GaussianProcessSettings,
     negative_log_likelihood,
 )
 from pickenv.calibration.residuals.residual_models import joint_inputs
 
-SETTINGS = GaussianProcessSettings()
 LIMIT_MM = 0.06
 """Mean position error allowed on the paper's arm; where the process takes all for noise, 0.35 is left."""
 LIKELIHOOD_TOLERANCE = 0.5
@@ -76,13 +76,13 @@ def likelihoods(process: GaussianProcess, arm: Arm) -> np.ndarray:
 
 
 def fitted(arm: Arm, **changes: int) -> GaussianProcess:
-    return GaussianProcess.fit(arm.inputs, arm.targets, np.random.default_rng(0), replace(SETTINGS, **changes))
+    return GaussianProcess.fit(arm.inputs, arm.targets, np.random.default_rng(0), **changes)
 
 
 def referees(arm: Arm, restarts: int) -> list[GaussianProcessRegressor]:
     """scikit-learn's processes, one per output: the same kernel and bounds, its own optimiser and restarts."""
-    squared = [tuple(bound**2 for bound in bounds) for bounds in (AMPLITUDES, SETTINGS.noise)]
-    kernel = ConstantKernel(1.0, squared[0]) * RBF(np.ones(arm.inputs.shape[1]), SETTINGS.length_scales)
+    squared = [tuple(bound**2 for bound in bounds) for bounds in (AMPLITUDES, NOISES)]
+    kernel = ConstantKernel(1.0, squared[0]) * RBF(np.ones(arm.inputs.shape[1]), LENGTH_SCALES)
     referee = GaussianProcessRegressor(
         kernel + WhiteKernel(0.25, squared[1]), alpha=1e-10, n_restarts_optimizer=restarts, random_state=0
     )
