@@ -180,7 +180,8 @@ ROUNDS = 3
 
 Harmonic = tuple[int, float, float | None, float, float]
 """A harmonic of a joint's drive, identified: the joint, from 0; its order in cycles per turn (2 pi over the period,
-1/m, of a prismatic joint) with the standard uncertainty, None where it was given; the amplitude with its own, rad or m."""
+1/m, of a prismatic joint) with the standard uncertainty, None where it was given; the amplitude with its own, rad or
+m."""
 
 
 def harmonics_of(found: Identification) -> list[Harmonic]:
