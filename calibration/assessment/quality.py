@@ -24,7 +24,7 @@ from pickenv.calibration.identification.least_squares import (
     observability_of,
 )
 from pickenv.calibration.model.arm_model import ArmModel, frames_model
-from pickenv.calibration.model.observations import MISS_UNITS
+from pickenv.calibration.model.observations import MISS_UNITS, equally_spaced
 from pickenv.calibration.model.prior import FRAMES
 
 CORRELATED = 0.9
@@ -317,7 +317,7 @@ def workspace_error(
     thin = tuple(
         name for name, measured, declared in zip(geometry.joint_names, *span, strict=True) if measured < 0.5 * declared
     )
-    some = rows[np.unique(np.linspace(0, len(rows) - 1, POSES).astype(int))]
+    some = rows[equally_spaced(len(rows), POSES)]
     return Workspace(
         _region("the poses measured", solution, nominal, some),
         _region(region, solution, nominal, joints),

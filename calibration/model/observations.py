@@ -126,11 +126,6 @@ class Stated:
         return np.asarray(np.diag(1.0 / self.std[self.free])[self._known])
 
 
-def extent(tool: Array, miss_unit: str) -> float:
-    """The standard deviation of positions ``(N, 3)``, m; 1 rad where angles are missed."""
-    return 1.0 if miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
-
-
 def worked_out(question: Callable[[Any], Answer]) -> Answer:
     """An attribute that is worked out when it is first asked for, where other kinds simply have one."""
     return cast(Answer, cached_property(question))
@@ -220,7 +215,7 @@ class Observations:
 
     def span(self, tool: Array) -> float:
         """What `misses` are small against: how far the tool's positions ``(N, 3)`` spread, m; of directions 1 rad."""
-        return extent(tool, self.miss_unit)
+        return 1.0 if self.miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
 
     def fingerprint(self) -> str:
         """Hash of joints and readings, which a calibration records."""

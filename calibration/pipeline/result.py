@@ -513,8 +513,6 @@ def assess(
     *,
     fits: Mapping[str, Fit] | None = None,
     held_out: HeldOut | None = None,
-    terms: TermChoice | None = None,
-    gate: GateReport | None = None,
     left_out: tuple[LeftOut, ...] = (),
     workspace: tuple[str, Array] | None = None,
 ) -> Result:
@@ -528,8 +526,6 @@ def assess(
         fits: The calibration of the geometry alone and what was added to it, step by step, by name; the last is
             ``fit``. When left out ``fit`` without and with its learnt residual.
         held_out: Errors on the rows held out; what the fits leave there when left out.
-        terms: How terms were chosen.
-        gate: The residual models' verdicts.
         left_out: Rows left out.
         workspace: Where the arm will work: what that is called, and joints ``(M, n)`` all over it.
     """
@@ -600,8 +596,6 @@ def assess(
         quality,
         uncertainty,
         base_frame,
-        terms,
-        gate,
         left_out=left_out,
         pixels=pixels,
     )

@@ -402,18 +402,18 @@ def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
 
 
 def _assessed(draft: Draft, held_out: HeldOut) -> Result:
-    return assess(
+    workspace = workspace_joints(draft.choices.workspace, draft.arm.nominal)
+    result = assess(
         draft.arm,
         draft.best[1],
         draft.train,
         draft.test,
         fits=draft.fits,
         held_out=held_out,
-        terms=draft.term_choice,
-        gate=draft.gate,
         left_out=draft.left_out,
-        workspace=workspace_joints(draft.choices.workspace, draft.arm.nominal),
+        workspace=workspace,
     )
+    return replace(result, terms=draft.term_choice, gate=draft.gate)
 
 
 def _judged_once(draft: Draft) -> Result:

@@ -257,16 +257,17 @@ def _dial(files: Files, section: DialTable) -> DistanceObservations:
 
 
 def _distances(files: Files, section: ContactTable, readings: Array, **more: Any) -> DistanceObservations:
-    _refuse_no_contact(files, section)
-    return DistanceObservations(
-        joints=files.joints,
-        length=readings,
-        std=files.first.std,
-        tip=section.tool_point,
-        tip_std=section.tip_std,
-        kind=files.first.kind,
-        **more,
-    )
+    return DistanceObservations(length=readings, **_contact(files, section), **more)
+
+
+def _contact(files: Files, section: ContactTable) -> dict[str, Any]:
+    """What every contact says of its rows; those without contact are refused."""
+    for table in files.tables if section.contact is not None else ():
+        table.fill_blanks(str(section.contact))
+        for row in np.flatnonzero(table.column(str(section.contact)) == 0.0)[:1]:
+            raise InputError(f"{table.cell(row, section.contact)} says that nothing was touched; remove the row")
+    tip = {"tip": section.tool_point, "tip_std": section.tip_std}
+    return {"joints": files.joints, "std": files.first.std, "kind": files.first.kind, **tip}
 
 
 @register("instrument", "touches")
@@ -301,18 +302,14 @@ def _sockets(files: Files, section: SocketsTable) -> SocketObservations:
 def _rests(
     files: Files, section: ContactTable, socket: Rows, pairs: list[list[int]], spacing: float | None, **more: Any
 ) -> SocketObservations:
-    _refuse_no_contact(files, section)
+    contact = _contact(files, section)
     for place in np.unique(socket):
         _refuse_one_pose(files, np.flatnonzero(socket == place))
     return SocketObservations(
-        joints=files.joints,
         socket=np.asarray(socket, dtype=np.int64),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         spacing=np.full(len(pairs), spacing or 0.0),
-        std=files.first.std,
-        tip=section.tool_point,
-        tip_std=section.tip_std,
-        kind=files.first.kind,
+        **contact,
         **more,
     )
 
@@ -339,14 +336,6 @@ def _tilt(files: Files, section: TiltTable) -> TiltObservations:
         )
     _refuse_one_pose(files, np.arange(len(files.joints)))
     return TiltObservations(files.joints, values, std, axes_std=section.axes_std, down_std=section.down_std)
-
-
-def _refuse_no_contact(files: Files, section: ContactTable) -> None:
-    """Rows whose contact column is empty or zero."""
-    for table in files.tables if section.contact is not None else ():
-        table.fill_blanks(str(section.contact))
-        for row in np.flatnonzero(table.column(str(section.contact)) == 0.0)[:1]:
-            raise InputError(f"{table.cell(row, section.contact)} says that nothing was touched; remove the row")
 
 
 def _refuse_one_pose(files: Files, rows: Rows) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from operator import itemgetter
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,18 +54,17 @@ Fitter = Callable[[Array, Array, np.random.Generator], Regressor]
 """Fits standardised inputs ``(N, F)`` to targets ``(N, k)``."""
 
 
-@dataclass(frozen=True, eq=False)
 class SavedArrays:
-    """A dataclass of arrays and numbers: by name for saving without pickle, and back."""
+    """What a dataclass of arrays and numbers has besides: all by name for saving without pickle, and back."""
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All numbers by name, for saving."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(cast(Any, self))}
 
     @classmethod
     def from_arrays(cls, named: Mapping[str, NDArray[Any]]) -> Self:
         """The inverse of `arrays`."""
-        values = ((field.name, named[field.name]) for field in fields(cls))
+        values = ((field.name, named[field.name]) for field in fields(cast(Any, cls)))
         return cls(**{name: value if value.ndim else value.item() for name, value in values})
 
 

@@ -160,8 +160,7 @@ def test_harmonics_chosen_without_each_block_leave_less_than_a_plain_fit_with_th
     found = held_out(*read_set(data_folder, arm, columns, file), "blocked", terms="auto")
     assert found.position[found.best_model].rms <= most < 0.75 * found.position["geometric"].rms
     assert any("periodic" in used for used in found.held_out.used)
-    known = found.uncertainty.position_within95
-    assert 0.93 <= known.covered <= 0.97
+    assert 0.93 <= found.uncertainty.factors["position"]["covered"] <= 0.97
 
 
 @pytest.mark.slow
