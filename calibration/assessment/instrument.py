@@ -26,6 +26,7 @@ from pickenv.calibration.model.measurements import (
     Stacked,
     frame_columns,
     random_joints,
+    screen_unit,
 )
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.pixels import with_lens
@@ -341,7 +342,7 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
     steps = [(*_step(data.joints[:, joint], misses), joint) for joint in range(data.joints.shape[1])]
     share, at, size, joint = max(steps)
     if share > ONE_STEP:
-        unit, scale = ("mm", 1e3) if data.poses.prismatic[joint] else ("deg", float(np.degrees(1.0)))
+        unit, scale = screen_unit(data.poses.prismatic[joint])
         yield (
             f"where {found.geometry.joint_names[joint]} is above {at * scale:.3g} {unit} the arm behaves otherwise: "
             f"rows there lie {size * 1e3:.3g} mm from those below, beyond what any geometry explains; look for what "

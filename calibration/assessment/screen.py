@@ -15,6 +15,7 @@ from pickenv.calibration.assessment.metrics import ErrorStatistics
 from pickenv.calibration.identification.least_squares import Identification, is_angle
 from pickenv.calibration.identification.term_choice import harmonics_of
 from pickenv.calibration.model.arm_model import ComplianceTerm, Conditions
+from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import LENS_NAMES
 
@@ -99,7 +100,7 @@ def over(sizes: Sequence[int], width: int) -> int:
 def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
     """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
     if name in geometric or name.startswith(("base", "tool")):
-        return ("deg", float(np.degrees(1.0))) if is_angle(name) else ("mm", 1e3)
+        return screen_unit(not is_angle(name))
     if name.startswith(LENGTHS_OF_KINDS):
         return "mm", 1e3
     if name.startswith(NUMBERS_OF_KINDS):
@@ -129,7 +130,7 @@ def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
     """The identified harmonics for JSON, the largest first; amplitudes in degrees or mm, 1 sigma beside."""
     geometry, rows = found.geometry, []
     for joint, order, order_std, amplitude, amplitude_std in harmonics_of(found):
-        unit, scale = ("mm", 1e3) if geometry.prismatic[joint] else ("deg", float(np.degrees(1.0)))
+        unit, scale = screen_unit(geometry.prismatic[joint])
         rows.append(
             {
                 "joint": joint + 1,

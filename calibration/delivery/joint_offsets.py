@@ -30,6 +30,7 @@ from pickenv.base.texts import parsed
 from pickenv.calibration.delivery import document
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.model.arm_model import frames_model
+from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 
 STEPS = 6
@@ -281,10 +282,10 @@ def offset_table(calibration: Calibration, order: document.Order) -> document.Do
     rows: list[dict[str, Any]] = []
     shift = joint_offsets(calibration)
     for name, slides, value, deviation in zip(shift.names, shift.slides, shift.offsets, shift.deviation, strict=True):
-        scale = 1e3 if slides else float(np.degrees(1.0))
+        unit, scale = screen_unit(slides)
         row: dict[str, Any] = {
             "joint": name,
-            "unit": "mm" if slides else "deg",
+            "unit": unit,
             "add_to_reading": float(value * scale),
             "standard_deviation": None if np.isnan(deviation) else float(deviation * scale),
         }
@@ -393,8 +394,7 @@ def dh_table(calibration: Calibration, order: document.Order) -> document.Docume
     nominal, identified = _parameters(calibration.nominal), _parameters(calibration.identified)
     rows = []
     for table, number, joint, name in _table_rows(calibration.identified):
-        angle = is_angle(name)
-        scale = float(np.degrees(1.0)) if angle else 1e3
+        unit, scale = screen_unit(not is_angle(name))
         before, after = (float(values.get(name, 0.0) * scale) for values in (nominal, identified))
         rows.append(
             {
@@ -402,7 +402,7 @@ def dh_table(calibration: Calibration, order: document.Order) -> document.Docume
                 "row": number,
                 "joint": joint,
                 "parameter": name.rstrip("0123456789"),
-                "unit": "deg" if angle else "mm",
+                "unit": unit,
                 "nominal": before,
                 "corrected": after,
                 "change": after - before,

@@ -39,6 +39,7 @@ from pickenv.calibration.delivery.corrected_chain import (
     own_origin,
     refuse_lost_files,
 )
+from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.twin import twin
 
@@ -73,7 +74,7 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
     lines += _entries({"joint_count": geometry.links})
     for i, owner in enumerate(geometry.owners):
         slides, leader, ratio = geometry.slides[i], leaders[owner], dict(geometry.links_of(owner))[i]
-        unit, scale = ("mm", 1e3) if slides else ("deg", float(np.degrees(1.0)))
+        unit, scale = screen_unit(slides)
         joint: dict[str, Any] = {
             "number": i + 1,
             "name": geometry.joint_names[owner] if leader == i else geometry.link_names[i],

@@ -156,7 +156,7 @@ class Measurements(Observations):
     def table(self) -> tuple[list[str], Array]:
         """Column names with units, and the values in those units, one row per pose."""
         names = [*joint_columns(self.prismatic), "x_mm", "y_mm", "z_mm"]
-        columns = [self.joints * _units(self.prismatic), self.position * 1e3]
+        columns = [self.joints * screen_units(self.prismatic), self.position * 1e3]
         if self.rotation is not None:
             names += ["rx_deg", "ry_deg", "rz_deg"]
             columns.append(np.degrees(rotation_vector(self.rotation)))
@@ -176,12 +176,17 @@ class Measurements(Observations):
 
 def joint_columns(prismatic: Sequence[bool]) -> list[str]:
     """Names of the joint columns of our own CSV format."""
-    return [f"q{i + 1}_{'mm' if slides else 'deg'}" for i, slides in enumerate(prismatic)]
+    return [f"q{i + 1}_{screen_unit(slides)[0]}" for i, slides in enumerate(prismatic)]
 
 
-def _units(prismatic: Sequence[bool]) -> Array:
-    """These columns' units per rad and m."""
-    return np.where(prismatic, 1e3, np.degrees(1.0))
+def screen_unit(length: bool) -> tuple[str, float]:
+    """The unit of a length, or of an angle, in our files and on screens, and how many of it are one m or rad."""
+    return ("mm", 1e3) if length else ("deg", float(np.degrees(1.0)))
+
+
+def screen_units(prismatic: Sequence[bool]) -> Array:
+    """Units of joints ``(n,)`` per rad and m."""
+    return np.array([screen_unit(slides)[1] for slides in prismatic])
 
 
 def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.object_]) -> Path:
@@ -198,7 +203,7 @@ def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.o
 
 def write_joints(path: str | Path, joints: Array, prismatic: tuple[bool, ...]) -> Path:
     """Write joints ``(N, n)`` as our own CSV columns (q1_deg, q2_mm, …)."""
-    return write_table(path, joint_columns(prismatic), joints * _units(prismatic))
+    return write_table(path, joint_columns(prismatic), joints * screen_units(prismatic))
 
 
 def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:

@@ -17,7 +17,7 @@ from pickenv.arm.kinematics.task_space import attitude_weight, truncated_inverse
 from pickenv.base import InputError
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.measurements import joint_columns, write_table
+from pickenv.calibration.model.measurements import joint_columns, screen_units, write_table
 from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, uncertainty_from
 from pickenv.calibration.reading.read import Targets
 
@@ -67,8 +67,7 @@ class CorrectedCommands:
 
     def table(self) -> tuple[list[str], NDArray[np.object_]]:
         """Column names with units, and one row per target."""
-        scale = np.where(self.prismatic, 1e3, np.degrees(1.0))
-        commands = (self.joints * scale).astype(object)
+        commands = (self.joints * screen_units(self.prismatic)).astype(object)
         commands[~self.reached] = ""  # a cell that streams these columns must not drive to where nothing is reached
         columns = dict(zip(joint_columns(self.prismatic), commands.T, strict=True))
         columns["reached"] = np.where(self.reached, "yes", "no")
@@ -76,7 +75,7 @@ class CorrectedCommands:
         for label, error in parts.items():
             columns[f"{label}_error_mm"], columns[f"{label}_error_deg"] = _sizes(error)
         for label, sizes in (("uncertainty", self.uncertainty), ("within95", self.within95)):
-            for (factor, unit), size in zip(QUANTITIES.values(), sizes, strict=True):
+            for (unit, factor), size in zip(QUANTITIES.values(), sizes, strict=True):
                 if size is not None:
                     columns[f"{label}_{unit}"] = size * factor
         columns["note"] = np.array([self.reasons.get(i, "") for i in range(len(self.lines))])

@@ -30,7 +30,7 @@ from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, specification, term_from
-from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.measurements import Measurements, screen_unit
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, same_poses
 from pickenv.calibration.residuals.residual_models import LearntResidual
 
@@ -50,7 +50,7 @@ VAGUE = 2.0
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `region_of`."""
 
-QUANTITIES = {"position": (1e3, "mm"), "attitude": (float(np.degrees(1.0)), "deg")}
+QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
 """What of a pose is uncertain, and in which unit screens show it."""
 
 ANCHORS = 400
@@ -121,7 +121,7 @@ class PoseUncertainty:
         """A table of the bounds of errors at these poses, and whether held-out ones kept them."""
         rows = []
         radii = self.within95(model, joints, conditions)
-        for (quantity, (scale, unit)), radius in zip(QUANTITIES.items(), radii, strict=True):
+        for (quantity, (unit, scale)), radius in zip(QUANTITIES.items(), radii, strict=True):
             if radius is not None:
                 low, middle, high = np.percentile(radius * scale, [5, 50, 95])
                 cell = f"{figure(middle)} {unit} ({figure(low)} to {figure(high)})"

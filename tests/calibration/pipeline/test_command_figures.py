@@ -96,7 +96,7 @@ def test_the_table_holds_each_number_in_its_unit_and_no_command_where_none_shoul
     assert column["note"].tolist() == ["", "too far", "", ""]
     assert "row 3: too far" in found.report()
     assert "95 of 100 such commands end within 0.600 mm (median of targets; 1.800 mm at most)" in found.report()
-    bare = commands([True] * 4, attitude_uncertainty=None)
+    bare = commands([True] * 4, uncertainty=(found.uncertainty[0], None))
     assert "uncertainty_deg" not in bare.table()[0] and "uncertainty_mm" in bare.table()[0]
 
 
