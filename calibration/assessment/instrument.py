@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from scipy import stats
 
 from pickenv.arm import Array, Geometry, forward, parameter_jacobian
 from pickenv.calibration.assessment.screen import Block, figure
+from pickenv.calibration.identification.diagnosis import Said
 from pickenv.calibration.identification.least_squares import Identification, identify, is_angle, unknowns_of
 from pickenv.calibration.identification.robust import apart
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, ErrorModel, frames_model
@@ -142,9 +143,7 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
             yield name + station.suffix, part, Stacked(stations)
 
 
-def said_of_instruments(
-    model: ErrorModel, found: Identification, data: Observations
-) -> Iterator[tuple[Literal["fail", "caution"], str]]:
+def said_of_instruments(model: ErrorModel, found: Identification, data: Observations) -> Said:
     """Findings on the instruments, by weight.
 
     Args:
@@ -234,7 +233,7 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
     return Block("Set-ups", heads, tuple(rows), f"{note}; base2_x and the like are parameters of set-up 2")
 
 
-def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Iterator[tuple[Literal["note"], str]]:
+def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Said:
     """A note on payloads, temperatures and torques that were recorded and change nothing that the model predicts.
 
     Args:
@@ -285,7 +284,7 @@ POSES = 200
 """Joint vectors over which the arm is moved as a whole."""
 
 
-def said_against(found: Identification, data: Observations) -> Iterator[tuple[Literal["caution"], str]]:
+def said_against(found: Identification, data: Observations) -> Said:
     """Cautions on the statements that the rows contradict.
 
     Args:

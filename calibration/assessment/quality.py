@@ -12,19 +12,19 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from pickenv.arm import Array, Geometry
 from pickenv.calibration.assessment.screen import Block, figure
+from pickenv.calibration.identification.diagnosis import Weight
 from pickenv.calibration.identification.least_squares import (
     Identifiability,
     Identification,
     is_angle,
-    observability_of,
+    observability,
 )
 from pickenv.calibration.model.arm_model import ArmModel, frames_model
-from pickenv.calibration.model.observations import MISS_UNITS, equally_spaced
+from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spaced
 from pickenv.calibration.model.prior import FRAMES
 
 CORRELATED = 0.9
@@ -56,7 +56,6 @@ ENOUGH, SEVERAL = 3, 10
 """Fewer held-out rows than the first judge nothing, and fewer than the second contradict nothing."""
 
 Grade = Literal["good", "with care", "do not use"]
-Weight = Literal["fail", "caution", "note"]
 
 
 @dataclass(frozen=True)
@@ -425,7 +424,7 @@ def grade_quality(
     geometric: Identification | None = None,
     parametric: Array | None = None,
     noise: str = "stated noise",
-    blocks: NDArray[np.int64] | None = None,
+    blocks: Rows | None = None,
     said: Iterable[tuple[Weight, str]] = (),
     unit: str = "mm",
     rows: tuple[int, str] | None = None,
@@ -452,7 +451,7 @@ def grade_quality(
     """
     count, called = rows or (len(after), "rows")
     bare = geometric or found
-    observed = observability_of(bare.identifiability, bare.poses)
+    observed = observability(bare.identifiability.singular_values * np.sqrt(bare.poses), bare.poses)
     test = completeness(found, noise)
     pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
     unlearnt = after if parametric is None else parametric
@@ -507,7 +506,7 @@ def _rms(errors: Array, unit: str) -> float:
 def no_gain(
     before: Array | None,
     after: Array,
-    blocks: NDArray[np.int64] | None,
+    blocks: Rows | None,
     unit: str,
     count: int,
     called: str,
@@ -538,14 +537,12 @@ def no_gain(
         )
 
 
-def _undecided(before: Array, after: Array, blocks: NDArray[np.int64] | None) -> bool:
+def _undecided(before: Array, after: Array, blocks: Rows | None) -> bool:
     """Whether held-out rows do not show that the calibrated arm is the better one."""
     return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
 
 
-def _told(
-    before: Array, after: Array, workspace: Workspace | None, blocks: NDArray[np.int64] | None, count: int
-) -> bool:
+def _told(before: Array, after: Array, workspace: Workspace | None, blocks: Rows | None, count: int) -> bool:
     """Whether all rows together say so at the poses measured, and several held out do not contradict it."""
     sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
     return sure and _chance(after, before, blocks) > SIGNIFICANCE
@@ -565,7 +562,7 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
     return "the rows held out are of another arm or set-up than those fitted; check which rows belong together"
 
 
-def _chance(before: Array, after: Array, blocks: NDArray[np.int64] | None) -> float:
+def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
     """Chance of a gain this large if the calibration changed nothing: one-sided paired t test by pose, or by block."""
     gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
     if blocks is not None:

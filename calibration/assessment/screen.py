@@ -12,7 +12,7 @@ import numpy as np
 
 from pickenv.base import folded, screen_width, side_by_side
 from pickenv.calibration.assessment.metrics import ErrorStatistics
-from pickenv.calibration.identification.least_squares import Identification, is_angle
+from pickenv.calibration.identification.least_squares import Identification, is_angle, rms_of
 from pickenv.calibration.identification.term_choice import harmonics_of
 from pickenv.calibration.model.arm_model import ComplianceTerm, Conditions
 from pickenv.calibration.model.measurements import screen_unit
@@ -197,8 +197,8 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
                 "at_least": 1.0 / (max(c, 0.0) + TOLD * std),
             }
             if measured is not None and expected is not None:
-                row["torque_rms"] = _rms(measured[:, joint])
-                row["torque_left_rms"] = _rms(measured[:, joint] - expected[:, joint])
+                row["torque_rms"] = rms_of(measured[:, joint])
+                row["torque_left_rms"] = rms_of(measured[:, joint] - expected[:, joint])
             rows.append(row)
     return rows
 
@@ -215,7 +215,3 @@ def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
         torques = [figure(row[key]) if key in row else "" for key in ("torque_rms", "torque_left_rms")]
         cells.append((f"{row['joint']} ({row['name']})", *sizes, unit, *torques))
     return Block("Stiffnesses of the joints", header, tuple(cells), NOTE, "stiffnesses")
-
-
-def _rms(values: Any) -> float:
-    return float(np.sqrt(np.mean(values**2)))

@@ -199,7 +199,7 @@ def identify(
     else:
         base = rank(arm, matrix if any(part.framed for part in sets) else columns)
         _enough_poses(model, arm, sets, unknowns, base.rank, len(weighted))
-    iterates, unknown_iterates, history = [arm], [np.concatenate(unknowns)], [_rms(weighted)]
+    iterates, unknown_iterates, history = [arm], [np.concatenate(unknowns)], [rms_of(weighted)]
     converged, near, damping, offset, rank_is_final = False, False, 0.0, np.inf, every or not own_names
     for _ in range(max_iterations if rank_is_final else 2 * max_iterations):
         full_step = _solve(matrix[:, base.kept], right, 0.0)
@@ -209,7 +209,7 @@ def identify(
         before = arm, unknowns, weighted
         arm, unknowns = _displaced(arm, unknowns, model, change)
         weighted = residual()
-        rms = _rms(weighted)
+        rms = rms_of(weighted)
         # A shortened step proves nothing: what counts is what the whole one would still explain.
         progress = judged_step(full_step, matrix[:, base.kept] @ full_step, before[2], history[-1], rms)
         if not progress.better:
@@ -381,7 +381,8 @@ def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
     return r[:, :-1], r[:, -1]
 
 
-def _rms(values: Array) -> float:
+def rms_of(values: Array) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -604,8 +605,3 @@ def observability(singular_values: Array, poses: int) -> dict[str, float]:
         "condition": float(s[0] / s[-1]),
         "poses": poses,
     }
-
-
-def observability_of(found: Identifiability, poses: int) -> dict[str, float]:
-    """Indices of an identification's kept parameters on its own poses."""
-    return observability(found.singular_values * np.sqrt(poses), poses)

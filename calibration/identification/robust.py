@@ -16,7 +16,7 @@ from scipy.special import gammaincinv
 from pickenv.arm import Arm, Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
-from pickenv.calibration.model.arm_model import CARRIER, ArmModel, ErrorModel, frames_model, geometric_model
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_model, frames_model
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise import counted
@@ -375,11 +375,6 @@ ROBUST_ROWS = 2000
 
 SPARE = 3
 """The arm's geometry takes part where there are so many times as many equations as parameters; else frames alone."""
-
-
-def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
-    """Parameters of an arm to identify: all, base and tool among them unless known; of finished poses these alone."""
-    return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, known_frames)
 
 
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:

@@ -24,8 +24,8 @@ from pickenv.calibration.model.arm_model import (
     ErrorModel,
     Term,
     complete_model,
+    fitted_model,
     frames_model,
-    geometric_model,
     joint_zeros_model,
     with_terms,
 )
@@ -164,7 +164,7 @@ def prior_model(
     """
     start = ArmModel.of(geometry)
     if arm == CARRIER or fit == "full":
-        parameters = frames_model(geometry) if arm == CARRIER else geometric_model(geometry, known)
+        parameters = fitted_model(arm, geometry, known)
         std = np.full(len(parameters.names), np.inf)
         return PriorModel(parameters, start, std, _groups(parameters, geometry, known), "none: any value is as likely")
     expected = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)

@@ -22,9 +22,8 @@ from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statis
 from pickenv.calibration.assessment.quality import Quality, grade_quality, workspace_error
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification import diagnosis
-from pickenv.calibration.identification.robust import fitted_model
 from pickenv.calibration.identification.term_choice import TermChoice
-from pickenv.calibration.model.arm_model import CARRIER, ArmModel
+from pickenv.calibration.model.arm_model import CARRIER, ArmModel, fitted_model
 from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, equally_spaced
 from pickenv.calibration.pipeline import fitting

@@ -23,7 +23,7 @@ from pickenv.calibration import (
     simulated_tracker,
 )
 from pickenv.calibration.assessment.quality import workspace_error
-from pickenv.calibration.identification.least_squares import observability, observability_of
+from pickenv.calibration.identification.least_squares import observability
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.noise import stated_noise
 from pickenv.calibration.model.prior import MADE
@@ -69,7 +69,7 @@ def test_parameters_that_are_not_seen_have_no_indices():
 
 def test_the_indices_of_an_identification_are_those_of_its_jacobian(qiao, exact):
     found = identify(link_model(qiao.nominal), qiao.nominal, exact(qiao.nominal, 40)).identifiability
-    seen = observability_of(found, 40)
+    seen = observability(found.singular_values * np.sqrt(40), 40)
     assert seen["condition"] == pytest.approx(found.condition)
     assert seen["o3"] == pytest.approx(found.singular_values.min() * np.sqrt(40))
 
