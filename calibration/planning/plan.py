@@ -551,14 +551,14 @@ def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64
     """Observability of planned poses beside that of drawn sets, of which the median by condition stands for all."""
     rows = (_rows(geometry, design.model, design.weight, joints) for joints in sets)
     random_sets = sorted((_observed(design, part) for part in rows), key=itemgetter("condition"))
-    planned, drawn = _observed(design, design.rows[chosen]), random_sets[len(random_sets) // 2]
+    planned, by_chance = _observed(design, design.rows[chosen]), random_sets[len(random_sets) // 2]
     return {
         "parameters": list(design.model.names),
         "condition": planned["condition"],
-        "random_condition": drawn["condition"],
+        "random_condition": by_chance["condition"],
         "o1_ratio": planned["o1"] / float(np.mean([part["o1"] for part in random_sets])),
         "observability": planned,
-        "random_observability": drawn,
+        "random_observability": by_chance,
     }
 
 

@@ -251,20 +251,20 @@ class GaussianProcess(SavedArrays):
         if len(inputs) < 10:
             raise InputError(f"{len(inputs)} poses are too few for a Gaussian process; measure at least 10")
         order = rng.permutation(len(inputs))
-        kept, some = np.sort(order[:rows]), np.sort(order[:likelihood_rows])
+        learnt_rows, some = np.sort(order[:rows]), np.sort(order[:likelihood_rows])
         mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
         scaled = (targets - mean) / std
         lengths, amplitudes, noises, weights = [], [], [], []
         with single_threaded():
             for j in range(targets.shape[1]):
                 amplitude, length, noise = _most_likely(inputs[some], scaled[some, j], rng, starts)
-                factor = _factor(_kernel(inputs[kept], inputs[kept], length, amplitude), noise)
+                factor = _factor(_kernel(inputs[learnt_rows], inputs[learnt_rows], length, amplitude), noise)
                 lengths.append(length)
                 amplitudes.append(amplitude)
                 noises.append(noise)
-                weights.append(cho_solve((factor, True), scaled[kept, j]))
+                weights.append(cho_solve((factor, True), scaled[learnt_rows, j]))
         return GaussianProcess(
-            rows=inputs[kept],
+            rows=inputs[learnt_rows],
             length_scales=np.array(lengths),
             amplitude=np.array(amplitudes),
             noise=np.array(noises),
