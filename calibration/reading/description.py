@@ -66,10 +66,10 @@ class LengthsTable:
     """[position]: expressions of x, y and z, or of lengths; their uncertainty, and columns of their repeat sigma."""
 
     _: KW_ONLY
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    position_unit: Annotated[str, one_of(LENGTHS), Key("unit")]
-    position_std: Annotated[float, MM.positive, Key("std_mm")] | None = None
-    position_std_columns: Annotated[tuple[str, ...], COLUMNS, Key("std_columns")] = ()
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Annotated[str, one_of(LENGTHS)]
+    std: Annotated[float, MM.positive] | None = None
+    std_columns: Annotated[tuple[str, ...], COLUMNS] = ()
 
 
 @toml_table
@@ -81,9 +81,9 @@ class ReflectorsTable(LengthsTable):
     places_std: Annotated[float, MM.not_negative] = 1e-4
 
     def __post_init__(self) -> None:
-        if self.places and len(self.places) != len(self.position):
+        if self.places and len(self.places) != len(self.columns):
             raise InputError(
-                f"places_mm of [reflectors] has {len(self.places)} numbers for {len(self.position)} columns; give x, y "
+                f"places_mm of [reflectors] has {len(self.places)} numbers for {len(self.columns)} columns; give x, y "
                 "and z of each reflector in turn"
             )
 
@@ -93,7 +93,7 @@ class ContactTable:
     """[touches] or [plane], and what every contact says: its uncertainty, and which point of the tool it is about."""
 
     _: KW_ONLY
-    position_std: Annotated[float, MM.positive, Key("std_mm")] = 1e-4
+    std: Annotated[float, MM.positive] = 1e-4
     tool: Annotated[str, one_of((KNOWN, FITTED))] = KNOWN
     tool_point: Annotated[tuple[float, float, float], MM, Key("tool_mm")] = (0.0, 0.0, 0.0)
     tool_std: Annotated[float, MM.not_negative] = 0.0
@@ -109,7 +109,7 @@ class ContactTable:
 class SocketsTable(ContactTable):
     """[sockets]."""
 
-    position: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
+    columns: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
     spacing: Annotated[float, MM.positive] | None = None
     spacing_std: Annotated[float, MM.positive] = 5e-5
 
@@ -118,8 +118,8 @@ class SocketsTable(ContactTable):
 class ReadingTable(ContactTable):
     """One column of readings, as [wire] and [dial] have it."""
 
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    position_unit: Annotated[str, one_of(LENGTHS), Key("unit")]
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Annotated[str, one_of(LENGTHS)]
     scale_std: Annotated[float, DOUBT, Key("scale")] = 0.0
 
 
@@ -159,9 +159,9 @@ class TiltTable:
     """[tilt]: components of down along the axes of an inclinometer or accelerometer."""
 
     _: KW_ONLY
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    position_unit: Annotated[str, one_of((*ANGLES, "g")), Key("unit")]
-    position_std: Annotated[float, DEG.positive, Key("std_deg")] = 1e-3
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Annotated[str, one_of((*ANGLES, "g"))]
+    std: Annotated[float, DEG.positive] = 1e-3
     axes_std: Annotated[float, DOUBT, Key("mount")] = inf
     down_std: Annotated[float, DOUBT, Key("base")] = inf
 
@@ -226,15 +226,15 @@ class PixelsTable:
     mount: Annotated[Mount, one_of(get_args(Mount))]
     picture: Annotated[str, COLUMN] | None = None
     files: Annotated[str, COLUMN] | None = None
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")] = ()
+    columns: Annotated[tuple[str, ...], COLUMNS] = ()
     view: Annotated[str, COLUMN] | None = None
     corner: Annotated[str, COLUMN] | None = None
-    std_px: Annotated[float, Unit("px").positive, Key("std_px")] | None = None
+    std: Annotated[float, Unit("px").positive] | None = None
 
     def __post_init__(self) -> None:
-        if (self.picture is None) == (not self.position):
+        if (self.picture is None) == (not self.columns):
             raise InputError("[pixels] needs either picture, or columns, view and corner of a table of corners")
-        if self.position and (self.view is None or self.corner is None):
+        if self.columns and (self.view is None or self.corner is None):
             raise InputError("columns of [pixels] need view and corner: which picture, and which corner of the board")
 
 
@@ -252,7 +252,7 @@ class LensTable:
     height: Annotated[int, WHOLE.at_least(1)] | None = None
     distortion: Annotated[tuple[float, ...], NUMBER] = ()
     lens: Annotated[str, one_of(("fixed", "free", "prior"))] = "fixed"
-    prior_px: Annotated[float, PIXELS, Key("prior_px")] = 10.0
+    prior_px: Annotated[float, PIXELS] = 10.0
     prior_distortion: Annotated[float, NUMBER] = 0.1
 
     def __post_init__(self) -> None:
@@ -269,22 +269,22 @@ class LensTable:
 class RotationTable:
     """[rotation]; a convention that is not named stays None, and is asked for when the file is read."""
 
-    rotation: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    rotation_unit: Annotated[Any, Key("unit")] = None
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Any = None
     convention: Annotated[str, one_of(CONVENTIONS)] | None = None
-    attitude_std: Annotated[float, DEG.positive, Key("std_deg")] = ATTITUDE_STD
+    std: Annotated[float, DEG.positive] = ATTITUDE_STD
 
-    def unit(self) -> str:
+    def checked_unit(self) -> str:
         """The unit of angles, rad for a quaternion; columns that are no attitude, and a missing unit, are refused."""
-        count = len(self.rotation)
+        count = len(self.columns)
         if self.convention is None and count not in (3, 4):
             raise InputError(f"[rotation] has {count} columns; give three angles or four of a quaternion")
         if not (count == 3 if self.convention is None else CONVENTIONS[self.convention][0] == "angle"):
             return "rad"
-        if self.rotation_unit not in ANGLES:
-            unit = "missing" if self.rotation_unit is None else shortened(repr(self.rotation_unit))
+        if self.unit not in ANGLES:
+            unit = "missing" if self.unit is None else shortened(repr(self.unit))
             raise InputError(f"unit of [rotation] is {unit}; give {one_of(ANGLES).wanted}")
-        return str(self.rotation_unit)
+        return str(self.unit)
 
 
 @toml_table
@@ -292,9 +292,9 @@ class PosesTable:
     """[poses]: finished poses of the flange in place of joints, as the controller reports them."""
 
     _: KW_ONLY
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
+    columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
-    rotation: Annotated[tuple[str, ...], COLUMNS, Key("rotation_columns")]
+    rotation_columns: Annotated[tuple[str, ...], COLUMNS]
     rotation_unit: Annotated[str, one_of(ANGLES)] = "rad"
     convention: Annotated[str, one_of(CONVENTIONS)]
 
@@ -394,16 +394,16 @@ class DescriptionFile:
             raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(kinds()))
         self._check_views()
         fits, columns = COUNTS.get(sections[0], (lambda _: True, ""))
-        count = len(getattr(self.measured, "position", ()))
+        count = len(self.columns)
         if not fits(count):
             raise InputError(f"[{sections[0]}] needs {columns}")
-        stds = len(getattr(self.measured, "position_std_columns", ()))
+        stds = len(getattr(self.measured, "std_columns", ()))
         if stds and stds != count:
             raise InputError(f"[{sections[0]}] has {count} columns but {stds} std_columns; give one each")
         if self.rotation is not None:
             if self.position is None:
                 raise InputError(f"[rotation] belongs to [position], not to [{sections[0]}]")
-            self.rotation.unit()
+            self.rotation.checked_unit()
         torques, n = self.conditions.torques, 0 if self.joints is None else len(self.joints.columns)
         if torques is not None and (len(torques.columns), len(torques.each or torques.columns)) != (n, n):
             raise InputError("[conditions.torques] needs one column, and one unit, per joint")
@@ -434,17 +434,17 @@ class DescriptionFile:
     @property
     def columns(self) -> tuple[str, ...]:
         """Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number."""
-        return getattr(self.measured, "position", ())
+        return getattr(self.measured, "columns", ())
 
     @property
     def unit(self) -> str:
-        """Their unit: mm or m; of a tilt deg, rad or g."""
-        return getattr(self.measured, "position_unit", "mm")
+        """Their unit: mm or m; of a tilt deg, rad or g; empty where the section has none."""
+        return getattr(self.measured, "unit", "")
 
     @property
     def std(self) -> float:
         """Standard uncertainty of a coordinate, of a length, or of a ball's rest, m; of a tilt, rad."""
-        return getattr(self.measured, "position_std", None) or POSITION_STD
+        return getattr(self.measured, "std", None) or POSITION_STD
 
     @property
     def joint_columns(self) -> tuple[str, ...]:
@@ -494,7 +494,7 @@ def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
     roles = [(f"joint {i + 1}", text) for i, text in enumerate(description.joint_columns)]
     sections = {description.kind: description.columns}
     if description.rotation is not None:
-        sections["rotation"] = description.rotation.rotation
+        sections["rotation"] = description.rotation.columns
     for name, (columns, *_) in description.conditions.recorded(description.joint_units).items():
         sections[f"conditions.{name}"] = columns
     for section, columns in sections.items():
@@ -544,7 +544,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Descri
     angles, (warmth, mass) = tuple(f"r{axis}_{rotation_unit}" for axis in "xyz"), OWN_CONDITIONS
     return DescriptionFile(
         joints=JointsTable(tuple(joints), units=tuple(units)),
-        position=LengthsTable(position=tuple(f"{axis}_{position_unit}" for axis in "xyz"), position_unit=position_unit),
+        position=LengthsTable(columns=tuple(f"{axis}_{position_unit}" for axis in "xyz"), unit=position_unit),
         rotation=RotationTable(angles, rotation_unit, "rotation_vector") if has_rotation else None,
         conditions=ConditionsTable(
             TemperatureTable(warmth, "degC") if warmth in header else None,

@@ -317,10 +317,10 @@ def _rests(
 @register("instrument", "tilt")
 def _tilt(files: Files, section: TiltTable) -> TiltObservations:
     """Components of down; angles of inclination are taken as those whose sine the component is."""
-    values = np.concatenate([table.values(section.position) for table in files.tables])
-    std = np.full(values.shape, section.position_std)
-    if section.position_unit != "g":
-        angles = values * TO_SI[section.position_unit]
+    values = np.concatenate([table.values(section.columns) for table in files.tables])
+    std = np.full(values.shape, section.std)
+    if section.unit != "g":
+        angles = values * TO_SI[section.unit]
         for row, column in np.argwhere(np.abs(angles) > np.pi / 2)[:1]:
             raise InputError(
                 f"{files.place(row)}: an inclination of {np.degrees(angles[row, column]):.4g} deg is beyond 90; "
@@ -402,7 +402,7 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, file: Descriptio
     table, home = _table(Path(paths[0]), file.pixels, file)
     camera = _lens(file.camera, home)
     pictures: list[Path] = []
-    if file.pixels.position:
+    if file.pixels.columns:
         rows, views = _found_in_table(table, file.pixels, file.board, camera)
     else:
         pictures = _pictures(table, file.pixels, home)
@@ -417,8 +417,8 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, file: Descriptio
         joints = read_joints(table, file, where, geometry)[rows]
         refuse_repeated_joints(file, where, joints, geometry)
     else:
-        turned = rotations(poses.convention, table.values(poses.rotation) * TO_SI[poses.rotation_unit])
-        joints = joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))[rows]
+        turned = rotations(poses.convention, table.values(poses.rotation_columns) * TO_SI[poses.rotation_unit])
+        joints = joints_of_finished_poses(Pose(table.values(poses.columns) * TO_SI[poses.unit], turned))[rows]
     std = np.stack([view.std for view in views])
     lines = np.array(table.lines, dtype=np.int64)[rows]
     data = PixelObservations(
@@ -428,7 +428,7 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, file: Descriptio
         board=file.board.corners,
         camera=camera,
         lens_std=_lens_std(file.camera),
-        std=std if file.pixels.std_px is None else np.full_like(std, file.pixels.std_px),
+        std=std if file.pixels.std is None else np.full_like(std, file.pixels.std),
         mount=file.pixels.mount,
         source=table.where,
         remarks=np.array([view.remark for view in views]),
@@ -510,7 +510,7 @@ def _found_in_table(
 ) -> tuple[list[int], list[FoundCorners]]:
     """First row and corners of each view."""
     assert pixels.view is not None and pixels.corner is not None
-    views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.position)
+    views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.columns)
     count, rows, corners = len(board.corners), [], []
     for row in np.flatnonzero((numbers < 0) | (numbers >= count) | (numbers != np.rint(numbers)))[:1]:
         raise InputError(

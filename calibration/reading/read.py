@@ -204,15 +204,15 @@ def _poses(files: Files, _section: Any) -> Measurements:
         rotation=rotation,
         prismatic=files.geometry.prismatic,
         position_std=first.std,
-        std_stated=first.measured.position_std is not None,
-        attitude_std=ATTITUDE_STD if attitudes is None else attitudes.attitude_std,
+        std_stated=first.measured.std is not None,
+        attitude_std=ATTITUDE_STD if attitudes is None else attitudes.std,
     )
 
 
 def _attitudes(table: Table, described: RotationTable | None, where: str) -> Array:
     """Attitude columns in rad, or quaternions, checked."""
     assert described is not None
-    columns, unit = described.rotation, described.unit()
+    columns, unit = described.columns, described.checked_unit()
     values = table.values(columns) * TO_SI[unit]
     count = len(columns) if described.convention is None else columns_of(described.convention)
     if values.shape[1] != count:
@@ -234,10 +234,10 @@ def _floor(files: Files) -> NoiseFloor:
     """Repeat sigma and quantisation, over all files."""
     repeat, digits = [], []
     for table, description in files.pairs():
-        if description.unit not in LENGTHS or not description.columns or description.kind == "sockets":
+        if description.unit not in LENGTHS:
             continue
         unit = TO_SI[description.unit]
-        if std_columns := getattr(description.measured, "position_std_columns", ()):
+        if std_columns := getattr(description.measured, "std_columns", ()):
             std = table.values(std_columns) * unit
             repeat.append(np.sum(std**2, axis=1) / (std.shape[1] / min(std.shape[1], 3)))
         step = table.resolution(description.columns) * unit
