@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -365,19 +365,6 @@ def _ends(values: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing that a reader must know.
-
-    Attributes:
-        weight: "fail" (do not use it), "caution" (know this before use) or "note".
-        text: One sentence.
-    """
-
-    weight: Weight
-    text: str
-
-
 @dataclass(frozen=True, eq=False)
 class Quality:
     """A calibration's quality.
@@ -385,7 +372,8 @@ class Quality:
     Attributes:
         grade: The verdict.
         reason: The one thing that it rests on most, in one clause.
-        findings: All that a reader must know, the gravest first.
+        findings: All that a reader must know, the gravest first: "fail" (do not use it), "caution" (know this before
+            use) or "note", and a sentence.
         observability: Indices of the kept geometric parameters on the training poses, by name.
         completeness: The chi^2 test.
         pairs: Correlated parameters.
@@ -394,16 +382,16 @@ class Quality:
 
     grade: Grade
     reason: str
-    findings: tuple[Finding, ...]
+    findings: tuple[tuple[Weight, str], ...]
     observability: dict[str, float]
     completeness: Completeness
     pairs: tuple[tuple[str, str, float], ...]
     workspace: Workspace | None
 
     @property
-    def others(self) -> tuple[Finding, ...]:
+    def others(self) -> tuple[tuple[Weight, str], ...]:
         """The findings that the reason does not say already."""
-        return tuple(finding for finding in self.findings if finding.text != self.reason)
+        return tuple((weight, text) for weight, text in self.findings if text != self.reason)
 
     def verdict(self) -> str:
         """Grade and reason in one line."""
@@ -411,7 +399,8 @@ class Quality:
 
     def as_dict(self) -> dict[str, Any]:
         """The verdict for JSON, and for a calibration's record."""
-        return {"grade": self.grade, "reason": self.reason, "findings": [asdict(finding) for finding in self.findings]}
+        findings = [{"weight": weight, "text": text} for weight, text in self.findings]
+        return {"grade": self.grade, "reason": self.reason, "findings": findings}
 
 
 def grade_quality(
@@ -481,10 +470,10 @@ def grade_quality(
     }
     for weight, text in said:
         texts[weight].append(text)
-    findings = [Finding(weight, text) for weight, sentences in texts.items() for text in sentences]
-    weights = {finding.weight for finding in findings}
+    findings = [(weight, text) for weight, sentences in texts.items() for text in sentences]
+    weights = {weight for weight, _ in findings}
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
-    reason = findings[0].text
+    _, reason = findings[0]
     if grade == "good":
         fall = "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
         reason = f"on {count} held-out {called} the error {fall} {_rms(after, unit):#.4g} {unit} RMS"

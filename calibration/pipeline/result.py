@@ -263,7 +263,7 @@ class Result:
         """For the terminal: the verdict first."""
         verdict, _, reason = self.quality.verdict().partition(": ")
         lines = [f"verdict: {verdict.upper()}: {reason}"]
-        lines += [f"  {finding.weight}: {finding.text}" for finding in self.quality.others]
+        lines += [f"  {weight}: {text}" for weight, text in self.quality.others]
         lines += [f"frames: {self.frames_text}"]
         width = screen_width(screen.UNBOUNDED)
         return "\n".join(

@@ -125,7 +125,7 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
         was, now = attitudes[0].mean, attitudes[-1].mean
         sentence += f" The attitude error falls from {figure(was)} to {figure(now)} deg."
     text = "\n".join((f"{_sentence(quality.reason)} {_worth(r)}".strip(), sentence, _sentence(r.frames_text)))
-    findings = [(finding.weight, _sentence(finding.text)) for finding in quality.others]
+    findings = [(weight, _sentence(text)) for weight, text in quality.others]
     return PageVerdict(TONES[quality.grade], VERDICTS[quality.grade], text, findings)
 
 

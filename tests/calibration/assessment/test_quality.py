@@ -129,7 +129,7 @@ def test_verdicts(calibrated):
     assert good.grade == "good" and good.verdict().startswith("good: on 200 held-out rows the error falls from")
     assert axis_errors(after)["z (mm)"][2] < axis_errors(before)["z (mm)"][2]
     worse = grade_quality(found.identification, trained, after, before)
-    assert worse.grade == "do not use" and worse.findings[0].weight == "fail" and "no better" in worse.reason
+    assert worse.grade == "do not use" and worse.findings[0][0] == "fail" and "no better" in worse.reason
     assert worse.findings[0] not in worse.others
     few = grade_quality(found.identification, trained, before[:2], after[:2])
     assert few.grade == "do not use" and "only 2 rows were held out" in few.reason
@@ -139,7 +139,7 @@ def test_verdicts(calibrated):
     unsettled = grade_quality(replace(found.identification, converged=False), trained, before, after)
     assert unsettled.grade == "do not use"
     flattered = grade_quality(found.identification, trained / 3, before, after)
-    assert flattered.grade == "with care" and "held-out errors" in flattered.findings[0].text
+    assert flattered.grade == "with care" and "held-out errors" in flattered.findings[0][1]
 
 
 def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, table_1):

@@ -73,8 +73,8 @@ def errors(size, count=40, seed=0):
 def cautions(found, trained=1e-4, after=1e-4, **more):
     """What is said by way of caution of an arm whose error falls from 2 mm to ``after``."""
     quality = grade_quality(found, errors(trained), errors(2e-3), errors(after), **more)
-    assert quality.grade == ("with care" if quality.findings[0].weight == "caution" else "good")
-    return [finding.text for finding in quality.findings if finding.weight == "caution"]
+    assert quality.grade == ("with care" if quality.findings[0][0] == "caution" else "good")
+    return [text for weight, text in quality.findings if weight == "caution"]
 
 
 @pytest.mark.parametrize(("ratio", "noise"), [(2.0, "stated noise"), (0.5, "assumed noise"), (7.0, "stated noise")])
@@ -120,7 +120,7 @@ def test_priors_need_no_spare_equations(expected):
 
 
 def failures(found, before, after):
-    return [f.text for f in grade_quality(found, errors(1e-4), before, after).findings if f.weight == "fail"]
+    return [text for weight, text in grade_quality(found, errors(1e-4), before, after).findings if weight == "fail"]
 
 
 def test_two_held_out_rows_judge_nothing_and_three_do(found):
@@ -154,7 +154,7 @@ def test_gains_that_differ_by_roundings_are_no_chance(found, factor, blocks):
     before[:, :3] = 1e-3 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     assert np.ptp(np.linalg.norm(before[:, :3], axis=1)) > 0
     told = grade_quality(found, errors(1e-4), before, factor * before, blocks=blocks)
-    assert [finding for finding in told.findings if finding.weight == "fail"] == []
+    assert [text for weight, text in told.findings if weight == "fail"] == []
 
 
 def test_a_gain_counts_where_a_paired_t_test_says_so(found):
@@ -179,7 +179,7 @@ def cause(found, before, after, parametric=None):
     """Why an arm whose errors are ``before`` mm and ``after`` mm is not to be used."""
     more = {} if parametric is None else {"parametric": errors(parametric)}
     quality = grade_quality(found, errors(1e-4), errors(before), errors(after), **more)
-    assert quality.grade == "do not use" and quality.reason == quality.findings[0].text
+    assert quality.grade == "do not use" and quality.reason == quality.findings[0][1]
     return quality.reason
 
 
@@ -291,11 +291,11 @@ def test_pairs_that_correlate_by_more_than_nine_tenths_are_named_strongest_first
     weak = (names[2], names[5], pytest.approx(-0.95))
     assert correlated_pairs(correlated(found, 0.89)) == (weak,)
     assert correlated_pairs(correlated(found, 0.99)) == ((names[0], names[1], pytest.approx(0.99)), weak)
-    notes = [finding.text for finding in grade_quality(correlated(found, 0.99), *[errors(1e-4)] * 3).findings]
+    notes = [text for _, text in grade_quality(correlated(found, 0.99), *[errors(1e-4)] * 3).findings]
     assert any(
         f"2 pairs of parameters correlate by more than 0.9, most {names[0]} and {names[1]} (+0.99)" in n for n in notes
     )
-    notes = [finding.text for finding in grade_quality(correlated(found, 0.89), *[errors(1e-4)] * 3).findings]
+    notes = [text for _, text in grade_quality(correlated(found, 0.89), *[errors(1e-4)] * 3).findings]
     assert any(
         f"1 pair of parameters correlate by more than 0.9, most {names[2]} and {names[5]} (-0.95)" in n for n in notes
     )
