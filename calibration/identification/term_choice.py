@@ -193,19 +193,17 @@ def harmonics_of(found: Identification) -> list[Harmonic]:
 def every_order(geometry: Geometry) -> PeriodicTerm:
     """All harmonics that may be chosen, of all revolute joints."""
     orders = np.arange(1.0, HIGHEST + STEP / 2, STEP).tolist()
-    pairs = [(i, order) for i in range(geometry.joints) if not geometry.prismatic[i] for order in orders]
-    return PeriodicTerm(tuple(i for i, _ in pairs), tuple(order for _, order in pairs))
+    return _harmonics([(i, order) for i in range(geometry.joints) if not geometry.prismatic[i] for order in orders])
 
 
 def nearby(wave: PeriodicTerm) -> PeriodicTerm:
     """Harmonics on a finer grid around these, each once."""
-    pairs = sorted(
-        {
-            (joint, round(order + FINE * k, 6))
-            for joint, order in zip(wave.joints, wave.orders, strict=True)
-            for k in range(-2, 3)
-        }
-    )
+    around = zip(wave.joints, wave.orders, strict=True)
+    return _harmonics(sorted({(joint, round(order + FINE * k, 6)) for joint, order in around for k in range(-2, 3)}))
+
+
+def _harmonics(pairs: Sequence[tuple[int, float]]) -> PeriodicTerm:
+    """Harmonics by joint and order."""
     return PeriodicTerm(tuple(i for i, _ in pairs), tuple(order for _, order in pairs))
 
 

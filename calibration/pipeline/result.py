@@ -496,11 +496,7 @@ def assess(
     unlearnt = fitting.without_residual(fit)
     learnt = fit.calibration.learnt
     if fits is None:
-        fits = (
-            {fitting.GEOMETRIC: unlearnt}
-            if learnt is None
-            else {fitting.GEOMETRIC: unlearnt, f"geometry+{learnt.kind}": fit}
-        )
+        fits = {fitting.GEOMETRIC: unlearnt} | ({} if learnt is None else {f"geometry+{learnt.kind}": fit})
     bare = next(iter(fits.values()))
     aligned = bare.aligned
     held_out = held_out or fitting.held_out_of(fits, test)
