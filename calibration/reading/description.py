@@ -433,8 +433,11 @@ class DescriptionFile:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number."""
-        return getattr(self.measured, "columns", ())
+        """Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number.
+
+        None of sections that other packages read: what stands there is theirs.
+        """
+        return getattr(self.measured, "columns", ()) if self.kind in COUNTS else ()
 
     @property
     def unit(self) -> str:

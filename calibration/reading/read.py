@@ -234,7 +234,7 @@ def _floor(files: Files) -> NoiseFloor:
     """Repeat sigma and quantisation, over all files."""
     repeat, digits = [], []
     for table, description in files.pairs():
-        if description.unit not in LENGTHS:
+        if description.unit not in LENGTHS or not description.columns:
             continue
         unit = TO_SI[description.unit]
         if std_columns := getattr(description.measured, "std_columns", ()):
