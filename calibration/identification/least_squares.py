@@ -438,8 +438,8 @@ class Identifiability:
         kept: Indices of the identifiable base set.
         dropped: The others, each with what absorbs it: what a deviation of 1 (m or rad) of it looks like in the kept
             parameters (m or rad); empty if it has no effect on the measurements at all.
-        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, ~0 for dropped ones (eq (9)).
-        phi: |R_kk| / mean |R_kk|, the paper's ratio (eq (10)).
+        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, ~0 for dropped ones (eq (9)); by
+            its mean it is the paper's ratio phi (eq (10)).
         singular_values: Of the scaled stacked Jacobian of the kept parameters, per pose (divided by sqrt(N)).
     """
 
@@ -447,7 +447,6 @@ class Identifiability:
     kept: NDArray[np.int64]
     dropped: dict[str, dict[str, float]]
     r_diagonal: Array
-    phi: Array
     singular_values: Array
 
     @property
@@ -508,7 +507,6 @@ def identifiability(
         kept=base,
         dropped=dropped,
         r_diagonal=diagonal,
-        phi=diagonal / diagonal.mean(),
         singular_values=np.linalg.svd(r[:, base], compute_uv=False) / np.sqrt(poses),
     )
 

@@ -206,7 +206,6 @@ def test_coefficients_between_lengths_and_angles_name_their_unit():
             kept=np.array([0]),
             dropped={dropped: {kept: share}},
             r_diagonal=np.ones(2),
-            phi=np.ones(2),
             singular_values=np.ones(1),
         )
 
