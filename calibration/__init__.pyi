@@ -14,7 +14,7 @@ from .camera.boards import (
 )
 from .compensation.compensator import Compensator as Compensator, aimed as aimed, taught as taught
 from .delivery.document import Document as Document, Order as Order, provenance as provenance
-from .delivery.export import Delivery as Delivery, export as export
+from .delivery.export import export as export
 from .delivery.joint_offsets import joint_offsets as joint_offsets
 from .identification.diagnosis import checked_rows as checked_rows
 from .identification.extended_kalman_filter import (
@@ -71,7 +71,6 @@ from .model.measurements import (
 )
 from .model.observations import (
     Observations as Observations,
-    OneGroup as OneGroup,
     blocked_split as blocked_split,
     contiguous_folds as contiguous_folds,
     same_poses as same_poses,

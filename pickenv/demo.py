@@ -249,8 +249,8 @@ def summarise(result: DemoResult) -> dict[str, Any]:
         "identifiability": {
             "parameters": len(rank.names),
             "rank": rank.rank,
-            "dropped": [item.name for item in rank.dropped],
-            "absorbed_by": {item.name: item.absorbed_by for item in rank.dropped},
+            "dropped": list(rank.dropped),
+            "absorbed_by": rank.dropped,
             "condition": rank.condition,
         },
         "blocked": {

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,17 +16,12 @@ from scipy import stats
 
 from pickenv.arm import Array, Geometry, forward, parameter_jacobian
 from pickenv.calibration.assessment.screen import Block, figure
+from pickenv.calibration.identification.diagnosis import Said
 from pickenv.calibration.identification.least_squares import Identification, identify, is_angle, unknowns_of
 from pickenv.calibration.identification.robust import apart
+from pickenv.calibration.model import measurements
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, ErrorModel, frames_model
 from pickenv.calibration.model.kinds import DistanceObservations
-from pickenv.calibration.model.measurements import (
-    OWN,
-    InstrumentStation,
-    Stacked,
-    frame_columns,
-    random_joints,
-)
 from pickenv.calibration.model.observations import Observations, origins_of
 from pickenv.calibration.model.pixels import with_lens
 from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZEROS, PriorModel
@@ -138,12 +133,10 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
     for i, station in enumerate(data.stations):
         for name, part, free in with_zeros_fitted(station.data):
             stations = (*data.stations[:i], replace(station, data=free), *data.stations[i + 1 :])
-            yield name + station.suffix, part, Stacked(stations)
+            yield name + station.suffix, part, measurements.Stacked(stations)
 
 
-def said_of_instruments(
-    model: ErrorModel, found: Identification, data: Observations
-) -> Iterator[tuple[Literal["fail", "caution"], str]]:
+def said_of_instruments(model: ErrorModel, found: Identification, data: Observations) -> Said:
     """Findings on the instruments, by weight.
 
     Args:
@@ -199,7 +192,7 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
         data: What it was made from.
     """
     rows: list[dict[str, Any]] = []
-    for station in data.stations or (InstrumentStation(data),):
+    for station in data.stations or (measurements.InstrumentStation(data),):
         unknowns = np.array([found.unknowns[name] for name in station.unknowns()])
         frame = station.seen(found.arm_model, unknowns)[0].geometry
         shifts = {name: apart(getattr(found.geometry, name), getattr(frame, name)) for name in station.frames}
@@ -226,14 +219,14 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
         frames = {
             name: f"{figure(shift['mm'])} mm, {figure(shift['deg'])} deg" for name, shift in set_up["own"].items()
         }
-        cells = [frames.get(name, "") for name in OWN]
+        cells = [frames.get(name, "") for name in measurements.OWN]
         rows.append((str(set_up["number"]), ", ".join(set_up["files"]), str(set_up["rows"]), *cells))
     note = "as the rows tell" if asked is None else f"as asked by `stations='{asked}'`"
     heads = ("set-up", "files", "rows fitted", "its own base, away by", "its own tool, away by")
     return Block("Set-ups", heads, tuple(rows), f"{note}; base2_x and the like are parameters of set-up 2")
 
 
-def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Iterator[tuple[Literal["note"], str]]:
+def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Said:
     """A note on payloads, temperatures and torques that were recorded and change nothing that the model predicts.
 
     Args:
@@ -284,7 +277,7 @@ POSES = 200
 """Joint vectors over which the arm is moved as a whole."""
 
 
-def said_against(found: Identification, data: Observations) -> Iterator[tuple[Literal["caution"], str]]:
+def said_against(found: Identification, data: Observations) -> Said:
     """Cautions on the statements that the rows contradict.
 
     Args:
@@ -319,9 +312,9 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
     """A caution where the arm was moved as a whole, by base or tool, more than arms of the class are."""
     geometry, links = found.geometry, prior.group != TERMS
     columns = prior.parameters.columns[links]
-    joints = random_joints(geometry, POSES, np.random.default_rng(0))
+    joints = measurements.random_joints(geometry, POSES, np.random.default_rng(0))
     jacobian = ArmModel.of(geometry).jacobian(joints).reshape(6 * POSES, -1)
-    projection = np.linalg.pinv(jacobian[:, frame_columns(geometry, which)]) @ jacobian[:, columns]
+    projection = np.linalg.pinv(jacobian[:, measurements.frame_columns(geometry, which)]) @ jacobian[:, columns]
     shift = projection @ prior.start.difference(found.arm_model)[columns]
     std = np.where(prior.group == ZEROS, ZEROS_OFF, 1.0)[links] * prior.std[links]
     covariance = (projection * std**2) @ projection.T
@@ -341,7 +334,7 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
     steps = [(*_step(data.joints[:, joint], misses), joint) for joint in range(data.joints.shape[1])]
     share, at, size, joint = max(steps)
     if share > ONE_STEP:
-        unit, scale = ("mm", 1e3) if data.poses.prismatic[joint] else ("deg", float(np.degrees(1.0)))
+        unit, scale = measurements.screen_unit(data.poses.prismatic[joint])
         yield (
             f"where {found.geometry.joint_names[joint]} is above {at * scale:.3g} {unit} the arm behaves otherwise: "
             f"rows there lie {size * 1e3:.3g} mm from those below, beyond what any geometry explains; look for what "

@@ -8,24 +8,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
 from pickenv.arm import Array, Geometry
 from pickenv.calibration.assessment.screen import Block, figure
+from pickenv.calibration.identification.diagnosis import Weight
 from pickenv.calibration.identification.least_squares import (
     Identifiability,
     Identification,
-    Observability,
     is_angle,
-    observability_of,
+    observability,
 )
 from pickenv.calibration.model.arm_model import ArmModel, frames_model
-from pickenv.calibration.model.observations import MISS_UNITS
+from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spaced
 from pickenv.calibration.model.prior import FRAMES
 
 CORRELATED = 0.9
@@ -57,7 +56,6 @@ ENOUGH, SEVERAL = 3, 10
 """Fewer held-out rows than the first judge nothing, and fewer than the second contradict nothing."""
 
 Grade = Literal["good", "with care", "do not use"]
-Weight = Literal["fail", "caution", "note"]
 
 
 @dataclass(frozen=True)
@@ -125,11 +123,11 @@ def base_combinations(found: Identifiability) -> dict[str, str]:
     Coefficients between lengths and angles are in mm/deg or deg/mm; shares below `SMALL_SHARE` are left out.
     """
     texts = {name: name for name in found.kept_names}
-    for item in found.dropped:
-        for name, share in item.absorbed_by.items():
-            if name not in texts or (abs(share) < SMALL_SHARE and is_angle(name) == is_angle(item.name)):
+    for dropped, absorbed in found.dropped.items():
+        for name, share in absorbed.items():
+            if name not in texts or (abs(share) < SMALL_SHARE and is_angle(name) == is_angle(dropped)):
                 continue  # what only the choice of a frame ties has no share of its own
-            texts[name] += f" {'-' if share < 0 else '+'} {_coefficient(share, name, item.name)}{item.name}"
+            texts[name] += f" {'-' if share < 0 else '+'} {_coefficient(share, name, dropped)}{dropped}"
     return texts
 
 
@@ -142,44 +140,26 @@ def _coefficient(share: float, kept: str, dropped: str) -> str:
     return (unit and f"{value:.4g}{unit}") or ("" if abs(value - 1) < 1e-6 else f"{value:.4g} ")
 
 
-@dataclass(frozen=True)
-class AxisErrors:
-    """Errors along one degree of freedom, mm or deg.
-
-    Attributes:
-        axis: x, y, z, rx, ry or rz.
-        unit: mm or deg.
-        mean: Signed mean (bias).
-        std: Standard deviation.
-        rmse: Root mean square.
-        max: Largest size.
-    """
-
-    axis: str
-    unit: str
-    mean: float
-    std: float
-    rmse: float
-    max: float
-
-
-def axis_errors(errors: Array, unit: str = "mm") -> tuple[AxisErrors, ...]:
+def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float, float, float]]:
     """Statistics of pose errors ``(N, 6)``, position errors ``(N, 3)`` or lengths' ``(N, 1)`` per degree of freedom.
 
     Args:
         errors: m and rad.
         unit: "deg" where they are misses of directions ``(N, 1 to 3)``, rad.
+
+    Returns:
+        By axis with its unit, as "x (mm)": signed mean (bias), standard deviation, root mean square and largest size.
     """
     axes: tuple[str, ...] = AXES if errors.shape[1] > 1 else ("length",)
     if unit == "deg":
         axes = ("r1", "r2", "r3")
-    rows = []
+    statistics = {}
     for axis, column in zip(axes, errors.T, strict=False):
         unit_of_axis = "deg" if axis.startswith("r") else "mm"
         column = column * MISS_UNITS[unit_of_axis]
-        sizes = column.mean(), column.std(), np.sqrt(np.mean(column**2)), np.abs(column).max()
-        rows.append(AxisErrors(axis, unit_of_axis, *map(float, sizes)))
-    return tuple(rows)
+        mean, std, rms, most = column.mean(), column.std(), np.sqrt(np.mean(column**2)), np.abs(column).max()
+        statistics[f"{axis} ({unit_of_axis})"] = float(mean), float(std), float(rms), float(most)
+    return statistics
 
 
 # How far off the arm is where it will work: expected errors over a declared workspace, of drawing and calibration. The
@@ -336,7 +316,7 @@ def workspace_error(
     thin = tuple(
         name for name, measured, declared in zip(geometry.joint_names, *span, strict=True) if measured < 0.5 * declared
     )
-    some = rows[np.unique(np.linspace(0, len(rows) - 1, POSES).astype(int))]
+    some = rows[equally_spaced(len(rows), POSES)]
     return Workspace(
         _region("the poses measured", solution, nominal, some),
         _region(region, solution, nominal, joints),
@@ -385,19 +365,6 @@ def _ends(values: Array) -> tuple[float, float]:
     return float(low), float(high)
 
 
-@dataclass(frozen=True)
-class Finding:
-    """One thing that a reader must know.
-
-    Attributes:
-        weight: "fail" (do not use it), "caution" (know this before use) or "note".
-        text: One sentence.
-    """
-
-    weight: Weight
-    text: str
-
-
 @dataclass(frozen=True, eq=False)
 class Quality:
     """A calibration's quality.
@@ -405,8 +372,9 @@ class Quality:
     Attributes:
         grade: The verdict.
         reason: The one thing that it rests on most, in one clause.
-        findings: All that a reader must know, the gravest first.
-        observability: Of the kept geometric parameters on the training poses.
+        findings: All that a reader must know, the gravest first: "fail" (do not use it), "caution" (know this before
+            use) or "note", and a sentence.
+        observability: Indices of the kept geometric parameters on the training poses, by name.
         completeness: The chi^2 test.
         pairs: Correlated parameters.
         workspace: Expected errors where rows were measured and where the arm will work; None without priors.
@@ -414,16 +382,16 @@ class Quality:
 
     grade: Grade
     reason: str
-    findings: tuple[Finding, ...]
-    observability: Observability
+    findings: tuple[tuple[Weight, str], ...]
+    observability: dict[str, float]
     completeness: Completeness
     pairs: tuple[tuple[str, str, float], ...]
     workspace: Workspace | None
 
     @property
-    def others(self) -> tuple[Finding, ...]:
+    def others(self) -> tuple[tuple[Weight, str], ...]:
         """The findings that the reason does not say already."""
-        return tuple(finding for finding in self.findings if finding.text != self.reason)
+        return tuple((weight, text) for weight, text in self.findings if text != self.reason)
 
     def verdict(self) -> str:
         """Grade and reason in one line."""
@@ -431,7 +399,8 @@ class Quality:
 
     def as_dict(self) -> dict[str, Any]:
         """The verdict for JSON, and for a calibration's record."""
-        return {"grade": self.grade, "reason": self.reason, "findings": [asdict(finding) for finding in self.findings]}
+        findings = [{"weight": weight, "text": text} for weight, text in self.findings]
+        return {"grade": self.grade, "reason": self.reason, "findings": findings}
 
 
 def grade_quality(
@@ -444,7 +413,7 @@ def grade_quality(
     geometric: Identification | None = None,
     parametric: Array | None = None,
     noise: str = "stated noise",
-    blocks: NDArray[np.int64] | None = None,
+    blocks: Rows | None = None,
     said: Iterable[tuple[Weight, str]] = (),
     unit: str = "mm",
     rows: tuple[int, str] | None = None,
@@ -471,7 +440,7 @@ def grade_quality(
     """
     count, called = rows or (len(after), "rows")
     bare = geometric or found
-    observed = observability_of(bare.identifiability, bare.poses)
+    observed = observability(bare.identifiability.singular_values * np.sqrt(bare.poses), bare.poses)
     test = completeness(found, noise)
     pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
     unlearnt = after if parametric is None else parametric
@@ -501,10 +470,10 @@ def grade_quality(
     }
     for weight, text in said:
         texts[weight].append(text)
-    findings = [Finding(weight, text) for weight, sentences in texts.items() for text in sentences]
-    weights = {finding.weight for finding in findings}
+    findings = [(weight, text) for weight, sentences in texts.items() for text in sentences]
+    weights = {weight for weight, _ in findings}
     grade: Grade = "do not use" if "fail" in weights else "with care" if "caution" in weights else "good"
-    reason = findings[0].text
+    _, reason = findings[0]
     if grade == "good":
         fall = "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
         reason = f"on {count} held-out {called} the error {fall} {_rms(after, unit):#.4g} {unit} RMS"
@@ -526,7 +495,7 @@ def _rms(errors: Array, unit: str) -> float:
 def no_gain(
     before: Array | None,
     after: Array,
-    blocks: NDArray[np.int64] | None,
+    blocks: Rows | None,
     unit: str,
     count: int,
     called: str,
@@ -557,14 +526,12 @@ def no_gain(
         )
 
 
-def _undecided(before: Array, after: Array, blocks: NDArray[np.int64] | None) -> bool:
+def _undecided(before: Array, after: Array, blocks: Rows | None) -> bool:
     """Whether held-out rows do not show that the calibrated arm is the better one."""
     return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
 
 
-def _told(
-    before: Array, after: Array, workspace: Workspace | None, blocks: NDArray[np.int64] | None, count: int
-) -> bool:
+def _told(before: Array, after: Array, workspace: Workspace | None, blocks: Rows | None, count: int) -> bool:
     """Whether all rows together say so at the poses measured, and several held out do not contradict it."""
     sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
     return sure and _chance(after, before, blocks) > SIGNIFICANCE
@@ -584,7 +551,7 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
     return "the rows held out are of another arm or set-up than those fitted; check which rows belong together"
 
 
-def _chance(before: Array, after: Array, blocks: NDArray[np.int64] | None) -> float:
+def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
     """Chance of a gain this large if the calibration changed nothing: one-sided paired t test by pose, or by block."""
     gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
     if blocks is not None:

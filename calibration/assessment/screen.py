@@ -12,9 +12,10 @@ import numpy as np
 
 from pickenv.base import folded, screen_width, side_by_side
 from pickenv.calibration.assessment.metrics import ErrorStatistics
-from pickenv.calibration.identification.least_squares import Identification, is_angle
+from pickenv.calibration.identification.least_squares import Identification, is_angle, rms_of
 from pickenv.calibration.identification.term_choice import harmonics_of
 from pickenv.calibration.model.arm_model import ComplianceTerm, Conditions
+from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import LENS_NAMES
 
@@ -99,7 +100,7 @@ def over(sizes: Sequence[int], width: int) -> int:
 def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
     """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
     if name in geometric or name.startswith(("base", "tool")):
-        return ("deg", float(np.degrees(1.0))) if is_angle(name) else ("mm", 1e3)
+        return screen_unit(not is_angle(name))
     if name.startswith(LENGTHS_OF_KINDS):
         return "mm", 1e3
     if name.startswith(NUMBERS_OF_KINDS):
@@ -128,17 +129,17 @@ OWN = (
 def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
     """The identified harmonics for JSON, the largest first; amplitudes in degrees or mm, 1 sigma beside."""
     geometry, rows = found.geometry, []
-    for item in harmonics_of(found):
-        unit, scale = ("mm", 1e3) if geometry.prismatic[item.joint] else ("deg", float(np.degrees(1.0)))
+    for joint, order, order_std, amplitude, amplitude_std in harmonics_of(found):
+        unit, scale = screen_unit(geometry.prismatic[joint])
         rows.append(
             {
-                "joint": item.joint + 1,
-                "name": geometry.joint_names[item.joint],
-                "order": item.order,
-                "order_std": item.order_std,
+                "joint": joint + 1,
+                "name": geometry.joint_names[joint],
+                "order": order,
+                "order_std": order_std,
                 "unit": unit,
-                "amplitude": item.amplitude * scale,
-                "amplitude_std": item.amplitude_std * scale,
+                "amplitude": amplitude * scale,
+                "amplitude_std": amplitude_std * scale,
             }
         )
     return rows
@@ -196,8 +197,8 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
                 "at_least": 1.0 / (max(c, 0.0) + TOLD * std),
             }
             if measured is not None and expected is not None:
-                row["torque_rms"] = _rms(measured[:, joint])
-                row["torque_left_rms"] = _rms(measured[:, joint] - expected[:, joint])
+                row["torque_rms"] = rms_of(measured[:, joint])
+                row["torque_left_rms"] = rms_of(measured[:, joint] - expected[:, joint])
             rows.append(row)
     return rows
 
@@ -214,7 +215,3 @@ def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
         torques = [figure(row[key]) if key in row else "" for key in ("torque_rms", "torque_left_rms")]
         cells.append((f"{row['joint']} ({row['name']})", *sizes, unit, *torques))
     return Block("Stiffnesses of the joints", header, tuple(cells), NOTE, "stiffnesses")
-
-
-def _rms(values: Any) -> float:
-    return float(np.sqrt(np.mean(values**2)))

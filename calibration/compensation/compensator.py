@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial, reduce
 from operator import or_
 from types import ModuleType
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -376,7 +376,7 @@ def corrected(
         return target
     tool = tool_frame(m, identified, command)
     error = _weighed(nominal, frame_error(m, tool, goal, small_rotation))
-    return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt))).joints
+    return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt)))[0]
 
 
 def _weighed(nominal: Geometry, parts: Sequence[Scalar]) -> Sequence[Scalar]:
@@ -385,27 +385,24 @@ def _weighed(nominal: Geometry, parts: Sequence[Scalar]) -> Sequence[Scalar]:
     return parts if weight == 1.0 else [*parts[:3], *(weight * part for part in parts[3:])]
 
 
-class _Expected(NamedTuple):
-    """Joints, and the size of the pose error expected there, as the task weighs it."""
-
-    joints: Sequence[Scalar]
-    error: Scalar
+Expected = tuple[Sequence[Scalar], Scalar]
+"""Joints, and the size of the pose error expected there, as the task weighs it."""
 
 
-def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> _Expected:
+def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> Expected:
     """The expectation of the model at joints, from the six components of its pose error there."""
-    return _Expected(joints, m.sqrt(sum((part * part for part in error[1:]), error[0] * error[0])))
+    return joints, m.sqrt(sum((part * part for part in error[1:]), error[0] * error[0]))
 
 
-def _nearer(m: ModuleType, one: _Expected | None, other: _Expected) -> _Expected:
+def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
     """The other, but for poses where it is expected farther off than the one."""
     if one is None:
         return other
-    nearer = other.error < one.error + NEGLIGIBLE
+    nearer = other[1] < one[1] + NEGLIGIBLE
     if m is math:
         return other if nearer else one
-    joints = [m.where(nearer, after, before) for after, before in zip(other.joints, one.joints, strict=True)]
-    return _Expected(joints, m.where(nearer, other.error, one.error))
+    joints = [m.where(nearer, after, before) for after, before in zip(other[0], one[0], strict=True)]
+    return joints, m.where(nearer, other[1], one[1])
 
 
 def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -24,11 +25,13 @@ class Document:
         data: Its bytes.
         notes: What it holds of a calibration, and what it does not, a sentence each.
         beside: Bytes of files that are written with it.
+        path: Where it was written; empty before.
     """
 
     data: bytes
     notes: tuple[str, ...] = ()
     beside: Mapping[Path, bytes] = field(default_factory=dict)
+    path: Path = Path()
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,13 +134,8 @@ class StartTag:
         return self.name == kind and self.attributes.get("name") == name
 
 
-@dataclass(frozen=True)
-class Edit:
-    """Bytes ``start`` to ``end`` are replaced by ``new``."""
-
-    start: int
-    end: int
-    new: bytes
+Edit = tuple[int, int, bytes]
+"""Bytes from the first to the second place are replaced by the third."""
 
 
 def start_tags(data: bytes) -> list[StartTag]:
@@ -177,27 +175,27 @@ def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> li
     """Edits that give attributes of a tag new values; one that it lacks is added behind its others."""
     spans, after = attribute_spans(data, tag)
     new = "".join(f' {name}="{value}"' for name, value in values.items() if name not in spans)
-    edits = [Edit(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]
-    return [*edits, Edit(after, after, new.encode())] if new else edits
+    edits = [(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]
+    return [*edits, (after, after, new.encode())] if new else edits
 
 
 def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
     """An edit that puts an element right behind a start tag, on a line as the next one has it."""
     after = data[tag.end :]
-    return Edit(tag.end, tag.end, after[: len(after) - len(after.lstrip())] + element.encode())
+    return tag.end, tag.end, after[: len(after) - len(after.lstrip())] + element.encode()
 
 
 def inserted_before(data: bytes, tag: StartTag, *elements: str) -> Edit:
     """An edit that puts elements before a start tag, on lines as its own."""
     before = data[: tag.start]
     gap = before[len(before.rstrip()) :]
-    return Edit(tag.start, tag.start, b"".join(element.encode() + gap for element in elements))
+    return tag.start, tag.start, b"".join(element.encode() + gap for element in elements)
 
 
 def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
     """The text with all its edits."""
     parts, after = [], 0
-    for edit in sorted(edits, key=lambda edit: edit.start):
-        parts += [data[after : edit.start], edit.new]
-        after = edit.end
+    for start, end, new in sorted(edits, key=itemgetter(0)):
+        parts += [data[after:start], new]
+        after = end
     return b"".join([*parts, data[after:]])

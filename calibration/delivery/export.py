@@ -1,11 +1,11 @@
 """Handing a calibration over: one function, one kind of file each.
 
-What a file cannot hold of a calibration is told with it (`Delivery.notes`).
+What a file cannot hold of a calibration is told with it (`Document.notes`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -117,21 +117,6 @@ BY_OWN_ENDING = {
 """Kinds that the name of the robot's own file tells."""
 
 
-@dataclass(frozen=True)
-class Delivery:
-    """A file handed over.
-
-    Attributes:
-        path: The file.
-        notes: What it holds of the calibration, and what it does not, a sentence each.
-        beside: Files written with it.
-    """
-
-    path: Path
-    notes: tuple[str, ...]
-    beside: tuple[Path, ...] = ()
-
-
 def export(
     calibration: Calibration,
     out: str | Path,
@@ -142,7 +127,7 @@ def export(
     counts_per_turn: int | None = None,
     sample: int = 0,
     seed: int = 0,
-) -> Delivery:
+) -> Document:
     """Write a calibration as a robot, a controller, a simulator or another program reads it.
 
     Args:
@@ -177,7 +162,7 @@ def export(
     for path, data in {out: document.data, **document.beside}.items():
         write_whole(path, partial(Path.write_bytes, data=data))
     caution = () if calibration.caution is None else (f"caution: {calibration.caution}",)
-    return Delivery(out, (*caution, *document.notes), tuple(document.beside))
+    return replace(document, path=out, notes=(*caution, *document.notes))
 
 
 def _robot_file(onto: str | Path | None) -> tuple[Path | None, str | None]:

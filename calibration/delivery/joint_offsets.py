@@ -27,19 +27,10 @@ from pickenv.arm import Array, Geometry, forward, joint_jacobian, parameter_jaco
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, LINK_PARAMETERS
 from pickenv.base import InputError, decimal_number, listed, one_line, read_text, register, shortened
 from pickenv.base.texts import parsed
-from pickenv.calibration.delivery.document import (
-    Document,
-    Edit,
-    Order,
-    edited,
-    inserted_first,
-    left_out,
-    provenance,
-    start_tags,
-    xml_comment,
-)
+from pickenv.calibration.delivery import document
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.calibration.model.arm_model import frames_model
+from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 
 STEPS = 6
@@ -225,7 +216,7 @@ def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
 
 
 @register("exporter", "lerobot")
-def lerobot_document(calibration: Calibration, order: Order) -> Document:
+def lerobot_document(calibration: Calibration, order: document.Order) -> document.Document:
     """A LeRobot calibration with corrected homing offsets; nothing else in it changes.
 
     Raises:
@@ -270,7 +261,7 @@ def lerobot_document(calibration: Calibration, order: Order) -> Document:
         "taken for granted: angles were LeRobot's degrees with its sign (Feetech servos: present = actual - homing)",
         "LeRobot will find on connecting that file and motors differ: let it use the file",
     )
-    return Document(data, notes)
+    return document.Document(data, notes)
 
 
 # Joint offsets as files: a table with encoder counts, and ros2_control parameters. The arm stands at a joint's
@@ -283,7 +274,7 @@ TABLE_FORMAT = "pickenv joint offsets 1"
 
 
 @register("exporter", "offsets")
-def offset_table(calibration: Calibration, order: Order) -> Document:
+def offset_table(calibration: Calibration, order: document.Order) -> document.Document:
     """The offsets as CSV, or as JSON where the file ends so: numbers to add to each joint's reading.
 
     Encoder counts per turn of a joint give turning joints a column of whole counts.
@@ -291,10 +282,10 @@ def offset_table(calibration: Calibration, order: Order) -> Document:
     rows: list[dict[str, Any]] = []
     shift = joint_offsets(calibration)
     for name, slides, value, deviation in zip(shift.names, shift.slides, shift.offsets, shift.deviation, strict=True):
-        scale = 1e3 if slides else float(np.degrees(1.0))
+        unit, scale = screen_unit(slides)
         row: dict[str, Any] = {
             "joint": name,
-            "unit": "mm" if slides else "deg",
+            "unit": unit,
             "add_to_reading": float(value * scale),
             "standard_deviation": None if np.isnan(deviation) else float(deviation * scale),
         }
@@ -306,22 +297,22 @@ def offset_table(calibration: Calibration, order: Order) -> Document:
 
 def _table(
     rows: list[dict[str, Any]], out: Path, form: str, calibration: Calibration, notes: tuple[str, ...]
-) -> Document:
+) -> document.Document:
     """Rows as CSV with comment lines above, or as JSON where ``out`` ends so; None is an empty cell."""
-    words = (*provenance(calibration), *notes)
+    words = (*document.provenance(calibration), *notes)
     if out.suffix.lower() == ".json":
         content = {"format": form, "origin": list(words), "rows": rows}
-        return Document((json.dumps(content, indent=2) + "\n").encode(), notes)
+        return document.Document((json.dumps(content, indent=2) + "\n").encode(), notes)
     text = io.StringIO("".join(f"# {one_line(line)}\n" for line in (form, *words)))
     text.seek(0, io.SEEK_END)
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    return Document(text.getvalue().encode(), notes)
+    return document.Document(text.getvalue().encode(), notes)
 
 
 @register("exporter", "ros2-control")
-def ros2_offsets(calibration: Calibration, order: Order) -> Document:
+def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Document:
     """The offsets as ros2_control parameters: within the robot's own description, or the joints alone, without ids.
 
     A joint reports raw minus offset and shall report as much more as the calibration found, so that is taken off the
@@ -334,21 +325,23 @@ def ros2_offsets(calibration: Calibration, order: Order) -> Document:
     notes = (shift.note(),)
     if onto is None:
         rule = "reported = raw - offset, rad and m; take each off the offset that your joint has, if any"
-        lines = xml_comment((*provenance(calibration), f"for dynamixel_hardware of July 2026: {rule}"))
+        lines = document.xml_comment(
+            (*document.provenance(calibration), f"for dynamixel_hardware of July 2026: {rule}")
+        )
         lines.append("<ros2_control>")
         for name, value in zip(shift.names, shift.offsets, strict=True):
             lines.append(f"  <joint name={quoteattr(one_line(name))}>\n    {_param(value)}\n  </joint>")
-        return Document(("\n".join([*lines, "</ros2_control>"]) + "\n").encode(), notes)
+        return document.Document(("\n".join([*lines, "</ros2_control>"]) + "\n").encode(), notes)
     read_text(onto, "a robot description")
     data = onto.read_bytes()
-    tags = parsed(lambda: start_tags(data), onto, "XML")
+    tags = parsed(lambda: document.start_tags(data), onto, "XML")
     controls = {i for i, tag in enumerate(tags) if tag.name == "ros2_control"}
     joints = {
         tag.attributes.get("name", ""): i
         for i, tag in enumerate(tags)
         if tag.name == "joint" and tag.parent in controls
     }
-    edits: list[Edit] = []
+    edits: list[document.Edit] = []
     for name, value in zip(shift.names, shift.offsets, strict=True):
         if name not in joints:
             names = "no <ros2_control> joint at all" if not joints else f"only {', '.join(map(shortened, joints))}"
@@ -358,14 +351,14 @@ def ros2_offsets(calibration: Calibration, order: Order) -> Document:
         place = joints[name]
         param = next((tag for tag in tags if tag.parent == place and tag.is_named("param", "offset")), None)
         if param is None:
-            edits.append(inserted_first(data, tags[place], _param(value)))
+            edits.append(document.inserted_first(data, tags[place], _param(value)))
             continue
         end = data.index(b"<", param.end)
         before = decimal_number(data[param.end : end].decode().strip())
         if before is None or not np.isfinite(before):
             raise InputError(f"{onto}: the offset of joint '{shortened(name)}' is no number; write one, in rad or m")
-        edits.append(Edit(param.end, end, repr(before - float(value)).encode()))
-    return Document(edited(data, edits), notes)
+        edits.append((param.end, end, repr(before - float(value)).encode()))
+    return document.Document(document.edited(data, edits), notes)
 
 
 def _param(offset: float) -> str:
@@ -387,7 +380,7 @@ BEHIND = ("alpha", "a", "beta")
 
 
 @register("exporter", "table")
-def dh_table(calibration: Calibration, order: Order) -> Document:
+def dh_table(calibration: Calibration, order: document.Order) -> document.Document:
     """The table as CSV, or as JSON where the file ends so; angles in degrees, lengths in mm.
 
     Standard deviations are empty where a parameter kept its nominal value.
@@ -395,14 +388,13 @@ def dh_table(calibration: Calibration, order: Order) -> Document:
     notes = [
         "parameters without a standard deviation were not identified and keep their nominal values; others absorb them",
     ]
-    notes += left_out(calibration, "not in the table, because no geometry can hold it")
+    notes += document.left_out(calibration, "not in the table, because no geometry can hold it")
     sure = uncertainty_from(calibration.record)
     std = {} if sure is None else dict(zip(sure.names, np.sqrt(np.diag(sure.covariance)), strict=True))
     nominal, identified = _parameters(calibration.nominal), _parameters(calibration.identified)
     rows = []
     for table, number, joint, name in _table_rows(calibration.identified):
-        angle = is_angle(name)
-        scale = float(np.degrees(1.0)) if angle else 1e3
+        unit, scale = screen_unit(not is_angle(name))
         before, after = (float(values.get(name, 0.0) * scale) for values in (nominal, identified))
         rows.append(
             {
@@ -410,7 +402,7 @@ def dh_table(calibration: Calibration, order: Order) -> Document:
                 "row": number,
                 "joint": joint,
                 "parameter": name.rstrip("0123456789"),
-                "unit": "deg" if angle else "mm",
+                "unit": unit,
                 "nominal": before,
                 "corrected": after,
                 "change": after - before,

@@ -28,6 +28,7 @@ from pickenv.arm.files.urdf import leading_links, roll_pitch_yaw, urdf_row, urdf
 from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import RAD, InputError, M, command_line, one_line, register, shortened
+from pickenv.calibration.delivery import document
 from pickenv.calibration.delivery.corrected_chain import (
     SameChain,
     Z,
@@ -38,21 +39,7 @@ from pickenv.calibration.delivery.corrected_chain import (
     own_origin,
     refuse_lost_files,
 )
-from pickenv.calibration.delivery.document import (
-    Document,
-    Edit,
-    Order,
-    StartTag,
-    attribute_edits,
-    attribute_spans,
-    edited,
-    inserted_before,
-    inserted_first,
-    left_out,
-    provenance,
-    start_tags,
-    xml_comment,
-)
+from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.twin import twin
 
@@ -70,7 +57,7 @@ NOTE = (
 
 
 @register("exporter", "toml")
-def toml_document(calibration: Calibration, order: Order) -> Document:
+def toml_document(calibration: Calibration, order: document.Order) -> document.Document:
     """The corrected arm as an arm file; base and tool are those of the calibration.
 
     Hayati's beta is written (``beta_deg``) only for joints that have one. Links that follow another joint are joint
@@ -81,13 +68,13 @@ def toml_document(calibration: Calibration, order: Order) -> Document:
     """
     arm, geometry = order.arm_of(calibration), calibration.identified
     leaders = _leading_tables(geometry)
-    lines = [f"# {one_line(line)}" for line in provenance(calibration)]
+    lines = [f"# {one_line(line)}" for line in document.provenance(calibration)]
     lines += _entries({"name": f"{arm.name}_calibrated", "source": f"pickenv calibration of {arm.name}; {arm.source}"})
     lines += ['convention = "modified" # Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d)']
     lines += _entries({"joint_count": geometry.links})
     for i, owner in enumerate(geometry.owners):
         slides, leader, ratio = geometry.slides[i], leaders[owner], dict(geometry.links_of(owner))[i]
-        unit, scale = ("mm", 1e3) if slides else ("deg", float(np.degrees(1.0)))
+        unit, scale = screen_unit(slides)
         joint: dict[str, Any] = {
             "number": i + 1,
             "name": geometry.joint_names[owner] if leader == i else geometry.link_names[i],
@@ -110,7 +97,7 @@ def toml_document(calibration: Calibration, order: Order) -> Document:
     for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
         vector = np.degrees(rotation_vector(pose.rotation))
         lines += ["", f"[{key}]", *_entries({"position_mm": pose.position * 1e3, "rotation_vector_deg": vector})]
-    return Document(("\n".join(lines) + "\n").encode(), tuple(left_out(calibration)))
+    return document.Document(("\n".join(lines) + "\n").encode(), tuple(document.left_out(calibration)))
 
 
 def _leading_tables(geometry: Geometry) -> list[int]:
@@ -144,7 +131,7 @@ def _toml(value: Any) -> str:
 
 
 @register("exporter", "urdf")
-def urdf_document(calibration: Calibration, order: Order) -> Document:
+def urdf_document(calibration: Calibration, order: document.Order) -> document.Document:
     """The robot's own URDF with its joint origins where the calibration found them; without one the arm as rods.
 
     The rods lead from the robot's own base to the tool. Frames that were fitted are the instrument's and no part of the
@@ -160,31 +147,33 @@ def urdf_document(calibration: Calibration, order: Order) -> Document:
     frame = f"{chain.tip}_calibrated"
     new = correction(calibration, chain, path, frame)
     data = path.read_bytes()
-    tags = start_tags(data)
+    tags = document.start_tags(data)
     refuse_lost_files(path, order.out, [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"])
     moves = [(joint.name, joint.origin, origin) for joint, origin in zip(chain.joints, new.origins, strict=True)]
     if new.mount is not None and chain.mount is not None:
         moves.append((chain.mount, chain.tool, new.mount))
-    edits: list[Edit] = []
+    edits: list[document.Edit] = []
     for name, old, corrected in moves:
         joint = _joint(tags, name)
         edits += _moved(data, tags, joint, own_origin(_origin(tags, joint), old, corrected))
     if new.frame is not None:
         edits += _behind_tip(data, tags, chain.joints[-1].name, chain.tip, frame, new.frame, path)
-    return Document(edited(data, edits), new.notes)
+    return document.Document(document.edited(data, edits), new.notes)
 
 
-def _new_urdf(calibration: Calibration, arm: Arm) -> Document:
+def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:
     tool = calibration.arm.tool if calibration.record.get("frames") == "fitted" else calibration.identified.tool
     text = urdf_text(replace(calibration.in_own_base, tool=tool), f"{arm.name}_calibrated", arm.speed)
     declaration, _, body = text.partition("\n")
-    words = xml_comment((*provenance(calibration), "written against URDF 1.0, as ROS 2 has it"))
-    return Document("\n".join([declaration, *words, body]).encode(), (*left_out(calibration), SKELETON))
+    words = document.xml_comment((*document.provenance(calibration), "written against URDF 1.0, as ROS 2 has it"))
+    return document.Document(
+        "\n".join([declaration, *words, body]).encode(), (*document.left_out(calibration), SKELETON)
+    )
 
 
 def _behind_tip(
-    data: bytes, tags: list[StartTag], last: str, tip: str, frame: str, pose: Pose, path: Path
-) -> list[Edit]:
+    data: bytes, tags: list[document.StartTag], last: str, tip: str, frame: str, pose: Pose, path: Path
+) -> list[document.Edit]:
     """A link that is fixed to the tip, before the tip's own joint; one that an earlier calibration wrote is moved."""
     joint = f"{frame}_joint"
     if any(tag.is_named("link", frame) for tag in tags):
@@ -199,20 +188,20 @@ def _behind_tip(
         f"<link name={quoteattr(frame)}/>",
         f'<joint name={quoteattr(joint)} type="fixed">{origin}{ends}</joint>',
     )
-    return [inserted_before(data, tags[_joint(tags, last)], *elements)]
+    return [document.inserted_before(data, tags[_joint(tags, last)], *elements)]
 
 
-def _joint(tags: list[StartTag], name: str) -> int:
+def _joint(tags: list[document.StartTag], name: str) -> int:
     """Place of the joint of that name which has a child; transmissions name joints too."""
     holders = {tag.parent for tag in tags if tag.name == "child"}
     return next(i for i, tag in enumerate(tags) if i in holders and tag.is_named("joint", name))
 
 
-def _origin_tag(tags: list[StartTag], joint: int) -> StartTag | None:
+def _origin_tag(tags: list[document.StartTag], joint: int) -> document.StartTag | None:
     return next((tag for tag in tags if tag.parent == joint and tag.name == "origin"), None)
 
 
-def _origin(tags: list[StartTag], joint: int) -> Pose:
+def _origin(tags: list[document.StartTag], joint: int) -> Pose:
     tag = _origin_tag(tags, joint)
     values = {} if tag is None else tag.attributes
     position, rpy = (xml_numbers(values.get(key, "0 0 0"), key, unit.most) for key, unit in (("xyz", M), ("rpy", RAD)))
@@ -223,13 +212,13 @@ def _rpy(pose: Pose) -> str:
     return numbers_text(roll_pitch_yaw(np.asarray(pose.rotation)))
 
 
-def _moved(data: bytes, tags: list[StartTag], joint: int, new: Pose) -> list[Edit]:
+def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) -> list[document.Edit]:
     """Edits that give a joint a new origin; what does not change keeps its text."""
     values, tag = changed(_origin(tags, joint), new, "xyz", "rpy", _rpy), _origin_tag(tags, joint)
     if tag is not None or not values:
-        return [] if tag is None else attribute_edits(data, tag, values)
+        return [] if tag is None else document.attribute_edits(data, tag, values)
     attributes = " ".join(f'{key}="{value}"' for key, value in values.items())
-    return [inserted_first(data, tags[joint], f"<origin {attributes}/>")]
+    return [document.inserted_first(data, tags[joint], f"<origin {attributes}/>")]
 
 
 # A calibration onto a robot's own MJCF: pos and quat of the bodies that joints move change, and no other byte.
@@ -238,7 +227,7 @@ def _moved(data: bytes, tags: list[StartTag], joint: int, new: Pose) -> list[Edi
 
 
 @register("exporter", "mjcf")
-def mjcf_document(calibration: Calibration, order: Order) -> Document:
+def mjcf_document(calibration: Calibration, order: document.Order) -> document.Document:
     """The robot's own MJCF with its bodies where the calibration found them.
 
     Without one it is the identified arm as rods, and beside it ``…_nominal`` and ``…_1`` to ``…_n``, arms that the data
@@ -256,9 +245,9 @@ def mjcf_document(calibration: Calibration, order: Order) -> Document:
     new = correction(calibration, row, path, frame)
     values = MjcfValues.of(xml_root(path, "MJCF (.xml)"))
     data = path.read_bytes()
-    tags = start_tags(data)
+    tags = document.start_tags(data)
     refuse_lost_files(path, order.out, _files(tags))
-    edits: list[Edit] = []
+    edits: list[document.Edit] = []
     taken: set[str] = set()
     for joint, origin in zip(row.joints, new.origins, strict=True):
         if not any(is_moved(joint.origin, origin)):
@@ -283,11 +272,11 @@ def mjcf_document(calibration: Calibration, order: Order) -> Document:
         else:
             stands = f'pos="{numbers_text(new.frame.position)}" quat="{_quaternion(new.frame)}"'
             site = f"<site name={quoteattr(frame)} {stands}/>"
-            edits.append(inserted_first(data, _named(tags, "body", row.tip, path), site))
-    return Document(edited(data, edits), new.notes)
+            edits.append(document.inserted_first(data, _named(tags, "body", row.tip, path), site))
+    return document.Document(document.edited(data, edits), new.notes)
 
 
-def _new_mjcf(calibration: Calibration, order: Order) -> Document:
+def _new_mjcf(calibration: Calibration, order: document.Order) -> document.Document:
     arm = order.arm_of(calibration)
     plant = twin(calibration, arm, geometry_only=True)
     models = [("as calibrated", plant.geometry), ("nominal", arm.nominal)]
@@ -301,7 +290,7 @@ def _new_mjcf(calibration: Calibration, order: Order) -> Document:
         for which, geometry in models
     )
     files = mjcf_files(order.out, order.sample)[1:]  # none where the name is none, which is refused when it is written
-    return Document(data, (*left_out(calibration), SKELETON), dict(zip(files, beside, strict=False)))
+    return document.Document(data, (*document.left_out(calibration), SKELETON), dict(zip(files, beside, strict=False)))
 
 
 def mjcf_files(path: str | Path, sample: int) -> list[Path]:
@@ -313,7 +302,7 @@ def mjcf_files(path: str | Path, sample: int) -> list[Path]:
     return [path.with_name(f"{path.stem}{ending}{path.suffix or '.xml'}") for ending in endings]
 
 
-def _named(tags: list[StartTag], kind: str, name: str, path: Path) -> StartTag:
+def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> document.StartTag:
     """The body or site of that name in the file itself."""
     tag = next((tag for tag in tags if tag.is_named(kind, name)), None)
     if tag is not None:
@@ -326,15 +315,15 @@ def _named(tags: list[StartTag], kind: str, name: str, path: Path) -> StartTag:
     raise InputError(f"{path}: {shortened(name)} has no name of its own to be found by; name every body of the arm")
 
 
-def _moved_body(data: bytes, tag: StartTag, values: MjcfValues, new: Pose) -> list[Edit]:
+def _moved_body(data: bytes, tag: document.StartTag, values: MjcfValues, new: Pose) -> list[document.Edit]:
     """Edits that give a body a new place; what does not change keeps its text."""
     texts = changed(values.pose(tag.attributes), new, "pos", "quat", _quaternion)
     orientation = next((key for key in ORIENTATIONS if key in tag.attributes), "quat")
-    edits: list[Edit] = []
+    edits: list[document.Edit] = []
     if orientation != "quat" and "quat" in texts:
-        start, _, end = attribute_spans(data, tag)[0][orientation]
-        edits.append(Edit(start, end + 1, f'quat="{texts.pop("quat")}"'.encode()))
-    return edits + attribute_edits(data, tag, texts)
+        start, _, end = document.attribute_spans(data, tag)[0][orientation]
+        edits.append((start, end + 1, f'quat="{texts.pop("quat")}"'.encode()))
+    return edits + document.attribute_edits(data, tag, texts)
 
 
 def _quaternion(pose: Pose) -> str:
@@ -343,7 +332,7 @@ def _quaternion(pose: Pose) -> str:
     return numbers_text([w, *xyz])
 
 
-def _files(tags: list[StartTag]) -> list[str]:
+def _files(tags: list[document.StartTag]) -> list[str]:
     """Meshes and included files that a model names, from its own folder."""
     compiler: dict[str, str] = {}
     for tag in tags:
@@ -374,7 +363,7 @@ UR_TWISTS = (0.0, math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2)
 
 
 @register("exporter", "kinematics-yaml")
-def kinematics_yaml_document(calibration: Calibration, order: Order) -> Document:
+def kinematics_yaml_document(calibration: Calibration, order: document.Order) -> document.Document:
     """The robot's own kinematics YAML with corrected origins; other lines, and its hash, stay.
 
     Without one it is a whole file of a UR whose table has the maker's frames, for ur_description's
@@ -389,12 +378,12 @@ def kinematics_yaml_document(calibration: Calibration, order: Order) -> Document
     row, _ = ur_row(path)
     new = correction(calibration, row, path)
     data = path.read_bytes()
-    edits: list[Edit] = []
+    edits: list[document.Edit] = []
     for link, joint, origin in zip(UR_LINKS, row.joints, new.origins, strict=True):
         changes = is_moved(joint.origin, origin)
         values = {key: value for key, value in _ur_values(origin).items() if changes[key not in LENGTHS]}
         edits += _edits(data, link, values, path)
-    return Document(edited(data, edits), (*new.notes, "the hash is the robot's own and stays"))
+    return document.Document(document.edited(data, edits), (*new.notes, "the hash is the robot's own and stays"))
 
 
 def _ur_values(origin: Pose) -> dict[str, float]:
@@ -403,7 +392,7 @@ def _ur_values(origin: Pose) -> dict[str, float]:
     return {key: float(value) for key, value in zip(UR_KEYS, values, strict=True)}
 
 
-def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list[Edit]:
+def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list[document.Edit]:
     """Edits that give a link's keys new numbers, between its name and the next link's."""
     if not values:
         return []
@@ -419,7 +408,7 @@ def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list
         number = re.compile(rb"\b" + key.encode() + rb"\s*:\s*([-+.\w]+)").search(data, start, end)
         if number is None:
             raise InputError(f"{path}: '{shortened(name)}' has no '{key}' in its own lines; write it out there")
-        edits.append(Edit(number.start(1), number.end(1), yaml_number(value).encode()))
+        edits.append((number.start(1), number.end(1), yaml_number(value).encode()))
     return edits
 
 
@@ -429,7 +418,7 @@ def yaml_number(value: float) -> str:
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
 
-def _new_kinematics_yaml(calibration: Calibration) -> Document:
+def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
     arm = calibration.arm
     plain = arm.links == len(UR_LINKS) and not any(arm.slides) and arm.coupling is None
     if not plain or not np.allclose(arm.alpha, UR_TWISTS, atol=1e-9) or np.abs(arm.a[[0, 1, 4, 5]]).max() > 1e-9:
@@ -437,7 +426,7 @@ def _new_kinematics_yaml(calibration: Calibration) -> Document:
             f"the table of '{calibration.arm_name}' has not the frames of a UR; give `onto`, the "
             "default_kinematics.yaml of your UR type"
         )
-    lines = [f"# {one_line(line)}" for line in provenance(calibration)]
+    lines = [f"# {one_line(line)}" for line in document.provenance(calibration)]
     lines += ["# for ur_description of ROS 2, 2.x; the hash is not the controller's, so ur_robot_driver will say so"]
     lines += ["kinematics:"]
     based = replace(arm, base=identity_pose())
@@ -455,7 +444,7 @@ def _new_kinematics_yaml(calibration: Calibration) -> Document:
         "the links' origins; a tool and where the instrument stood are no part of this file",
         "the hash is not the controller's: with `onto`, your robot's own file, it is kept",
     )
-    return Document(("\n".join(lines) + "\n").encode(), notes)
+    return document.Document(("\n".join(lines) + "\n").encode(), notes)
 
 
 # Where the instrument stands and what it aims at, as ROS 2's ``static_transform_publisher`` lines. Written against
@@ -465,7 +454,7 @@ def _new_kinematics_yaml(calibration: Calibration) -> Document:
 
 
 @register("exporter", "transforms")
-def static_transforms(calibration: Calibration, order: Order) -> Document:
+def static_transforms(calibration: Calibration, order: document.Order) -> document.Document:
     """A shell script with a line for the measurement's frame and one for the calibrated tool.
 
     Frames have the names of the robot's own URDF; without one they are those of the arm's table.
@@ -486,7 +475,7 @@ def static_transforms(calibration: Calibration, order: Order) -> Document:
         if not re.fullmatch(r"[\w./-]+", name):
             raise InputError(f"'{one_line(name)}' is no name of a ROS frame; use letters, digits, '_' and '/'")
     root, last = names
-    lines = ["#!/bin/sh", *(f"# {one_line(line)}" for line in provenance(calibration))]
+    lines = ["#!/bin/sh", *(f"# {one_line(line)}" for line in document.provenance(calibration))]
     lines += [
         "# for tf2_ros of ROS 2 Humble and later; metres and quaternions",
         f"# measurement_frame: what the measurements are told in (tracker, camera or board), seen from {root}",
@@ -497,7 +486,7 @@ def static_transforms(calibration: Calibration, order: Order) -> Document:
     note = "base and tool were taken as known, so both lines say what the calibration was told"
     if calibration.record.get("frames") == "fitted":
         note = f"measurement_frame is where {root} stands for the instrument, if the first joint stands in it as drawn"
-    return Document(("\n".join(lines) + "\n").encode(), (note,))
+    return document.Document(("\n".join(lines) + "\n").encode(), (note,))
 
 
 def _line(pose: Pose, frame: str, child: str) -> str:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.stats import binom
 
@@ -33,6 +32,11 @@ roughly than `Observations.rounding`, a reading is taken to be equal by chance n
 
 IDENTICAL = 1e-8
 """Joints that agree so well are one number, rad or m."""
+
+
+Weight = Literal["fail", "caution", "note"]
+Said = Iterator[tuple[Weight, str]]
+"""Remarks for a verdict, each with its weight."""
 
 
 def refuse_trained(train: Observations, test: Observations) -> None:
@@ -59,7 +63,7 @@ def refuse_trained(train: Observations, test: Observations) -> None:
         )
 
 
-def said_of_repeats(train: Observations, test: Observations) -> Iterator[tuple[Literal["caution", "note"], str]]:
+def said_of_repeats(train: Observations, test: Observations) -> Said:
     """A verdict's remark on rows to judge by at poses that were trained on: a caution where most are."""
     rows = len(test.joints)
     count = int(np.count_nonzero(_nearest(train.joints, test.joints, SAME_POSE) >= 0)) if rows else 0
@@ -238,7 +242,7 @@ def _far_rows(
     ]
 
 
-def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal["caution", "note"], str]]:
+def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
     """A verdict's remark on rows far off: a caution where they are kept, many, or of one cause, else a note.
 
     Args:
@@ -260,7 +264,7 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Iterator[tuple[Literal
         yield "caution" if many else "note", f"{them}, and {'was' if single else 'were'} left out"
 
 
-def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Iterator[tuple[Literal["caution"], str]]:
+def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Said:
     """A caution for each file of which no row is left."""
     used = {origins.files[i] for origins in map(origins_of, kept) for i in np.unique(origins.file).tolist()}
     for file in dict.fromkeys(item.file for item in listed if not item.kept and item.file not in used):
@@ -272,7 +276,7 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> It
         )
 
 
-def said_of_stations(found: Identification, data: Observations) -> Iterator[tuple[Literal["caution"], str]]:
+def said_of_stations(found: Identification, data: Observations) -> Said:
     """A caution for each station that is missed by far more than the others, wherever its base and tool may be."""
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
@@ -324,9 +328,7 @@ def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, te
     )
 
 
-def mixed_unit(
-    arm: Arm, found: RobustIdentification, measurements: Measurements, rows: NDArray[np.int64]
-) -> str | None:
+def mixed_unit(arm: Arm, found: RobustIdentification, measurements: Measurements, rows: Rows) -> str | None:
     """The column and unit that explain most of the outliers, in words; None if none does."""
     outliers = measurements.select(rows)
     explained = {

@@ -22,7 +22,7 @@ from pickenv.base import InputError, single_threaded
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.measurements import FRAME_TOLERANCES, Measurements, frame_columns, random_joints
 from pickenv.calibration.model.noise import RowNoise
-from pickenv.calibration.model.observations import Equations, Observations
+from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import PriorModel
 
 PROBES = 60
@@ -145,7 +145,7 @@ def is_angle(name: str) -> bool:
 def identify(
     model: ErrorModel,
     start: Geometry | ArmModel,
-    data: Measurements | Sequence[Equations],
+    data: Measurements | Sequence[Observations],
     *,
     max_iterations: int = 20,
     whiten: Callable[[Array], Array] | None = None,
@@ -199,7 +199,7 @@ def identify(
     else:
         base = rank(arm, matrix if any(part.framed for part in sets) else columns)
         _enough_poses(model, arm, sets, unknowns, base.rank, len(weighted))
-    iterates, unknown_iterates, history = [arm], [np.concatenate(unknowns)], [_rms(weighted)]
+    iterates, unknown_iterates, history = [arm], [np.concatenate(unknowns)], [rms_of(weighted)]
     converged, near, damping, offset, rank_is_final = False, False, 0.0, np.inf, every or not own_names
     for _ in range(max_iterations if rank_is_final else 2 * max_iterations):
         full_step = _solve(matrix[:, base.kept], right, 0.0)
@@ -209,7 +209,7 @@ def identify(
         before = arm, unknowns, weighted
         arm, unknowns = _displaced(arm, unknowns, model, change)
         weighted = residual()
-        rms = _rms(weighted)
+        rms = rms_of(weighted)
         # A shortened step proves nothing: what counts is what the whole one would still explain.
         progress = judged_step(full_step, matrix[:, base.kept] @ full_step, before[2], history[-1], rms)
         if not progress.better:
@@ -279,7 +279,7 @@ def identify(
 
 
 def identify_converged(
-    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Equations]
+    model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Observations]
 ) -> Identification:
     """`identify`; where that wanders among parameters that the data hardly show, again without those.
 
@@ -331,13 +331,13 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
     return Progress(offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after <= 1e-7 * after))
 
 
-def _residual(sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
+def _residual(sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
     """Stated residuals of all data."""
     return np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
 
 
 def _jacobian(
-    model: ErrorModel, sets: Sequence[Equations], arm: ArmModel, unknowns: Sequence[Array], tolerance: Array
+    model: ErrorModel, sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array], tolerance: Array
 ) -> Array:
     """Stated, scaled Jacobian: unknowns first, then the model's columns."""
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
@@ -381,7 +381,8 @@ def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
     return r[:, :-1], r[:, -1]
 
 
-def _rms(values: Array) -> float:
+def rms_of(values: Array) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -400,16 +401,15 @@ def _posterior(matrix: Array, scale: Array) -> Array:
 
 
 def _enough_poses(
-    model: ErrorModel, arm: ArmModel, sets: Sequence[Equations], unknowns: Sequence[Array], rank: int, rows: int
+    model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
     """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
     parameters = len(model.names) + sum(len(values) for values in unknowns)
     if rows >= 2 * parameters:
         return  # whatever the rank elsewhere, there are enough
     part, full = sets[0], rank
-    imagined = getattr(part, "imagined", None)  # not every data set can be asked at other poses
-    if len(sets) == 1 and imagined is not None:
-        probe = imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
+    if len(sets) == 1 and not part.stations:  # stations cannot be asked at other poses
+        probe = part.imagined(random_joints(arm.geometry, PROBES, np.random.default_rng(0)))
         links = model.some(model.columns < len(arm.geometry.parameter_names))
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
         matrix, names = _jacobian(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
@@ -429,20 +429,6 @@ def _enough_poses(
 # combination that absorbs it is named. The count does not depend on the order, the choice within a tied group does.
 
 
-@dataclass(frozen=True)
-class Dropped:
-    """A parameter that the data cannot tell from others.
-
-    Attributes:
-        name: The parameter.
-        absorbed_by: What a deviation of 1 (m or rad) of it looks like in the kept parameters (m or rad); empty if the
-            parameter has no effect on the measurements at all.
-    """
-
-    name: str
-    absorbed_by: dict[str, float]
-
-
 @dataclass(frozen=True, eq=False)
 class Identifiability:
     """Result of `identifiability`.
@@ -450,17 +436,17 @@ class Identifiability:
     Attributes:
         names: All parameters, in order.
         kept: Indices of the identifiable base set.
-        dropped: The others, each with what absorbs it.
-        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, ~0 for dropped ones (eq (9)).
-        phi: |R_kk| / mean |R_kk|, the paper's ratio (eq (10)).
+        dropped: The others, each with what absorbs it: what a deviation of 1 (m or rad) of it looks like in the kept
+            parameters (m or rad); empty if it has no effect on the measurements at all.
+        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, ~0 for dropped ones (eq (9)); by
+            its mean it is the paper's ratio phi (eq (10)).
         singular_values: Of the scaled stacked Jacobian of the kept parameters, per pose (divided by sqrt(N)).
     """
 
     names: tuple[str, ...]
     kept: NDArray[np.int64]
-    dropped: tuple[Dropped, ...]
+    dropped: dict[str, dict[str, float]]
     r_diagonal: Array
-    phi: Array
     singular_values: Array
 
     @property
@@ -511,18 +497,16 @@ def identifiability(
     adds = diagonal > least
     base = np.flatnonzero(adds)
     triangle = basis.T @ r[:, base]
-    dropped = []
+    dropped = {}
     for k in np.flatnonzero(~adds).tolist():
         share = solve_triangular(triangle, basis.T @ r[:, k]) * tolerance[base] / tolerance[k]
         scaled = np.abs(share) * tolerance[k] / tolerance[base]
-        absorbed = {names[j]: float(c) for j, c, s in zip(base, share, scaled, strict=True) if s > 1e-3}
-        dropped.append(Dropped(names[k], absorbed))
+        dropped[names[k]] = {names[j]: float(c) for j, c, s in zip(base, share, scaled, strict=True) if s > 1e-3}
     return Identifiability(
         names=names,
         kept=base,
-        dropped=tuple(dropped),
+        dropped=dropped,
         r_diagonal=diagonal,
-        phi=diagonal / diagonal.mean(),
         singular_values=np.linalg.svd(r[:, base], compute_uv=False) / np.sqrt(poses),
     )
 
@@ -536,7 +520,7 @@ def identifiability(
 
 def identifiable_parameters(
     model: ErrorModel,
-    sets: Sequence[Equations],
+    sets: Sequence[Observations],
     arm: ArmModel,
     unknowns: Sequence[Array],
     matrix: Array,
@@ -557,7 +541,7 @@ def identifiable_parameters(
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.
     """
     poses, geometry = sum(len(part.joints) for part in sets), arm.geometry
-    fixed: dict[str, Dropped] = {}
+    fixed: dict[str, dict[str, float]] = {}
     if not any(part.framed for part in sets):
         by_arm = np.concatenate([part.jacobian(arm, values)[0] for part, values in zip(sets, unknowns, strict=True)])
         base = [f"base_{name}" for name in FRAME_PARAMETERS]
@@ -566,17 +550,17 @@ def identifiable_parameters(
         columns = np.hstack([by_arm[:, frame_columns(geometry, "base")] * FRAME_TOLERANCES, by_model[:, further]])
         scales = np.r_[FRAME_TOLERANCES, others.tolerance]
         chain = identifiability(columns, (*base, *others.names), scales, poses, rank_tolerance)
-        fixed = {item.name: item for item in chain.dropped} | {name: Dropped(name, {}) for name in base}
+        fixed = chain.dropped | {name: {} for name in base}
     free = np.where([name in fixed for name in names], 0.0, matrix)
     result = identifiability(free, names, tolerance, poses, rank_tolerance)
     if not any(part.sized for part in sets):
         size = _longest_link(geometry, result)
         free = np.where([name in size for name in names], 0.0, free)
         result, fixed = identifiability(free, names, tolerance, poses, rank_tolerance), fixed | size
-    return replace(result, dropped=tuple(fixed.get(item.name, item) for item in result.dropped))
+    return replace(result, dropped={name: fixed.get(name, absorbed) for name, absorbed in result.dropped.items()})
 
 
-def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, Dropped]:
+def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, dict[str, float]]:
     """The longest link that can be seen, and how the other lengths would grow with it."""
     names = [f"a{i}" for i in range(geometry.links)] + [f"d{i + 1}" for i in range(geometry.links)]
     values = dict(zip(names, [*geometry.a, *geometry.d], strict=True))
@@ -584,8 +568,7 @@ def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, Dro
     if not lengths:
         return {}
     longest = max(lengths, key=lambda name: abs(lengths[name]))
-    others = {name: -value / lengths[longest] for name, value in lengths.items() if name != longest}
-    return {longest: Dropped(longest, others)}
+    return {longest: {name: -value / lengths[longest] for name, value in lengths.items() if name != longest}}
 
 
 # How well a data set tells the parameters: observability indices O1-O5 from the Jacobian's singular values. O1 Borm
@@ -593,39 +576,17 @@ def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, Dro
 # Sun and Hollerbach 2008. Rows in standard uncertainties, columns in tolerances, so the indices have no unit.
 
 
-@dataclass(frozen=True)
-class Observability:
+def observability(singular_values: Array, poses: int) -> dict[str, float]:
     """Observability of m parameters from n poses; larger is better, save for the condition number.
-
-    Attributes:
-        o1: (s1 … sm)^(1/m) / sqrt(n): geometric mean; a D-optimal set maximises it.
-        o2: sm / s1: inverse condition number.
-        o3: sm: how well the worst combination is seen.
-        o4: sm^2 / s1: noise amplification.
-        o5: 1 / sum(1 / si): A-optimality's relative.
-        condition: s1 / sm.
-        poses: n.
-    """
-
-    o1: float
-    o2: float
-    o3: float
-    o4: float
-    o5: float
-    condition: float
-    poses: int
-
-    def as_dict(self) -> dict[str, float]:
-        """For JSON."""
-        return dict(vars(self))
-
-
-def observability(singular_values: Array, poses: int) -> Observability:
-    """Indices O1 to O5.
 
     Args:
         singular_values: Of the scaled stacked Jacobian of the identifiable parameters ``(m,)``.
         poses: Number of poses stacked.
+
+    Returns:
+        By name: "o1" (s1 … sm)^(1/m) / sqrt(n), their geometric mean, which a D-optimal set maximises; "o2" sm / s1,
+        the inverse condition number; "o3" sm, how well the worst combination is seen; "o4" sm^2 / s1, noise
+        amplification; "o5" 1 / sum(1 / si), A-optimality's relative; "condition" s1 / sm; "poses" n.
 
     Raises:
         ValueError: If a singular value is not above zero: such parameters are not identifiable and must be left out.
@@ -633,17 +594,12 @@ def observability(singular_values: Array, poses: int) -> Observability:
     s = np.sort(np.asarray(singular_values, dtype=float))[::-1]
     if not len(s) or s[-1] <= 0:
         raise ValueError("observability is defined for identifiable parameters, whose singular values are above zero")
-    return Observability(
-        o1=float(np.exp(np.mean(np.log(s))) / np.sqrt(poses)),
-        o2=float(s[-1] / s[0]),
-        o3=float(s[-1]),
-        o4=float(s[-1] ** 2 / s[0]),
-        o5=float(1.0 / np.sum(1.0 / s)),
-        condition=float(s[0] / s[-1]),
-        poses=poses,
-    )
-
-
-def observability_of(found: Identifiability, poses: int) -> Observability:
-    """Indices of an identification's kept parameters on its own poses."""
-    return observability(found.singular_values * np.sqrt(poses), poses)
+    return {
+        "o1": float(np.exp(np.mean(np.log(s))) / np.sqrt(poses)),
+        "o2": float(s[-1] / s[0]),
+        "o3": float(s[-1]),
+        "o4": float(s[-1] ** 2 / s[0]),
+        "o5": float(1.0 / np.sum(1.0 / s)),
+        "condition": float(s[0] / s[-1]),
+        "poses": poses,
+    }

@@ -16,7 +16,7 @@ from scipy.special import gammaincinv
 from pickenv.arm import Arm, Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
-from pickenv.calibration.model.arm_model import CARRIER, ArmModel, ErrorModel, frames_model, geometric_model
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_model, frames_model
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise import counted
@@ -377,11 +377,6 @@ SPARE = 3
 """The arm's geometry takes part where there are so many times as many equations as parameters; else frames alone."""
 
 
-def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
-    """Parameters of an arm to identify: all, base and tool among them unless known; of finished poses these alone."""
-    return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, known_frames)
-
-
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
     """Base and tool near those of the data: boards' poses give all, the reflector seen most often the base.
 
@@ -451,17 +446,8 @@ def _stations(arm: Arm, parts: Sequence[Observations], own: Sequence[Collection[
     return Stacked(tuple(stations))
 
 
-@dataclass(frozen=True)
-class SetUp:
-    """Data sets that one place of instrument and target explains.
-
-    Attributes:
-        parts: Their numbers, from 0.
-        own: Which of "base" and "tool" differ from the first set-up's.
-    """
-
-    parts: tuple[int, ...]
-    own: tuple[str, ...] = ()
+SetUp = tuple[tuple[int, ...], tuple[str, ...]]
+"""Numbers of data sets, from 0, that one place of instrument and target explains; which frames are not the first's."""
 
 
 def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked:
@@ -475,8 +461,8 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
         InputError: If the rows of a set-up do not fit the arm.
     """
     groups = set_ups(arm, parts)
-    rows = [rows_together([parts[i] for i in group.parts]) for group in groups]
-    return rows[0] if len(rows) == 1 else _stations(arm, rows, [group.own for group in groups[1:]])
+    rows = [rows_together([parts[i] for i in numbers]) for numbers, _ in groups]
+    return rows[0] if len(rows) == 1 else _stations(arm, rows, [own for _, own in groups[1:]])
 
 
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
@@ -487,13 +473,13 @@ def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
     """
     near = {i: rows for i, part in enumerate(parts) if (rows := _near_rows(arm, part)) is not None}
     first, *others = near or [0]
-    groups: tuple[SetUp, ...] = (SetUp((first,)),)
+    groups: tuple[SetUp, ...] = (((first,), ()),)
     for i in others:
         candidates = [candidate for candidate in _with_file(groups, parts, i) if _plausible(near, candidate, i)]
         groups = min(candidates, key=lambda candidate: _criterion(arm, near, candidate))
     for i in set(range(len(parts))) - {first, *others}:
         groups = next(_with_file(groups, parts, i))
-    return tuple(replace(group, parts=tuple(sorted(group.parts))) for group in groups)
+    return tuple((tuple(sorted(numbers)), own) for numbers, own in groups)
 
 
 def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | None:
@@ -510,14 +496,13 @@ def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | 
 
 def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) -> Iterator[tuple[SetUp, ...]]:
     """The set-ups with one more file: as one of theirs, or as another."""
-    for number, group in enumerate(groups):
-        if parts[group.parts[0]].joinable(parts[i]):
-            joined = replace(group, parts=(*group.parts, i))
-            yield (*groups[:number], joined, *groups[number + 1 :])
+    for number, (members, own) in enumerate(groups):
+        if parts[members[0]].joinable(parts[i]):
+            yield (*groups[:number], ((*members, i), own), *groups[number + 1 :])
         elif number == 0:
-            yield (*groups, SetUp((i,)))
+            yield (*groups, ((i,), ()))
     for frames in (("base",), ("tool",), OWN):
-        yield (*groups, SetUp((i,), frames))
+        yield (*groups, ((i,), frames))
 
 
 def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp], i: int) -> bool:
@@ -529,7 +514,7 @@ def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequen
     def ratio(rows: int, arm: int) -> float:
         return _missed(near[rows][0], near[arm][1]) / _missed(*near[rows])
 
-    firsts = [group.parts[0] for group in groups if i in group.parts and group.parts[0] != i]
+    firsts = [members[0] for members, _ in groups if i in members and members[0] != i]
     return all(min(ratio(i, first), ratio(first, i)) <= PLAUSIBLE for first in firsts)
 
 
@@ -541,11 +526,11 @@ def _missed(rows: Measurements, by: Geometry) -> float:
 def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp]) -> float:
     """Schwarz's criterion of an arm and these set-ups; each file has a scatter of its own."""
     sets, stations = [], []
-    for number, group in enumerate(groups, start=1):
-        rows = rows_together([near[i][0] for i in group.parts])
+    for number, (members, own) in enumerate(groups, start=1):
+        rows = rows_together([near[i][0] for i in members])
         sets.append(rows.select(equally_spaced(len(rows), SET_UP_ROWS)))
-        start = near[group.parts[0]][1]
-        frames = {name: getattr(start, name) for name in group.own}
+        start = near[members[0]][1]
+        frames = {name: getattr(start, name) for name in own}
         stations.append(InstrumentStation(sets[-1], number, **frames))
     data = Stacked(tuple(stations))
     equations = sum(len(rows) * rows.rows_per_pose for rows in sets)
@@ -553,7 +538,7 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], grou
     if equations < SPARE * (len(model.names) + len(data.unknowns())):
         model = frames_model(arm.nominal)
     try:
-        fit = identify(model, ArmModel.of(near[groups[0].parts[0]][1]), [data], max_iterations=TRIES)
+        fit = identify(model, ArmModel.of(near[groups[0][0][0]][1]), [data], max_iterations=TRIES)
     except InputError:
         return np.inf
     owners = np.concatenate([origins_of(rows).file + 1000 * k for k, rows in enumerate(sets)])
@@ -565,7 +550,7 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], grou
         count = 3 * min(int(np.count_nonzero(owners == owner)), COUNTED_ROWS)
         total += count * float(np.log(np.mean(squares[files == owner]) * spare))
         counted += count
-    return total + float(np.log(counted)) * 6 * sum(len(group.own) for group in groups)
+    return total + float(np.log(counted)) * 6 * sum(len(own) for _, own in groups)
 
 
 def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacked:

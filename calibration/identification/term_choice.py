@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,7 @@ class Linearised:
         scale: What their columns are multiplied by ``(P,)``: coefficients are in their tolerances.
         ridge: What the priors add to the normal equations' diagonal ``(P,)``.
         pull: What they add to the right-hand side ``(P,)``: parameters fitted have left where they are expected.
+        blocks: Rows in blocks, to be left out one by one.
     """
 
     arm: ArmModel
@@ -52,9 +54,10 @@ class Linearised:
     scale: Array
     ridge: Array
     pull: Array
+    blocks: tuple[Observations, ...] = ()
 
     @staticmethod
-    def of(bare: Identification, terms: tuple[Term, ...]) -> Linearised:
+    def of(bare: Identification, terms: tuple[Term, ...], blocks: Sequence[Observations] = ()) -> Linearised:
         """Terms added to a geometry that was identified without them."""
         arm, fitted = ArmModel.of(bare.geometry, terms), bare.identifiability.kept_names
         names = fitted + arm.parameter_names[len(bare.geometry.parameter_names) :]
@@ -65,9 +68,8 @@ class Linearised:
         if bare.prior is not None:
             change = dict(zip(bare.geometry.parameter_names, bare.prior.start.difference(bare.arm_model), strict=True))
             offset = np.array([change.get(name, 0.0) for name in fitted])
-        return Linearised(
-            arm, bare.unknowns, names, scale, ridge, np.r_[-of_fitted * offset, np.zeros(len(scale) - len(offset))]
-        )
+        pull = np.r_[-of_fitted * offset, np.zeros(len(scale) - len(offset))]
+        return Linearised(arm, bare.unknowns, names, scale, ridge, pull, tuple(blocks))
 
     @property
     def fitted(self) -> Places:
@@ -91,6 +93,22 @@ class Linearised:
         columns = np.hstack([np.hstack([by_unknown, by_arm])[:, places], by_arm[:, count:]])
         return np.ascontiguousarray(columns) * self.scale, data.residual(self.arm, values)
 
+    @cached_property
+    def normal(self) -> tuple[Array, Array, Array]:
+        """Normal equations of each block: A^T A ``(B, P, P)``, A^T r ``(B, P)`` and r^T r ``(B,)``."""
+        parts = [self.equations(block) for block in self.blocks]
+        matrix = np.stack([columns.T @ columns for columns, _ in parts])
+        right = np.stack([residual @ columns for columns, residual in parts])
+        return matrix, right, np.array([residual @ residual for _, residual in parts])
+
+    def without(self, block: int | None) -> tuple[Array, Array]:
+        """Normal equations, with priors, of all blocks but one, or of all."""
+        of_each, right_of_each, _ = self.normal
+        matrix, right = of_each.sum(axis=0), right_of_each.sum(axis=0)
+        if block is not None:
+            matrix, right = matrix - of_each[block], right - right_of_each[block]
+        return matrix + np.diag(self.ridge), right + self.pull
+
     def misses(self, data: Observations, solution: Array) -> Array:
         """Misses of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
         change = defaultdict(float, zip(self.names, solution * self.scale, strict=True))
@@ -100,47 +118,11 @@ class Linearised:
         return data.misses(arm, np.array([self.unknowns[name] + change[name] for name in data.unknowns()]))
 
 
-@dataclass(frozen=True, eq=False)
-class BlockEquations:
-    """Normal equations of a linearised model, by block.
-
-    Attributes:
-        model: The model.
-        blocks: The data.
-        matrix: A^T A of each block ``(B, P, P)``.
-        right: A^T r of each ``(B, P)``.
-        square: r^T r of each ``(B,)``.
-    """
-
-    model: Linearised
-    blocks: tuple[Observations, ...]
-    matrix: Array
-    right: Array
-    square: Array
-
-    @staticmethod
-    def of(model: Linearised, blocks: Sequence[Observations]) -> BlockEquations:
-        """The equations of these blocks."""
-        parts = [model.equations(block) for block in blocks]
-        return BlockEquations(
-            model,
-            tuple(blocks),
-            np.stack([columns.T @ columns for columns, _ in parts]),
-            np.stack([residual @ columns for columns, residual in parts]),
-            np.array([residual @ residual for _, residual in parts]),
-        )
-
-    def without(self, block: int | None) -> tuple[Array, Array]:
-        """Normal equations, with priors, of all blocks but one, or of all."""
-        matrix, right = self.matrix.sum(axis=0), self.right.sum(axis=0)
-        if block is not None:
-            matrix, right = matrix - self.matrix[block], right - self.right[block]
-        return matrix + np.diag(self.model.ridge), right + self.model.pull
-
-    def left(self, block: int, solution: Array) -> float:
-        """Sum of squares that a solution leaves of one block."""
-        slope = self.matrix[block] @ solution - 2.0 * self.right[block]
-        return float(self.square[block] + solution @ slope)
+def left_of(normal: tuple[Array, Array, Array], block: int, solution: Array) -> float:
+    """Sum of squares that a solution leaves of one block."""
+    matrix, right, square = normal
+    slope = matrix[block] @ solution - 2.0 * right[block]
+    return float(square[block] + solution @ slope)
 
 
 def solved(matrix: Array, right: Array, places: Places) -> Array:
@@ -178,32 +160,19 @@ ROUNDS = 3
 """Steps of Gauss-Newton that refine the orders."""
 
 
-@dataclass(frozen=True)
-class FoundHarmonic:
-    """One harmonic of one joint's drive, identified; with standard uncertainties.
-
-    Attributes:
-        joint: The joint, from 0.
-        order: Cycles per turn (2 pi over the period, 1/m, of a prismatic joint).
-        order_std: Of the order; None where it was given.
-        amplitude: rad or m.
-        amplitude_std: Of the amplitude.
-    """
-
-    joint: int
-    order: float
-    order_std: float | None
-    amplitude: float
-    amplitude_std: float
+Harmonic = tuple[int, float, float | None, float, float]
+"""A harmonic of a joint's drive, identified: the joint, from 0; its order in cycles per turn (2 pi over the period,
+1/m, of a prismatic joint) with the standard uncertainty, None where it was given; the amplitude with its own, rad or
+m."""
 
 
-def harmonics_of(found: Identification) -> tuple[FoundHarmonic, ...]:
+def harmonics_of(found: Identification) -> list[Harmonic]:
     """The identified harmonics, the largest first."""
     model, names_fitted = found.arm_model, found.identifiability.kept_names
     place = {name: i for i, name in enumerate(names_fitted)}
     names = model.parameter_names[len(model.geometry.parameter_names) :]
     value = dict(zip(names, model.coefficients, strict=True))
-    harmonics = []
+    harmonics: list[Harmonic] = []
     for term in model.terms:
         if not isinstance(term, PeriodicTerm):
             continue
@@ -217,26 +186,24 @@ def harmonics_of(found: Identification) -> tuple[FoundHarmonic, ...]:
             rows = [place[pair[k]] for k in fitted]
             slope = wave[fitted] / max(amplitude, 1e-300)
             variance = float(slope @ found.covariance[np.ix_(rows, rows)] @ slope)
-            harmonics.append(FoundHarmonic(joint, order, std, amplitude, float(np.sqrt(variance))))
-    return tuple(sorted(harmonics, key=lambda item: -item.amplitude))
+            harmonics.append((joint, order, std, amplitude, float(np.sqrt(variance))))
+    return sorted(harmonics, key=lambda item: -item[3])
 
 
 def every_order(geometry: Geometry) -> PeriodicTerm:
     """All harmonics that may be chosen, of all revolute joints."""
     orders = np.arange(1.0, HIGHEST + STEP / 2, STEP).tolist()
-    pairs = [(i, order) for i in range(geometry.joints) if not geometry.prismatic[i] for order in orders]
-    return PeriodicTerm(tuple(i for i, _ in pairs), tuple(order for _, order in pairs))
+    return _harmonics([(i, order) for i in range(geometry.joints) if not geometry.prismatic[i] for order in orders])
 
 
 def nearby(wave: PeriodicTerm) -> PeriodicTerm:
     """Harmonics on a finer grid around these, each once."""
-    pairs = sorted(
-        {
-            (joint, round(order + FINE * k, 6))
-            for joint, order in zip(wave.joints, wave.orders, strict=True)
-            for k in range(-2, 3)
-        }
-    )
+    around = zip(wave.joints, wave.orders, strict=True)
+    return _harmonics(sorted({(joint, round(order + FINE * k, 6)) for joint, order in around for k in range(-2, 3)}))
+
+
+def _harmonics(pairs: Sequence[tuple[int, float]]) -> PeriodicTerm:
+    """Harmonics by joint and order."""
     return PeriodicTerm(tuple(i for i, _ in pairs), tuple(order for _, order in pairs))
 
 
@@ -280,7 +247,7 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
     return numbers
 
 
-def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -> tuple[list[Places], Places]:
+def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tuple[list[Places], Places]:
     """Places of the harmonics worth taking: on all blocks but each, and on all; empty where none is.
 
     Each block in turn is judged by what is pursued on the others, one harmonic after the other; the fewest are taken
@@ -291,6 +258,7 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
         base: Places of the columns that take part anyway.
         candidates: Places of sine and cosine of each harmonic ``(M, 2)``.
     """
+    of_each, right_of_each, squares_of_each = equations.normal
     rows = sum(len(block.joints) for block in equations.blocks)
     most = min(MOST, rows // ROWS_EACH, len(candidates))
     squares, paths = np.zeros(most + 1), []
@@ -299,9 +267,9 @@ def chosen_orders(equations: BlockEquations, base: Places, candidates: Places) -
         path = candidates[pursued(matrix, right, base, candidates, most)]
         places = np.r_[base, path.ravel()]
         matrix, right = matrix[np.ix_(places, places)], right[places]
-        few = replace(equations, matrix=equations.matrix[:, places[:, None], places], right=equations.right[:, places])
+        few = of_each[:, places[:, None], places], right_of_each[:, places], squares_of_each
         for count in range(most + 1):
-            squares[count] += few.left(block, solved(matrix, right, np.arange(len(base) + 2 * count)))
+            squares[count] += left_of(few, block, solved(matrix, right, np.arange(len(base) + 2 * count)))
         paths.append(path)
     rms = np.sqrt(np.abs(squares))  # of nothing but rounding a sum may be negative
     count = int(np.flatnonzero(rms <= (1.0 + WITHIN) * rms.min())[0])
@@ -482,7 +450,7 @@ class _Trial:
     bare: Identification
     data: Observations
     names: tuple[str, ...]
-    equations: BlockEquations
+    equations: Linearised
     counts: tuple[Array, ...]
     harmonics: dict[tuple[str, ...], tuple[list[Places], Places]] = field(default_factory=dict)
 
@@ -493,16 +461,16 @@ class _Trial:
         if names is None:
             missing = {"compliance": data.conditions.torque is None, "thermal": data.conditions.temperature is None}
             names = tuple(name for name in NAMES if not missing.get(name))
-        model = Linearised.of(bare, tuple(plain_term(name, arm, data) for name in names))
         folds = [fold for _, fold in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
         every = counted(data.joints)
         counts = tuple(every[fold] for fold in folds)
-        equations = BlockEquations.of(model, [data.select(fold) for fold in folds])
+        terms = tuple(plain_term(name, arm, data) for name in names)
+        equations = Linearised.of(bare, terms, [data.select(fold) for fold in folds])
         return _Trial(bare, data, names, equations, counts)
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
         """Places of the parameters that take part with terms of these names: on all blocks but each, and on all."""
-        model = self.equations.model
+        model = self.equations
         others = [model.coefficients_of(self.names.index(name)) for name in names if name != "periodic"]
         base = np.concatenate([model.fitted, *others])
         if "periodic" not in names:
@@ -518,25 +486,24 @@ class _Trial:
         squares, counts = 0.0, 0.0
         for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
             solution = solved(*self.equations.without(number), places)
-            missed = self.equations.model.misses(block, solution)
+            missed = self.equations.misses(block, solution)
             count = self.counts[number][block.rows_of_misses]
             squares, counts = squares + float(count @ np.sum(missed**2, axis=1)), counts + float(count.sum())
         return float(np.sqrt(squares / counts))
 
     def terms(self, names: tuple[str, ...]) -> tuple[Term, ...]:
         """The terms of these names, with the orders of the harmonics refined."""
-        every = self.equations.model.arm.terms
+        every = self.equations.arm.terms
         terms = {name: every[self.names.index(name)] for name in names}
         if "periodic" in names:
             wave = terms.pop("periodic")
             assert isinstance(wave, PeriodicTerm)
-            others, first = tuple(terms.values()), self.equations.model.coefficients_of(self.names.index("periodic"))[0]
+            others, first = tuple(terms.values()), self.equations.coefficients_of(self.names.index("periodic"))[0]
             wave = wave.some((np.setdiff1d(self.places(names)[1], np.arange(first))[::2] - first) // 2)
             if wave.orders:
                 near = nearby(wave)
-                model = Linearised.of(self.bare, (*others, near))
-                fine = BlockEquations.of(model, self.equations.blocks)
-                places = model.coefficients_of(len(others))
+                fine = Linearised.of(self.bare, (*others, near), self.equations.blocks)
+                places = fine.coefficients_of(len(others))
                 base = np.arange(places[0])
                 _, fine_places = chosen_orders(fine, base, places.reshape(-1, 2))
                 wave = near.some(np.sort(fine_places[::2] - places[0]) // 2)

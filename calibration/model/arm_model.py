@@ -650,6 +650,11 @@ def pose_carrier() -> Arm:
     )
 
 
+def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
+    """Parameters of an arm to identify: all, base and tool among them unless known; of finished poses these alone."""
+    return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, known_frames)
+
+
 def joints_of_finished_poses(poses: Pose) -> Array:
     """The joints ``(N, 6)`` that hold poses ``(N,)``."""
     geometry = pose_carrier().nominal

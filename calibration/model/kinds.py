@@ -18,7 +18,15 @@ from pickenv.arm import Array
 from pickenv.base import register
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import NONE_KNOWN, OneGroup, Origins, Rows, Stated, point_jacobian
+from pickenv.calibration.model.observations import (
+    NONE_KNOWN,
+    Observations,
+    Origins,
+    Rows,
+    Stated,
+    point_jacobian,
+    worked_out,
+)
 
 # The point of the tool that an instrument sees or touches: where a wire is hooked, a ball's centre, a probe's tip. It
 # is stated in the tool's frame, exactly, within an uncertainty, or not at all; every instrument has its own. SI
@@ -209,7 +217,7 @@ SURFACES: dict[SurfaceName, type[_Point]] = {"point": _Point, "line": _Line, "pl
 
 @register("observation", "sockets")
 @dataclass(frozen=True, eq=False)
-class SocketObservations(OneGroup):
+class SocketObservations(Observations):
     """The tool point rests in places that do not move: sockets, or one point touched again and again.
 
     No metrology but the known spacing of some sockets.
@@ -246,8 +254,8 @@ class SocketObservations(OneGroup):
     per_row = ("socket",)
     width = 3
 
-    @property
-    def sized(self) -> bool:  # type: ignore[override]
+    @worked_out
+    def sized(self) -> bool:
         """Whether a spacing is known."""
         return len(self.pairs) > 0
 
@@ -321,7 +329,7 @@ SCALE_TOLERANCE = 1e-3
 
 @register("observation", "distances")
 @dataclass(frozen=True, eq=False)
-class DistanceObservations(OneGroup):
+class DistanceObservations(Observations):
     """Distances of a point of the tool from a point, line or plane that does not move.
 
     Each uncertainty is 0 where its number is exact and infinite where it is to be found.
@@ -359,8 +367,8 @@ class DistanceObservations(OneGroup):
     origins: Origins | None = None
     per_row = ("length",)
 
-    @property
-    def sized(self) -> bool:  # type: ignore[override]
+    @worked_out
+    def sized(self) -> bool:
         """Whether lengths are read on a known scale, or the distance kept is known."""
         if np.ptp(self.length) > 0.0:
             return bool(np.isfinite(self.scale_std))
@@ -416,7 +424,7 @@ class DistanceObservations(OneGroup):
 
 @register("observation", "reflectors")
 @dataclass(frozen=True, eq=False)
-class ReflectorObservations(OneGroup):
+class ReflectorObservations(Observations):
     """Positions of k reflectors fixed to the tool, some of them lost in some poses.
 
     Attributes:
@@ -445,8 +453,8 @@ class ReflectorObservations(OneGroup):
 
     width = 3
 
-    @property
-    def per_row(self) -> tuple[str, ...]:  # type: ignore[override]
+    @worked_out
+    def per_row(self) -> tuple[str, ...]:
         """Covariances may be of all rows."""
         return ("points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
 
@@ -457,7 +465,7 @@ class ReflectorObservations(OneGroup):
 
     def imagined(self, joints: Array) -> Self:
         """The same at other joints ``(M, n)``, were every reflector seen."""
-        return OneGroup.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
+        return Observations.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
 
     def readings(self) -> Array:
         """The points seen."""
@@ -559,7 +567,7 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 @register("observation", "tilt")
 @dataclass(frozen=True, eq=False)
-class TiltObservations(OneGroup):
+class TiltObservations(Observations):
     """Components of the direction of gravity along K axes fixed to the tool.
 
     Attributes:
@@ -588,13 +596,13 @@ class TiltObservations(OneGroup):
     rounding = 1e-5
     sized = False
 
-    @property
+    @worked_out
     def framed(self) -> bool:
         """A level world is a frame: the base can be seen to tilt in it."""
         return self.down_std == 0.0
 
-    @property
-    def width(self) -> int:  # type: ignore[override]
+    @worked_out
+    def width(self) -> int:
         """One equation for each component."""
         return int(self.components.shape[1])
 

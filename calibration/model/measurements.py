@@ -32,7 +32,7 @@ from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, move_pose
 from pickenv.arm.plant.campaign import TRACKER, NormalDraws, measured_poses, normal_draws
 from pickenv.base import InputError, register, write_whole
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
-from pickenv.calibration.model.observations import Observations, OneGroup, Origins, Rows, extent, hash_of, origins_of
+from pickenv.calibration.model.observations import Observations, Origins, Rows, hash_of, origins_of, worked_out
 
 POSITION_STD = 15e-6
 """Standard uncertainty of a position when a file states none, m: a laser tracker at a few metres."""
@@ -52,7 +52,7 @@ FRAMES_COLUMN = "frames"
 
 @register("observation", "tracked")
 @dataclass(frozen=True, eq=False)
-class Measurements(OneGroup):
+class Measurements(Observations):
     """A data set: N poses of an arm with n joints; the commonest of `Observations`.
 
     Attributes:
@@ -88,7 +88,7 @@ class Measurements(OneGroup):
         """Number of poses."""
         return len(self.joints)
 
-    @property
+    @worked_out
     def kind(self) -> str:
         """Name of the kind: "pose" or "position"."""
         return "position" if self.rotation is None else "pose"
@@ -156,7 +156,7 @@ class Measurements(OneGroup):
     def table(self) -> tuple[list[str], Array]:
         """Column names with units, and the values in those units, one row per pose."""
         names = [*joint_columns(self.prismatic), "x_mm", "y_mm", "z_mm"]
-        columns = [self.joints * _units(self.prismatic), self.position * 1e3]
+        columns = [self.joints * screen_units(self.prismatic), self.position * 1e3]
         if self.rotation is not None:
             names += ["rx_deg", "ry_deg", "rz_deg"]
             columns.append(np.degrees(rotation_vector(self.rotation)))
@@ -176,12 +176,17 @@ class Measurements(OneGroup):
 
 def joint_columns(prismatic: Sequence[bool]) -> list[str]:
     """Names of the joint columns of our own CSV format."""
-    return [f"q{i + 1}_{'mm' if slides else 'deg'}" for i, slides in enumerate(prismatic)]
+    return [f"q{i + 1}_{screen_unit(slides)[0]}" for i, slides in enumerate(prismatic)]
 
 
-def _units(prismatic: Sequence[bool]) -> Array:
-    """These columns' units per rad and m."""
-    return np.where(prismatic, 1e3, np.degrees(1.0))
+def screen_unit(length: bool) -> tuple[str, float]:
+    """The unit of a length, or of an angle, in our files and on screens, and how many of it are one m or rad."""
+    return ("mm", 1e3) if length else ("deg", float(np.degrees(1.0)))
+
+
+def screen_units(prismatic: Sequence[bool]) -> Array:
+    """Units of joints ``(n,)`` per rad and m."""
+    return np.array([screen_unit(slides)[1] for slides in prismatic])
 
 
 def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.object_]) -> Path:
@@ -198,7 +203,7 @@ def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.o
 
 def write_joints(path: str | Path, joints: Array, prismatic: tuple[bool, ...]) -> Path:
     """Write joints ``(N, n)`` as our own CSV columns (q1_deg, q2_mm, …)."""
-    return write_table(path, joint_columns(prismatic), joints * _units(prismatic))
+    return write_table(path, joint_columns(prismatic), joints * screen_units(prismatic))
 
 
 def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:
@@ -339,7 +344,7 @@ class InstrumentStation:
 
 
 @dataclass(frozen=True, eq=False)
-class Stacked:
+class Stacked(Observations):
     """Stations of one arm, one after the other.
 
     Attributes:
@@ -347,9 +352,8 @@ class Stacked:
     """
 
     stations: tuple[InstrumentStation, ...]
-    poses = views = None
 
-    @property
+    @worked_out
     def rounding(self) -> float:
         """The first one's."""
         return self.parts[0].rounding
@@ -359,46 +363,46 @@ class Stacked:
         """The data sets."""
         return tuple(station.data for station in self.stations)
 
-    @property
+    @worked_out
     def joints(self) -> Array:
         """Of all rows."""
         return np.concatenate([part.joints for part in self.parts])
 
-    @property
+    @worked_out
     def source(self) -> str:
         """The first one's."""
         more = len(self.stations) - 1
         return self.parts[0].source + (f" and {more} more" if more else "")
 
-    @property
+    @worked_out
     def kind(self) -> str:
         """All kinds: position+sockets."""
         return "+".join(dict.fromkeys(part.kind for part in self.parts))
 
-    @property
+    @worked_out
     def framed(self) -> bool:
         """Whether any instrument has a frame."""
         return any(part.framed for part in self.parts)
 
-    @property
+    @worked_out
     def sized(self) -> bool:
         """Whether any knows a length."""
         return any(part.sized for part in self.parts)
 
-    @property
+    @worked_out
     def miss_unit(self) -> str:
         """Angles beside lengths count as what they move at a metre."""
         units = {part.miss_unit for part in self.parts}
         return units.pop() if len(units) == 1 else "mm"
 
-    @property
+    @worked_out
     def conditions(self) -> Conditions:
         """Conditions that every station recorded."""
         parts = [vars(part.conditions) for part in self.parts]
         common = [name for name in parts[0] if all(part[name] is not None for part in parts)]
         return Conditions(**{name: np.concatenate([part[name] for part in parts]) for name in common})
 
-    @property
+    @worked_out
     def origins(self) -> Origins:
         """File and line of every row."""
         parts = [origins_of(part) for part in self.parts]
@@ -456,10 +460,6 @@ class Stacked:
         """Of the first one, whose frames are the arm's."""
         return self.parts[0].rough_poses(prismatic)
 
-    def span(self, tool: Array) -> float:
-        """Of all rows."""
-        return extent(tool, self.miss_unit)
-
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
         """Of all stations, each by its own tool."""
         stations = self._with(unknowns)
@@ -468,10 +468,6 @@ class Stacked:
     def readings(self) -> Array:
         """Of all stations, each in columns of its own."""
         return np.asarray(block_diag(*(part.readings() for part in self.parts)))
-
-    def fingerprint(self) -> str:
-        """Of joints and readings."""
-        return hash_of(self.joints, self.readings())
 
     def select(self, rows: ArrayLike) -> Self:
         """The stations that hold only the given rows; those without any are left out."""

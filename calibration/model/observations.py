@@ -7,10 +7,10 @@ identified together with the arm. Rows are whitened by their covariance, so any 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Protocol, Self, TypeVar
+from typing import Any, Self, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -71,128 +71,7 @@ NONE_KNOWN = Conditions()
 
 
 Kind = TypeVar("Kind", bound="Observations")
-
-
-class Equations(Protocol):
-    """The questions of the least squares to a data set of any kind, and to the expectations before measuring."""
-
-    @property
-    def joints(self) -> Array:
-        """Joints ``(N, n)``, rad or m."""
-
-    @property
-    def source(self) -> str:
-        """Origin of the data, for messages."""
-
-    @property
-    def kind(self) -> str:
-        """Name of the kind."""
-
-    @property
-    def framed(self) -> bool:
-        """Whether the instrument has a frame, so that the arm's base pose can be seen at all."""
-
-    @property
-    def sized(self) -> bool:
-        """Whether a known length takes part, without which nobody can say how large the arm is."""
-
-    def unknowns(self) -> tuple[str, ...]:
-        """Names of the kind's own unknowns."""
-
-    def tolerances(self) -> Array:
-        """Scale of each one's deviation, in its unit (lengths: m)."""
-
-    def start(self, model: ArmModel) -> Array:
-        """Closed-form values of the unknowns for a model."""
-
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted, whitened, ``(rows,)``."""
-
-    def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives by the model ``(rows, 5n + 12 + k)`` and by the unknowns ``(rows, own)``."""
-
-
-class Observations(Equations, Protocol):
-    """A data set of any kind: rows that can be chosen, told apart, and compared with a model in metres."""
-
-    @property
-    def conditions(self) -> Conditions:
-        """Payload, temperature and torques, where known."""
-
-    @property
-    def origins(self) -> Origins | None:
-        """File and line of each row; None where they come from no file."""
-
-    @property
-    def groups(self) -> Rows:
-        """Rows of one number belong together ``(N,)``, and a split takes its share of each (sockets)."""
-
-    @property
-    def rows_of_misses(self) -> Rows:
-        """The row that each of `misses` belongs to ``(R,)``."""
-
-    @property
-    def parts(self) -> tuple[Observations, ...]:
-        """The data sets of the stations, or this one alone."""
-
-    @property
-    def stations(self) -> tuple[Any, ...]:
-        """Each with its `InstrumentStation`, where these are several data sets in one fit (`Stacked`)."""
-
-    @property
-    def poses(self) -> Any:
-        """The same rows as `Measurements`: poses or positions of the tool in one instrument's frame; else None."""
-
-    @property
-    def views(self) -> Any:
-        """The same rows as `PixelObservations`: pictures of one camera; else None."""
-
-    @property
-    def rounding(self) -> float:
-        """Change of a reading that is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px.
-
-        A third of what such instruments scatter by, so that a pose measured anew reads alike once in five times.
-        """
-
-    @property
-    def miss_unit(self) -> str:
-        """Unit of `misses` on screens: "mm" of metres, "deg" of radians."""
-
-    def equations(self) -> tuple[Rows, Rows]:
-        """Row and channel of each equation of `residual` ``(E,)``; the row is -1 where it belongs to none.
-
-        A channel is what is read in one unit with one uncertainty: of poses positions and attitudes are two.
-        """
-
-    def select(self, rows: Rows) -> Self:
-        """The data set that holds only the given rows."""
-
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted positions ``(R, 3)``, or lengths ``(R, 1)``, m; of directions ``(R, k)``, rad."""
-
-    def readings(self) -> Array:
-        """The readings of each row ``(N, k)``, m: rows equal in them and in the joints repeat one another."""
-
-    def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
-        """`poses`, of several stations as the first one would have measured them; None of other kinds."""
-
-    def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """Poses or positions (`Measurements`) that the rows are worth by themselves, to start from; None where none."""
-
-    def span(self, tool: Array) -> float:
-        """What `misses` are small against: how far the tool's positions ``(N, 3)`` spread, m; of directions 1 rad."""
-
-    def fingerprint(self) -> str:
-        """Hash of the numbers, which a calibration records."""
-
-    def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Derivatives of the equations by the tool's pose, in its own axes ``(E, 6)``."""
-
-    def channels_of(self, other: Observations) -> Rows:
-        """The channels of these rows that those of other rows of the same instruments are."""
-
-    def weighed(self, scales: Array) -> Self:
-        """The rows of several stations weighed by their scatter, given by channel ``(C,)``; one station as it is."""
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,42 +126,58 @@ class Stated:
         return np.asarray(np.diag(1.0 / self.std[self.free])[self._known])
 
 
-def extent(tool: Array, miss_unit: str) -> float:
-    """The standard deviation of positions ``(N, 3)``, m; 1 rad where angles are missed."""
-    return 1.0 if miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
+def worked_out(question: Callable[[Any], Answer]) -> Answer:
+    """An attribute that is worked out when it is first asked for, where other kinds simply have one."""
+    return cast(Answer, cached_property(question))
 
 
-class OneGroup:
-    """Rows that a split may part anywhere, each of which misses once; what most kinds answer alike.
+class Observations:
+    """A data set of any kind: rows that can be chosen, told apart, and compared with a model.
 
-    A kind says what it misses by and how that changes with the arm and with the numbers of its instrument; these
+    What most kinds answer alike is answered here: rows that a split may part anywhere, each of which misses once. A
+    kind says what it misses by and how that changes with the arm and with the numbers of its instrument; these
     equations are followed by what is known of the numbers, and by what else holds among them.
+
+    Attributes:
+        joints: Joints ``(N, n)``, rad or m.
+        conditions: Payload, temperature and torques, where known.
+        source: Origin of the data, for messages.
+        kind: Name of the kind.
+        origins: File and line of each row; None where they come from no file.
+        framed: Whether the instrument has a frame, so that the arm's base pose can be seen at all.
+        sized: Whether a known length takes part, without which nobody can say how large the arm is.
+        per_row: Names of the arrays that hold one entry per row, beside the joints.
+        width: Equations of each miss.
+        miss_unit: Unit of `misses` on screens: "mm" of metres, "deg" of radians.
+        rounding: Change of a reading that is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px. A
+            third of what such instruments scatter by, so that a pose measured anew reads alike once in five times.
+        stations: Each with its `InstrumentStation`, where these are several data sets in one fit (`Stacked`).
     """
 
     joints: Array
     conditions: Conditions
+    source: str
+    kind: str
+    origins: Origins | None
+    framed: bool
+    sized: bool = True
     per_row: tuple[str, ...]
-    """Names of the arrays that hold one entry per row, beside the joints."""
-
-    width = 1
-    """Equations of each miss."""
-
-    miss_unit = "mm"
-    rounding = 5e-6
-    sized = True
+    width: int = 1
+    miss_unit: str = "mm"
+    rounding: float = 5e-6
     stations: tuple[Any, ...] = ()
 
     @property
     def poses(self) -> Any:
-        """None: other kinds are no poses."""
+        """The same rows as `Measurements`: poses or positions of the tool in one instrument's frame; else None."""
 
     @property
     def views(self) -> Any:
-        """None: nor pictures."""
+        """The same rows as `PixelObservations`: pictures of one camera; else None."""
 
     @property
-    def parts(self) -> tuple[Self, ...]:
-        """One station alone."""
+    def parts(self) -> tuple[Observations, ...]:
+        """The data sets of the stations, or this one alone."""
         return (self,)
 
     @cached_property
@@ -307,77 +202,81 @@ class OneGroup:
         return np.zeros(0), np.zeros((0, len(numbers)))
 
     def readings(self) -> Array:
-        """The readings of each row ``(N, k)``."""
+        """The readings of each row ``(N, k)``, m: rows equal in them and in the joints repeat one another."""
         raise NotImplementedError
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
-        """Themselves, where they are poses."""
+        """`poses`, of several stations as the first one would have measured them; None of other kinds."""
         return self.poses
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """Themselves, where they are poses; other readings say nothing of poses by themselves."""
+        """Poses or positions (`Measurements`) that the rows are worth by themselves, to start from; None where none."""
         return self.poses
 
     def span(self, tool: Array) -> float:
-        """The standard deviation of positions."""
-        return extent(tool, self.miss_unit)
+        """What `misses` are small against: how far the tool's positions ``(N, 3)`` spread, m; of directions 1 rad."""
+        return 1.0 if self.miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
 
     def fingerprint(self) -> str:
-        """Of joints and readings."""
+        """Hash of joints and readings, which a calibration records."""
         return hash_of(self.joints, self.readings())
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """The tool's columns of the Jacobian."""
+        """Derivatives of the equations by the tool's pose, in its own axes ``(E, 6)``."""
         return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
 
     def channels_of(self, other: Observations) -> Rows:
-        """All of them."""
+        """The channels of these rows that those of other rows of the same instruments are: all of them."""
         return np.arange(int(self.equations()[1].max(initial=-1)) + 1)
 
     def weighed(self, scales: Array) -> Self:
-        """Themselves."""
+        """The rows of several stations weighed by their scatter, given by channel ``(C,)``; one station as it is."""
         return self
 
     def unknowns(self) -> tuple[str, ...]:
-        """The numbers that are not known exactly."""
+        """Names of the kind's own unknowns: the numbers that are not known exactly."""
         return self.numbers.unknowns()
 
     def tolerances(self) -> Array:
-        """Their scales."""
+        """Scale of each one's deviation, in its unit (lengths: m)."""
         return self.numbers.scales[self.numbers.free]
 
     def start(self, model: ArmModel) -> Array:
-        """As they are stated."""
+        """Closed-form values of the unknowns for a model: as they are stated."""
         return self.numbers.start()
 
     @property
     def groups(self) -> Rows:
-        """All rows are of one group."""
+        """Rows of one number belong together ``(N,)``, and a split takes its share of each: all are of one group."""
         return np.zeros(len(self.joints), dtype=np.int64)
 
     @property
     def rows_of_misses(self) -> Rows:
-        """One miss per row."""
+        """The row that each of `misses` belongs to ``(R,)``: one miss per row."""
         return np.arange(len(self.joints))
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Those of each miss, then of no row what is known of the numbers; all of one channel."""
+        """Row and channel of each equation of `residual` ``(E,)``; the row is -1 where it belongs to none.
+
+        A channel is what is read in one unit with one uncertainty: of poses positions and attitudes are two. Here those
+        of each miss come first, then of no row what is known of the numbers; all are of one channel.
+        """
         extra = len(self.numbers.jacobian()) + len(self.bonds(self.numbers.values)[0])
         rows = np.concatenate([np.repeat(self.rows_of_misses, self.width), np.full(extra, -1)])
         return rows, np.zeros(len(rows), dtype=np.int64)
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted."""
+        """Measured minus predicted positions ``(R, 3)``, or lengths ``(R, 1)``, m; of directions ``(R, k)``, rad."""
         return self.missed(model, self.numbers.whole(unknowns))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Misses in standard uncertainties, what is known of the numbers, likewise, and what else holds."""
+        """Measured minus predicted, whitened, ``(rows,)``: misses, what is known of the numbers, what else holds."""
         numbers = self.numbers.whole(unknowns)
         statements = self.numbers.residual(unknowns)
         return np.concatenate([self.whitened(model, numbers).ravel(), statements, self.bonds(numbers)[0]])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Of the same, by the model and by the unknowns."""
+        """Whitened derivatives by the model ``(rows, 5n + 12 + k)`` and by the unknowns ``(rows, own)``."""
         numbers, free = self.numbers.whole(unknowns), self.numbers.free
         by_arm, by_numbers = self.derivatives(model, numbers)
         by_arm = by_arm.reshape(-1, by_arm.shape[-1])
@@ -389,7 +288,7 @@ class OneGroup:
     def select(self, rows: ArrayLike) -> Self:
         """The data set that holds only the given rows (indices or a mask)."""
         rows = np.asarray(rows)
-        origins = origins_of(self).select(rows)  # type: ignore[arg-type]
+        origins = origins_of(self).select(rows)
         changed = {"joints": self.joints[rows], "conditions": self.conditions.select(rows), "origins": origins}
         return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
 

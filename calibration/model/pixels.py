@@ -18,7 +18,7 @@ from pickenv.arm import Array, Pose
 from pickenv.base import register
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import OneGroup, Origins, Rows, Stated, nearest_rotation, point_jacobian
+from pickenv.calibration.model.observations import Observations, Origins, Rows, Stated, nearest_rotation, point_jacobian
 
 # What a camera makes of a point: a pinhole, and the radial and tangential distortion of its lens. Brown 1971, with
 # the coefficients as OpenCV and ROS ("plumb_bob") order them: k1, k2, p1, p2, k3. Points lie in the camera's frame (x
@@ -123,7 +123,7 @@ Mount = Literal["hand", "world"]
 
 @register("observation", "pixels")
 @dataclass(frozen=True, eq=False)
-class PixelObservations(OneGroup):
+class PixelObservations(Observations):
     """V views of a board with K corners.
 
     Attributes:
@@ -180,7 +180,7 @@ class PixelObservations(OneGroup):
         """The camera at other joints ``(M, n)``, were every corner seen (see `visible`)."""
         usual = np.full_like(self.std, np.median(self.std[self.seen]))
         full_views = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
-        return OneGroup.imagined(full_views, joints)
+        return Observations.imagined(full_views, joints)
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
         """The board's poses in the camera, or the camera's before the board."""

@@ -24,11 +24,12 @@ from pickenv.calibration.model.arm_model import (
     ErrorModel,
     Term,
     complete_model,
+    fitted_model,
     frames_model,
-    geometric_model,
     joint_zeros_model,
     with_terms,
 )
+from pickenv.calibration.model.observations import Observations, worked_out
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
@@ -54,8 +55,8 @@ MADE = (ZEROS, LENGTHS, ANGLES)
 
 
 @dataclass(frozen=True, eq=False)
-class Prior:
-    """Parameters expected near those of a reference model; one more data set among `Equations`.
+class Prior(Observations):
+    """Parameters expected near those of a reference model; one more data set among `Observations`.
 
     Attributes:
         reference: The model expected.
@@ -71,22 +72,10 @@ class Prior:
     framed: bool = False
     sized: bool = False
 
-    @property
+    @worked_out
     def joints(self) -> Array:
         """No poses."""
         return np.zeros((0, self.reference.geometry.joints))
-
-    def unknowns(self) -> tuple[str, ...]:
-        """None."""
-        return ()
-
-    def tolerances(self) -> Array:
-        """Of none."""
-        return np.zeros(0)
-
-    def start(self, model: ArmModel) -> Array:
-        """Nothing to start."""
-        return np.zeros(0)
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Expected minus present values, in standard deviations."""
@@ -175,7 +164,7 @@ def prior_model(
     """
     start = ArmModel.of(geometry)
     if arm == CARRIER or fit == "full":
-        parameters = frames_model(geometry) if arm == CARRIER else geometric_model(geometry, known)
+        parameters = fitted_model(arm, geometry, known)
         std = np.full(len(parameters.names), np.inf)
         return PriorModel(parameters, start, std, _groups(parameters, geometry, known), "none: any value is as likely")
     expected = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)

@@ -17,8 +17,8 @@ from pickenv.arm.kinematics.task_space import attitude_weight, truncated_inverse
 from pickenv.base import InputError
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.measurements import joint_columns, write_table
-from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
+from pickenv.calibration.model.measurements import joint_columns, screen_units, write_table
+from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, uncertainty_from
 from pickenv.calibration.reading.read import Targets
 
 POSITION_TOLERANCE = 1e-5
@@ -44,8 +44,7 @@ class CorrectedCommands:
         before: Predicted pose error without calibration ``(N, 6)``, m and rad: what the arm does if told the target.
         remaining: Predicted pose error with the command ``(N, 6)``.
         impossible: The part of it that no joint motion removes ``(N, 6)``.
-        position_uncertainty: Standard uncertainty of the position reached ``(N,)``, m; None if the file holds none.
-        attitude_uncertainty: The same for attitude ``(N,)``, rad; None if unknown.
+        uncertainty: Standard uncertainty of position ``(N,)``, m, and attitude ``(N,)``, rad, reached; None if unknown.
         within95: What holds 95 of 100 errors of position ``(N,)``, m, and attitude ``(N,)``, rad; None if unknown.
         reasons: For each target that is not reached, by index, why.
         lines: Line of each target in its file.
@@ -59,8 +58,7 @@ class CorrectedCommands:
     before: Array
     remaining: Array
     impossible: Array
-    position_uncertainty: Array | None
-    attitude_uncertainty: Array | None
+    uncertainty: tuple[Array | None, Array | None]
     within95: tuple[Array | None, Array | None]
     reasons: dict[int, str]
     lines: tuple[int, ...]
@@ -69,21 +67,17 @@ class CorrectedCommands:
 
     def table(self) -> tuple[list[str], NDArray[np.object_]]:
         """Column names with units, and one row per target."""
-        scale = np.where(self.prismatic, 1e3, np.degrees(1.0))
-        commands = (self.joints * scale).astype(object)
+        commands = (self.joints * screen_units(self.prismatic)).astype(object)
         commands[~self.reached] = ""  # a cell that streams these columns must not drive to where nothing is reached
         columns = dict(zip(joint_columns(self.prismatic), commands.T, strict=True))
         columns["reached"] = np.where(self.reached, "yes", "no")
         parts = {"uncorrected": self.before, "predicted": self.remaining, "noncompensable": self.impossible}
         for label, error in parts.items():
             columns[f"{label}_error_mm"], columns[f"{label}_error_deg"] = _sizes(error)
-        if self.position_uncertainty is not None:
-            columns["uncertainty_mm"] = self.position_uncertainty * 1e3
-        if self.attitude_uncertainty is not None:
-            columns["uncertainty_deg"] = np.degrees(self.attitude_uncertainty)
-        for name, radius, factor in zip(("mm", "deg"), self.within95, (1e3, np.degrees(1.0)), strict=True):
-            if radius is not None:
-                columns[f"within95_{name}"] = radius * factor
+        for label, sizes in (("uncertainty", self.uncertainty), ("within95", self.within95)):
+            for (unit, factor), size in zip(QUANTITIES.values(), sizes, strict=True):
+                if size is not None:
+                    columns[f"{label}_{unit}"] = size * factor
         columns["note"] = np.array([self.reasons.get(i, "") for i in range(len(self.lines))])
         return list(columns), np.stack([column.astype(object) for column in columns.values()], axis=1)
 
@@ -105,17 +99,18 @@ class CorrectedCommands:
             f"  with the corrected commands {after[0]:.4f} mm and {after[1]:.4f} deg remain, of which "
             f"{never[1]:.4f} deg is a rotation that no joint motion removes",
         ]
-        if self.position_uncertainty is None:
+        sure, within = self.uncertainty[0], self.within95[0]
+        if sure is None:
             lines.append("  uncertainty unknown: this calibration file holds none; calibrate again to have it")
         else:
             lines.append(
-                f"  standard uncertainty of the position reached: {1e3 * np.median(self.position_uncertainty):.3f} mm "
-                f"(median), {1e3 * np.max(self.position_uncertainty):.3f} mm at most"
+                f"  standard uncertainty of the position reached: {1e3 * np.median(sure):.3f} mm (median), "
+                f"{1e3 * np.max(sure):.3f} mm at most"
             )
-        if self.within95[0] is not None:
+        if within is not None:
             lines.append(
-                f"  95 of 100 such commands end within {1e3 * np.median(self.within95[0]):.3f} mm (median of targets; "
-                f"{1e3 * np.max(self.within95[0]):.3f} mm at most), as counted on held-out rows"
+                f"  95 of 100 such commands end within {1e3 * np.median(within):.3f} mm (median of targets; "
+                f"{1e3 * np.max(within):.3f} mm at most), as counted on held-out rows"
             )
         if self.caution is not None:
             lines.append(f"  caution: {self.caution}")
@@ -200,8 +195,7 @@ def apply_calibration(
         before=before,
         remaining=remaining,
         impossible=impossible,
-        position_uncertainty=sure[0],
-        attitude_uncertainty=sure[1],
+        uncertainty=sure,
         within95=(None, None) if compensator.within95 is None else compensator.within95(commands),
         reasons=dict(sorted(reasons.items())),
         lines=targets.lines,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, specification, term_from
-from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.measurements import Measurements, screen_unit
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, same_poses
 from pickenv.calibration.residuals.residual_models import LearntResidual
 
@@ -50,26 +50,13 @@ VAGUE = 2.0
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `region_of`."""
 
-WITHIN = ("position_within95", "attitude_within95")
-"""Entries for the bounds of 95 of 100 errors: positions first."""
+QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
+"""What of a pose is uncertain, and in which unit screens show it."""
 
 ANCHORS = 400
 """Poses at most that stand for where an arm was measured."""
 
 SHARE = 0.95
-
-
-@dataclass(frozen=True)
-class Within95:
-    """The factor from the expected size of errors to the bound of 95 of 100.
-
-    Attributes:
-        factor: 95 of 100 errors are smaller than this many times their expected root mean square.
-        covered: Share of the held-out errors within it, each judged by a factor and a size found without its block.
-    """
-
-    factor: float
-    covered: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,16 +68,16 @@ class PoseUncertainty:
         covariance: Of their errors ``(p, p)``, m and rad.
         position_repeat: Standard deviation of one position coordinate that the parameters do not explain, m.
         attitude_repeat: The same of one attitude coordinate, rad; None where only positions were measured.
-        position_within95: What holds 95 of 100 position errors; None where too few errors show it.
-        attitude_within95: The same of attitudes.
+        factors: Of `QUANTITIES`, as far as enough errors show it: "factor", 95 of 100 errors are smaller than this many
+            times their expected root mean square; "covered", the share of the held-out errors within it, each judged by
+            a factor and a size found without its block.
     """
 
     names: tuple[str, ...]
     covariance: Array
     position_repeat: float
     attitude_repeat: float | None
-    position_within95: Within95 | None = None
-    attitude_within95: Within95 | None = None
+    factors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def pose_covariance(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Covariance ``(..., 6, 6)`` of the tool pose, m and rad, world axes, at joints ``(..., n)``.
@@ -124,32 +111,28 @@ class PoseUncertainty:
 
         None where too few held-out errors show it.
         """
-        position, attitude = self.standard(model, joints, conditions)
-        near, turned = self.position_within95, self.attitude_within95
-        return (
-            None if near is None else near.factor * position,
-            None if turned is None or attitude is None else turned.factor * attitude,
+        position, attitude = (
+            None if size is None or name not in self.factors else self.factors[name]["factor"] * size
+            for name, size in zip(QUANTITIES, self.standard(model, joints, conditions), strict=True)
         )
+        return position, attitude
 
     def block(self, model: ArmModel, joints: Array, conditions: Conditions) -> Block:
         """A table of the bounds of errors at these poses, and whether held-out ones kept them."""
-        radii, rows = self.within95(model, joints, conditions), []
-        for quantity, radius, coverage, scale, unit in (
-            ("position", radii[0], self.position_within95, 1e3, "mm"),
-            ("attitude", radii[1], self.attitude_within95, float(np.degrees(1.0)), "deg"),
-        ):
-            if radius is not None and coverage is not None:
+        rows = []
+        radii = self.within95(model, joints, conditions)
+        for (quantity, (unit, scale)), radius in zip(QUANTITIES.items(), radii, strict=True):
+            if radius is not None:
                 low, middle, high = np.percentile(radius * scale, [5, 50, 95])
                 cell = f"{figure(middle)} {unit} ({figure(low)} to {figure(high)})"
-                rows.append((quantity, cell, f"{100 * coverage.covered:.1f} %"))
+                rows.append((quantity, cell, f"{100 * self.factors[quantity]['covered']:.1f} %"))
         heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so")
         note = "by pose; held: of held-out rows, each judged by what was found without its block"
         return Block("How far errors go", heads, tuple(rows), note, "uncertainty")
 
     def within95_record(self) -> dict[str, Any]:
         """Factors and what they cover (JSON), of position and attitude; None where too few errors show it."""
-        parts = {"position": self.position_within95, "attitude": self.attitude_within95}
-        return {name: None if part is None else dict(vars(part)) for name, part in parts.items()}
+        return {name: self.factors.get(name) for name in QUANTITIES}
 
     def as_record(self) -> dict[str, Any]:
         """For a calibration's record (JSON)."""
@@ -158,7 +141,7 @@ class PoseUncertainty:
             "covariance": self.covariance.tolist(),
             "position_repeat_m": self.position_repeat,
             "attitude_repeat_rad": self.attitude_repeat,
-            **{name: vars(part) for name in WITHIN if (part := getattr(self, name)) is not None},
+            **{f"{name}_within95": part for name, part in self.factors.items()},
         }
 
 
@@ -195,15 +178,16 @@ def pose_uncertainty(
         return sure
     parametric = replace(sure, position_repeat=0.0, attitude_repeat=None)
     variance = np.diagonal(parametric.pose_covariance(found.arm_model, joints, conditions), axis1=1, axis2=2)
-    parts: dict[str, Any] = {
-        name: within95(joints, np.sum(part**2, axis=1), variance[:, first : first + 3].sum(axis=1), blocks)
-        for name, first, part in zip(WITHIN, (0, 3), (positions, attitudes), strict=True)
-        if part.size
+    factors = {
+        name: part
+        for name, first, errors in zip(QUANTITIES, (0, 3), (positions, attitudes), strict=True)
+        if errors.size
+        and (part := within95(joints, np.sum(errors**2, axis=1), variance[:, first : first + 3].sum(axis=1), blocks))
     }
-    return replace(sure, **parts)
+    return replace(sure, factors=factors)
 
 
-def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> Within95 | None:
+def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
     """The factor that covers 95 of 100, and what it covers of errors that it was found without.
 
     Args:
@@ -228,7 +212,7 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
             squares[~inside_block].mean() + variance[inside_block]
         )
     inside = [ratio[blocks == number] <= _quantile(ratio[blocks != number]) for number in numbers]
-    return Within95(_quantile(ratio), float(np.concatenate(inside).mean()))
+    return {"factor": _quantile(ratio), "covered": float(np.concatenate(inside).mean())}
 
 
 def _quantile(ratio: Array) -> float:
@@ -293,13 +277,13 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
     covariance = np.array(entry["covariance"], dtype=float)
     if not np.isfinite(covariance).all():
         return None
-    parts: dict[str, Any] = {
-        name: Within95(entry[name]["factor"], entry[name]["covered"])
-        for name in WITHIN
-        if name in entry and name.replace("within95", "local") not in entry  # that factor is of another scatter
+    factors = {
+        name: {key: entry[f"{name}_within95"][key] for key in ("factor", "covered")}
+        for name in QUANTITIES
+        if f"{name}_within95" in entry and f"{name}_local" not in entry  # that factor is of another scatter
     }
     return PoseUncertainty(
-        tuple(entry["parameters"]), covariance, float(entry["position_repeat_m"]), entry["attitude_repeat_rad"], **parts
+        tuple(entry["parameters"]), covariance, float(entry["position_repeat_m"]), entry["attitude_repeat_rad"], factors
     )
 
 

@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, Array, forward
-from pickenv.base import Ends, InputError, mean_interval, versions
+from pickenv.base import InputError, mean_interval, versions
 from pickenv.base.intervals import LEAST
-from pickenv.calibration.assessment.metrics import LEAST_ROWS, ErrorStatistics, error_statistics
+from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
 from pickenv.calibration.identification.robust import MISFIT, SPAN, align, refuse_another_arm, rough_start
@@ -133,7 +133,7 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, m
         "joint_ranges": [data.joints.min(axis=0).tolist(), data.joints.max(axis=0).tolist()],
         "frames": "known" if aligned is None else "fitted",
         "rank": solution.identifiability.rank,
-        "dropped": {item.name: item.absorbed_by for item in solution.identifiability.dropped},
+        "dropped": solution.identifiability.dropped,
         "prior": model.source,
         "terms": sorted(kind_of_term(term) for term in model.start.terms),
         "residual": None,
@@ -390,88 +390,44 @@ def tracked_rows(found: Identification, data: Observations) -> Measurements | No
 # How well pictures are explained, in pixels: of all views together, and of each view by a fit without it.
 
 
-@dataclass(frozen=True, eq=False)
-class PixelFigures:
-    """Reprojection errors.
-
-    Attributes:
-        views: Pictures.
-        corners: Corners in all of them.
-        rms_px: RMS of the distance between corner and prediction, of the fit to all views.
-        leave_one_out_px: The same in views that the fit never saw: each by itself, or its block where they are many.
-        view_rms_px: Of each of them ``(V,)``.
-        board_mm: The same errors at the board.
-        lens: The lens, by the names of its numbers.
-        names: Of the views.
-    """
-
-    views: int
-    corners: int
-    rms_px: float
-    leave_one_out_px: float
-    view_rms_px: tuple[float, ...]
-    board_mm: ErrorStatistics
-    lens: dict[str, float]
-    names: tuple[str, ...]
-
-    @property
-    def interval(self) -> Ends | None:
-        """95 % interval of the mean over views of a view's RMS, px."""
-        return mean_interval(self.view_rms_px)
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "views": self.views,
-            "corners": self.corners,
-            "rms_px": self.rms_px,
-            "leave_one_out_px": self.leave_one_out_px,
-            "leave_one_out_view_rms_px": list(self.view_rms_px),
-            "leave_one_out_mean_ci95_px": self.interval,
-            "leave_one_out_mm": self.board_mm.as_dict(),
-            "lens": self.lens,
-        }
-
-    def block(self) -> Block:
-        """For screens."""
-        worst = int(np.argmax(self.view_rms_px))
-        between = "no interval: too few views"
-        if self.interval is not None:
-            between = f"95 % between views {figure(self.interval[0])} to {figure(self.interval[1])}"
-        rows = [
-            ("views, corners", f"{self.views}, {self.corners}"),
-            ("RMS of the fit to all views", f"{figure(self.rms_px)} px"),
-            ("RMS in each view, fitted without it", f"{figure(self.leave_one_out_px)} px ({between})"),
-            ("the same at the board", f"{figure(self.board_mm.rms)} mm"),
-            ("worst view", f"{self.names[worst]}: {figure(self.view_rms_px[worst])} px"),
-        ]
-        return Block("Pictures", (), tuple(rows), "distance of the corners from where they are predicted", "pictures")
-
-
-def pixel_figures(fit: Fit, data: PixelObservations, test: PixelObservations, held_out: HeldOut) -> PixelFigures:
-    """Judge a fit of views, and what fits left of views that they never saw.
+def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[str, Any]:
+    """Reprojection errors for JSON: of a fit of views, and of what fits left of views that they never saw.
 
     Args:
         fit: The fit of all these views, of geometry alone.
         data: The views.
-        test: The views held out, in the order of their errors.
-        held_out: Those errors.
+        held_out: Errors of the views held out: each by itself, or its block where they are many.
     """
     solution = fit.identification
-    metres, views = (
-        held_out.errors[GEOMETRIC],
-        np.repeat(np.arange(len(test.joints)), [len(e) for e in held_out.pixels]),
-    )
-    return PixelFigures(
-        views=len(data.joints),
-        corners=int(data.seen.sum()),
-        rms_px=position_rms(data.pixel_errors(solution.arm_model, unknowns_of(solution, data))),
-        leave_one_out_px=position_rms(np.concatenate(held_out.pixels)),
-        view_rms_px=tuple(position_rms(view) for view in held_out.pixels),
-        board_mm=error_statistics(1e3 * metres, views),
-        lens=dict(zip(LENS_NAMES, data.lens_values(unknowns_of(solution, data)).tolist(), strict=True)),
-        names=view_names(test),
-    )
+    by_view = [position_rms(view) for view in held_out.pixels]
+    numbers = np.repeat(np.arange(len(by_view)), [len(errors) for errors in held_out.pixels])
+    return {
+        "views": len(data.joints),
+        "corners": int(data.seen.sum()),
+        "rms_px": position_rms(data.pixel_errors(solution.arm_model, unknowns_of(solution, data))),
+        "leave_one_out_px": position_rms(np.concatenate(held_out.pixels)),
+        "leave_one_out_view_rms_px": by_view,
+        "leave_one_out_mean_ci95_px": mean_interval(by_view),
+        "leave_one_out_mm": error_statistics(1e3 * held_out.errors[GEOMETRIC], numbers).as_dict(),
+        "lens": dict(zip(LENS_NAMES, data.lens_values(unknowns_of(solution, data)).tolist(), strict=True)),
+    }
+
+
+def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
+    """The same as a table; ``names`` are the views held out."""
+    by_view, ends = figures["leave_one_out_view_rms_px"], figures["leave_one_out_mean_ci95_px"]
+    worst = int(np.argmax(by_view))
+    between = "no interval: too few views"
+    if ends is not None:
+        between = f"95 % between views {figure(ends[0])} to {figure(ends[1])}"
+    rows = [
+        ("views, corners", f"{figures['views']}, {figures['corners']}"),
+        ("RMS of the fit to all views", f"{figure(figures['rms_px'])} px"),
+        ("RMS in each view, fitted without it", f"{figure(figures['leave_one_out_px'])} px ({between})"),
+        ("the same at the board", f"{figure(figures['leave_one_out_mm']['rms'])} mm"),
+        ("worst view", f"{names[worst]}: {figure(by_view[worst])} px"),
+    ]
+    return Block("Pictures", (), tuple(rows), "distance of the corners from where they are predicted", "pictures")
 
 
 def view_names(views: PixelObservations) -> tuple[str, ...]:

@@ -17,62 +17,22 @@ import numpy as np
 
 from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_tolerances
 from pickenv.base import Ends, InputError, folded, require, screen_width
-from pickenv.calibration.assessment.instrument import (
-    BaseFrameError,
-    base_frame_error,
-    said_against,
-    said_of_conditions,
-    said_of_instruments,
-    set_up_block,
-    set_ups_of,
-)
+from pickenv.calibration.assessment import instrument, screen
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import Quality, grade_quality, workspace_error
-from pickenv.calibration.assessment.screen import (
-    OWN,
-    UNBOUNDED,
-    Block,
-    error_cells,
-    figure,
-    harmonic_block,
-    harmonic_rows,
-    stiffness_block,
-    stiffness_rows,
-    unit_of,
-    unknowns_in,
-)
 from pickenv.calibration.compensation.compensator import Compensator
-from pickenv.calibration.identification.diagnosis import (
-    LeftOut,
-    said_of_files,
-    said_of_repeats,
-    said_of_rows,
-    said_of_stations,
-)
-from pickenv.calibration.identification.robust import fitted_model
+from pickenv.calibration.identification import diagnosis
 from pickenv.calibration.identification.term_choice import TermChoice
-from pickenv.calibration.model.arm_model import CARRIER, ArmModel
+from pickenv.calibration.model.arm_model import CARRIER, ArmModel, fitted_model
 from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, equally_spaced
+from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.calibration import (
     MEASURED_REGION,
     Calibration,
     PoseUncertainty,
     pose_uncertainty,
     region_of,
-)
-from pickenv.calibration.pipeline.fitting import (
-    AS_CHOSEN,
-    GEOMETRIC,
-    NOMINAL,
-    Fit,
-    HeldOut,
-    PixelFigures,
-    held_out_of,
-    pixel_figures,
-    tracked_rows,
-    what_is_left,
-    without_residual,
 )
 from pickenv.calibration.pipeline.twin import SCATTER, scatter_of, twin
 from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_targets
@@ -106,25 +66,25 @@ class Result:
         floor: What the files say about noise; None if not read from files.
         left_out: Rows far off that were left out.
         unit: Serial number of the robot, where it was named.
-        pixels: Reprojection errors; None where no pictures were taken.
+        pixels: Reprojection errors, for JSON; None where no pictures were taken.
         stations: What files were said to have of their own; None where the rows told it.
     """
 
     arm: Arm
-    fit: Fit
-    geometric: Fit
+    fit: fitting.Fit
+    geometric: fitting.Fit
     train: Observations
     test: Observations
-    held_out: HeldOut
+    held_out: fitting.HeldOut
     quality: Quality
     uncertainty: PoseUncertainty
-    base_frame: BaseFrameError | None
+    base_frame: instrument.BaseFrameError | None
     terms: TermChoice | None = None
     gate: GateReport | None = None
     floor: NoiseFloor | None = None
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[diagnosis.LeftOut, ...] = ()
     unit: str | None = None
-    pixels: PixelFigures | None = None
+    pixels: dict[str, Any] | None = None
     stations: str | None = None
 
     @property
@@ -151,7 +111,7 @@ class Result:
     def best_model(self) -> str:
         """Name of the model that will be used."""
         last = list(self.errors)[-1]
-        return "geometry" if last in (GEOMETRIC, AS_CHOSEN) else last
+        return "geometry" if last in (fitting.GEOMETRIC, fitting.AS_CHOSEN) else last
 
     @property
     def best(self) -> ErrorStatistics:
@@ -191,7 +151,7 @@ class Result:
         if self.quality.workspace is not None:
             record["workspace"] = self.quality.workspace.as_dict()
         if self.harmonics:
-            record["harmonics"] = {"note": OWN, "found": self.harmonics}
+            record["harmonics"] = {"note": screen.OWN, "found": self.harmonics}
         if self.stiffnesses:
             record["stiffnesses"] = self.stiffnesses
         if self.train.poses is not None:
@@ -205,12 +165,12 @@ class Result:
     @cached_property
     def harmonics(self) -> list[dict[str, Any]]:
         """The drives' harmonics in it, the largest first, in screens' units; empty where there are none."""
-        return harmonic_rows(self.fit.identification)
+        return screen.harmonic_rows(self.fit.identification)
 
     @cached_property
     def stiffnesses(self) -> list[dict[str, Any]]:
         """The joints' stiffnesses, where torques were measured and compliance takes part; else empty."""
-        return stiffness_rows(self.fit.identification, self.train)
+        return screen.stiffness_rows(self.fit.identification, self.train)
 
     @property
     def own_mean_ci95(self) -> Ends | None:
@@ -234,16 +194,16 @@ class Result:
             return self.base_frame.sentences()
         words = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
         if self.own_mean_ci95 is None:
-            return words + f"{figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
-        low, high = self.own_mean_ci95
-        return words + (
-            f"{figure(low)} to {figure(high)} mm (95 % interval; the lower end without the instrument's noise)"
-        )
+            return (
+                words + f"{screen.figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
+            )
+        low, high = map(screen.figure, self.own_mean_ci95)
+        return f"{words}{low} to {high} mm (95 % interval; the lower end without the instrument's noise)"
 
-    def blocks(self) -> tuple[Block, ...]:
+    def blocks(self) -> tuple[screen.Block, ...]:
         """The tables that both the terminal and the page show, in order, after verdict and frames."""
         over = self.quality.workspace
-        blocks = [self._errors(), set_up_block(self.set_ups, self.stations)]
+        blocks = [self._errors(), instrument.set_up_block(self.set_ups, self.stations)]
         blocks += [] if over is None else [over.block()]
         blocks.append(self._parameters())
         if self.left_out:
@@ -252,15 +212,17 @@ class Result:
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
             title = self.held_out.rows.capitalize()
             title = f"{title} far off, and kept" if any_kept else f"{title} left out"
-            blocks.append(Block(title, (), places, note, "left_out"))
+            blocks.append(screen.Block(title, (), places, note, "left_out"))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
-            rows = tuple((name, figure(value * scale)) for name, value in self.terms.blocked_rms.items())
+            rows = tuple((name, screen.figure(value * scale)) for name, value in self.terms.blocked_rms.items())
             note = f"{self.terms.chosen}, chosen on blocks of the training rows"
-            blocks.append(Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note, "terms"))
-        blocks += [stiffness_block(self.stiffnesses), harmonic_block(self.harmonics)]
+            blocks.append(
+                screen.Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note, "terms")
+            )
+        blocks += [screen.stiffness_block(self.stiffnesses), screen.harmonic_block(self.harmonics)]
         blocks += [] if self.gate is None else [self._gate(self.gate)]
-        blocks += [] if self.pixels is None else [self.pixels.block()]
+        blocks += [] if self.pixels is None else [fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))]
         sure = self.uncertainty.block(self.fit.calibration.model, self.test.joints, self.test.conditions)
         return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
 
@@ -301,31 +263,34 @@ class Result:
         """For the terminal: the verdict first."""
         verdict, _, reason = self.quality.verdict().partition(": ")
         lines = [f"verdict: {verdict.upper()}: {reason}"]
-        lines += [f"  {finding.weight}: {finding.text}" for finding in self.quality.others]
+        lines += [f"  {weight}: {text}" for weight, text in self.quality.others]
         lines += [f"frames: {self.frames_text}"]
-        width = screen_width(UNBOUNDED)
+        width = screen_width(screen.UNBOUNDED)
         return "\n".join(
             [*(part for line in lines for part in folded(line, width)), *(b.text() for b in self.blocks())]
         )
 
-    def _errors(self) -> Block:
+    def _errors(self) -> screen.Block:
         figures = ("RMS", "mean", "95 % interval", "p95", "max")
         header: tuple[str, ...] = ("model", *(f"{name} ({self.miss_unit})" for name in figures))
         header += ("attitude mean (deg)",) if self.attitude else ()
-        labels = {NOMINAL: "nominal" if self.known_frames else "nominal, base and tool fitted", GEOMETRIC: "geometry"}
+        labels = {
+            fitting.NOMINAL: "nominal" if self.known_frames else "nominal, base and tool fitted",
+            fitting.GEOMETRIC: "geometry",
+        }
         rows = []
         for name, s in self.position.items():
-            if name == NOMINAL and not self.has_nominal:
+            if name == fitting.NOMINAL and not self.has_nominal:
                 continue
-            turned = (figure(self.attitude[name].mean),) if name in self.attitude else ()
-            rows.append((labels.get(name, name), *error_cells(s), *turned))
+            turned = (screen.figure(self.attitude[name].mean),) if name in self.attitude else ()
+            rows.append((labels.get(name, name), *screen.error_cells(s), *turned))
         note = f"{self.held_out.text(len(self.test.joints), len(self.train.joints))}; used: {self.best_model}"
-        return Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note, "errors")
+        return screen.Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note, "errors")
 
     @cached_property
     def set_ups(self) -> list[dict[str, Any]]:
         """The set-ups of several files, in screens' units; empty where there is one file."""
-        return set_ups_of(self.geometric.identification, self.train)
+        return instrument.set_ups_of(self.geometric.identification, self.train)
 
     def parameters(self) -> list[dict[str, Any]]:
         """Each fitted parameter on screens' units: its change and standard deviation, and how much the rows told.
@@ -340,7 +305,7 @@ class Result:
         for name, std, before, narrowed in columns:
             if name not in identified.kept_names:
                 continue
-            unit, scale = unit_of(name, model.geometry.parameter_names)
+            unit, scale = screen.unit_of(name, model.geometry.parameter_names)
             row = {"name": name, "unit": unit, "change": float(change[name] * scale), "std": float(std * scale)}
             proper = np.isfinite(before)
             row["prior_std"] = float(before * scale) if proper else None
@@ -352,15 +317,15 @@ class Result:
         """Those of `parameters` without a table of their own, as harmonics and stiffnesses have."""
         return [row for row in self.parameters() if not row["name"].startswith(("periodic", "compliance"))]
 
-    def _parameters(self) -> Block:
+    def _parameters(self) -> screen.Block:
         every, rows = self.plain_parameters(), []
         for row in every:
             share = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
             if has_moved(row):
-                rows.append((row["name"], figure(row["change"]), figure(row["std"]), row["unit"], share))
+                rows.append((row["name"], screen.figure(row["change"]), screen.figure(row["std"]), row["unit"], share))
         heads = ("parameter", "change", "± 1 sigma", "unit", "told by the rows")
         note = f"those of {len(every)} that moved by more than {SIGMAS:g} sigma; {self.prior_text}"
-        return Block("Parameters", heads, tuple(rows), note)
+        return screen.Block("Parameters", heads, tuple(rows), note)
 
     @property
     def prior_text(self) -> str:
@@ -368,38 +333,38 @@ class Result:
         prior = self.geometric.identification.prior
         if prior is None or not prior.proper:
             return "nothing was expected of them beforehand"
-        scales = ", ".join(f"{name} times {figure(scale)}" for name, scale in prior.scales.items())
+        scales = ", ".join(f"{name} times {screen.figure(scale)}" for name, scale in prior.scales.items())
         return f"expected beforehand: {prior.source}" + (f", the widths of {scales}" if scales else "")
 
-    def _gate(self, gate: GateReport) -> Block:
+    def _gate(self, gate: GateReport) -> screen.Block:
         first = gate.verdicts[0]
-        rows = [("without", figure(first.geometric_blocked_rms * 1e3), "")]
+        rows = [("without", screen.figure(first.geometric_blocked_rms * 1e3), "")]
         for v in gate.verdicts:
-            rows.append((v.model, "-" if v.blocked_rms is None else figure(v.blocked_rms * 1e3), v.reason))
+            rows.append((v.model, "-" if v.blocked_rms is None else screen.figure(v.blocked_rms * 1e3), v.reason))
         verdict = f"'{gate.selected}' is used" if gate.selected else "none is used"
         header = ("model", "blocked hold-out, RMS (mm)", "verdict")
         note = f"{verdict}; judged within the training rows"
-        return Block("Learnt residual models", header, tuple(rows), note, "residual_models")
+        return screen.Block("Learnt residual models", header, tuple(rows), note, "residual_models")
 
-    def _facts(self) -> Block:
+    def _facts(self) -> screen.Block:
         solution = self.geometric.identification
         rows = [
             ("measured", self.train.kind),
-            ("condition number of the geometry", figure(self.quality.observability.condition)),
+            ("condition number of the geometry", screen.figure(self.quality.observability["condition"])),
             (
                 "least squares",
-                f"{len(solution.residual_rms) - 1} iterations, {figure(1e3 * solution.solve_seconds)} ms",
+                f"{len(solution.residual_rms) - 1} iterations, {screen.figure(1e3 * solution.solve_seconds)} ms",
             ),
         ]
         if self.floor is not None:
             rows.append(("noise floor of a position", self.floor.text()))
-        return Block("Evidence", (), tuple(rows), key="evidence")
+        return screen.Block("Evidence", (), tuple(rows), key="evidence")
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
         solution = self.geometric.identification
         prior = solution.prior
-        nominal, geometric, best = self.position[NOMINAL], self.position[GEOMETRIC], self.best
+        nominal, geometric, best = self.position[fitting.NOMINAL], self.position[fitting.GEOMETRIC], self.best
         unit = self.miss_unit
         held_out: dict[str, Any] = {
             f"nominal_rms_{unit}": nominal.rms,
@@ -432,21 +397,21 @@ class Result:
             "rank": solution.identifiability.rank,
             "parameters_told": solution.spent,
             "changes": self.parameters(),
-            "dropped": {item.name: item.absorbed_by for item in solution.identifiability.dropped},
+            "dropped": solution.identifiability.dropped,
             "workspace": None if self.quality.workspace is None else self.quality.workspace.as_dict(),
             "prior": None if prior is None else {"source": prior.source, "scales": dict(prior.scales)},
-            "condition": self.quality.observability.condition,
+            "condition": self.quality.observability["condition"],
             "converged": self.fit.identification.converged,
             "solve_seconds": solution.solve_seconds,
-            "unknowns_mm": unknowns_in("mm", solution.unknowns),
-            "directions": unknowns_in("1", solution.unknowns),
+            "unknowns_mm": screen.unknowns_in("mm", solution.unknowns),
+            "directions": screen.unknowns_in("1", solution.unknowns),
             "held_out": held_out,
             "noise_floor_mm": None if self.floor is None else self.floor.as_dict(),
             "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
-            "harmonics": {"note": OWN, "found": self.harmonics} if self.harmonics else None,
+            "harmonics": {"note": screen.OWN, "found": self.harmonics} if self.harmonics else None,
             "stiffnesses": self.stiffnesses or None,
             "gate": {} if self.gate is None else self.gate.as_dict()["models"],
-            **({} if self.pixels is None else self.pixels.as_dict()),
+            **(self.pixels or {}),
         }
 
 
@@ -506,15 +471,13 @@ def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, 
 
 def assess(
     arm: Arm,
-    fit: Fit,
+    fit: fitting.Fit,
     train: Observations,
     test: Observations,
     *,
-    fits: Mapping[str, Fit] | None = None,
-    held_out: HeldOut | None = None,
-    terms: TermChoice | None = None,
-    gate: GateReport | None = None,
-    left_out: tuple[LeftOut, ...] = (),
+    fits: Mapping[str, fitting.Fit] | None = None,
+    held_out: fitting.HeldOut | None = None,
+    left_out: tuple[diagnosis.LeftOut, ...] = (),
     workspace: tuple[str, Array] | None = None,
 ) -> Result:
     """Judge a calibration on rows that it never saw.
@@ -527,20 +490,18 @@ def assess(
         fits: The calibration of the geometry alone and what was added to it, step by step, by name; the last is
             ``fit``. When left out ``fit`` without and with its learnt residual.
         held_out: Errors on the rows held out; what the fits leave there when left out.
-        terms: How terms were chosen.
-        gate: The residual models' verdicts.
         left_out: Rows left out.
         workspace: Where the arm will work: what that is called, and joints ``(M, n)`` all over it.
     """
-    unlearnt = without_residual(fit)
+    unlearnt = fitting.without_residual(fit)
     learnt = fit.calibration.learnt
     if fits is None:
-        fits = {GEOMETRIC: unlearnt} if learnt is None else {GEOMETRIC: unlearnt, f"geometry+{learnt.kind}": fit}
+        fits = {fitting.GEOMETRIC: unlearnt} | ({} if learnt is None else {f"geometry+{learnt.kind}": fit})
     bare = next(iter(fits.values()))
     aligned = bare.aligned
-    held_out = held_out or held_out_of(fits, test)
+    held_out = held_out or fitting.held_out_of(fits, test)
     after = list(held_out.errors.values())[-1]
-    before = None if arm.name == CARRIER else held_out.errors[NOMINAL]
+    before = None if arm.name == CARRIER else held_out.errors[fitting.NOMINAL]
     if train.poses is not None:
         words = "stated noise" if train.poses.std_stated else "noise assumed, since none is stated,"
         noise = f"{words} of {train.poses.position_std * 1e3:.4g} mm"
@@ -553,23 +514,23 @@ def assess(
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None:
-        remaining, tracked = after, tracked_rows(fit.identification, test) is not None
+        remaining, tracked = after, fitting.tracked_rows(fit.identification, test) is not None
         if not tracked:  # then the misses are not one per row: any may go with any pose
             places = np.random.default_rng(0).integers(0, len(after), len(test.joints))
             remaining = np.pad(after, ((0, 0), (0, 3 - min(after.shape[1], 3))))[places]
         if train.miss_unit != "mm":
             remaining = np.full_like(remaining, np.nan)
-        base_frame = base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, remaining, tracked)
+        base_frame = instrument.base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, remaining, tracked)
     pixels = None
     if train.views is not None:
-        pixels = pixel_figures(bare, train.views, test.views, held_out)
+        pixels = fitting.pixel_figures(bare, train.views, held_out)
     name, region = workspace or workspace_joints(None, arm.nominal)
     remains = position_rms(after) if train.miss_unit == "mm" else 0.0
     over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name, remains)
     model = fitted_model(arm.name, bare.calibration.nominal, aligned is None)
     quality = grade_quality(
         fit.identification,
-        what_is_left(unlearnt, train),
+        fitting.what_is_left(unlearnt, train),
         before,
         after,
         over,
@@ -578,13 +539,15 @@ def assess(
         blocks=rows_of if held_out.blocks is None else held_out.blocks,
         noise=noise,
         said=(
-            *said_against(bare.identification, train),
-            *said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
-            *said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
-            *said_of_files(left_out, (train, test)),
-            *said_of_stations(bare.identification, train),
-            *said_of_instruments(model, bare.identification, train),
-            *said_of_conditions(fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train),
+            *instrument.said_against(bare.identification, train),
+            *diagnosis.said_of_repeats(train, test if held_out.blocks is None else test.select(np.arange(0))),
+            *diagnosis.said_of_rows(left_out, rows + sum(not item.kept for item in left_out)),
+            *diagnosis.said_of_files(left_out, (train, test)),
+            *diagnosis.said_of_stations(bare.identification, train),
+            *instrument.said_of_instruments(model, bare.identification, train),
+            *instrument.said_of_conditions(
+                fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train
+            ),
         ),
         unit=train.miss_unit,
         rows=(len(test.joints), held_out.rows),
@@ -599,8 +562,6 @@ def assess(
         quality,
         uncertainty,
         base_frame,
-        terms,
-        gate,
         left_out=left_out,
         pixels=pixels,
     )

@@ -42,18 +42,7 @@ from pickenv.calibration.model.observations import (
 )
 from pickenv.calibration.model.pixels import with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, prior_model
-from pickenv.calibration.pipeline.fitting import (
-    Fit,
-    HeldOut,
-    by_station,
-    fit_frames,
-    fit_geometry,
-    fit_remainder,
-    held_out_elsewhere,
-    held_out_of,
-    pooled,
-    tracked_rows,
-)
+from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.result import Result, assess, workspace_joints
 from pickenv.calibration.pipeline.verification import REFIT_ROWS, near_rows
 from pickenv.calibration.reading.description import load_description
@@ -140,7 +129,7 @@ STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": (
 def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
     """The arm; one that only carries poses where they are finished."""
     described = [load_description(description) for description in _each(columns)]
-    if any(description.views is not None and description.views.poses for description in described):
+    if any(description.poses for description in described):
         if arm is not None:
             raise InputError("finished poses have no joints to calibrate; leave the arm out, or describe its [joints]")
         return pose_carrier()
@@ -302,21 +291,21 @@ class Draft:
     progress: Callable[[str, int, int], None] | None = None
     left_out: tuple[LeftOut, ...] = ()
     aligned: Identification | None = None
-    fits: Mapping[str, Fit] = field(default_factory=dict)
+    fits: Mapping[str, fitting.Fit] = field(default_factory=dict)
     term_choice: TermChoice | None = None
     gate: GateReport | None = None
 
     @property
     def tracked(self) -> Measurements | None:
         """Training poses or positions, of stations as the first one would have measured them; None for other kinds."""
-        return tracked_rows(self.best[1].identification, self.train)
+        return fitting.tracked_rows(self.best[1].identification, self.train)
 
     @property
-    def best(self) -> tuple[str, Fit]:
+    def best(self) -> tuple[str, fitting.Fit]:
         """The last of the fits, and its name."""
         return list(self.fits.items())[-1]
 
-    def with_fit(self, name: str, fit: Fit) -> Draft:
+    def with_fit(self, name: str, fit: fitting.Fit) -> Draft:
         """The draft with one more fit."""
         return replace(self, fits={**self.fits, name: fit})
 
@@ -401,25 +390,25 @@ def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
     return draft
 
 
-def _assessed(draft: Draft, held_out: HeldOut) -> Result:
-    return assess(
+def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
+    workspace = workspace_joints(draft.choices.workspace, draft.arm.nominal)
+    result = assess(
         draft.arm,
         draft.best[1],
         draft.train,
         draft.test,
         fits=draft.fits,
         held_out=held_out,
-        terms=draft.term_choice,
-        gate=draft.gate,
         left_out=draft.left_out,
-        workspace=workspace_joints(draft.choices.workspace, draft.arm.nominal),
+        workspace=workspace,
     )
+    return replace(result, terms=draft.term_choice, gate=draft.gate)
 
 
 def _judged_once(draft: Draft) -> Result:
     """The calibration judged on its rows held out."""
     draft = _through(STAGES, draft)
-    return _assessed(draft, held_out_of(draft.fits, draft.test))
+    return _assessed(draft, fitting.held_out_of(draft.fits, draft.test))
 
 
 def _judged_by_blocks(draft: Draft) -> Result:
@@ -449,11 +438,11 @@ def _judged_by_blocks(draft: Draft) -> Result:
                 fold = _with_residual(fold, residual, fold.tracked, None)
         except InputError as error:
             raise InputError(f"without block {number + 1} of {len(folds)}: {error}") from None
-        parts.append(held_out_of(fold.fits, testing))
+        parts.append(fitting.held_out_of(fold.fits, testing))
         if draft.progress is not None:
             draft.progress("judging blocks", number + 1, len(folds))
     final = replace(complete, test=checked.train.select(np.concatenate([rows_out for _, rows_out in folds])))
-    return _assessed(final, by_station(pooled(list(complete.fits), parts), checked.train, folds))
+    return _assessed(final, fitting.by_station(fitting.pooled(list(complete.fits), parts), checked.train, folds))
 
 
 def _judged_elsewhere(draft: Draft) -> Result:
@@ -464,7 +453,7 @@ def _judged_elsewhere(draft: Draft) -> Result:
         raise InputError(f"`refit` is for poses and positions, but {test.source} holds {test.kind}; leave it out")
     choices = draft.choices
     near, left_out = near_rows(draft.best[1].calibration, test.poses, choices.refit, choices.refit_rows)
-    held_out, others = held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
+    held_out, others = fitting.held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
     final = replace(draft, test=near.select(others), left_out=(*draft.left_out, *left_out))
     return _assessed(final, held_out)
 
@@ -521,7 +510,7 @@ def _check(draft: Draft) -> Draft:
 
 def _align(draft: Draft) -> Draft:
     """Base and tool, where they are not known."""
-    return replace(draft, aligned=fit_frames(draft.arm, draft.train, draft.choices.frames == "known"))
+    return replace(draft, aligned=fitting.fit_frames(draft.arm, draft.train, draft.choices.frames == "known"))
 
 
 def _identify(draft: Draft) -> Draft:
@@ -536,7 +525,7 @@ def _identify(draft: Draft) -> Draft:
         tolerances=choices.tolerances or draft.arm.tolerance_class,
         scale=choices.prior_scale,
     )
-    return draft.with_fit(GEOMETRY, fit_geometry(draft.arm, draft.train, draft.aligned, model))
+    return draft.with_fit(GEOMETRY, fitting.fit_geometry(draft.arm, draft.train, draft.aligned, model))
 
 
 def _add_terms(draft: Draft) -> Draft:
@@ -555,7 +544,7 @@ def _add_terms(draft: Draft) -> Draft:
             kinds = [kind_of_term(term) for term in terms]
             record = {**geometric.calibration.record, "terms": sorted(kinds)}
             calibration = replace(geometric.calibration, model=solution.arm_model, record=record)
-            draft = draft.with_fit(f"{name}+{'+'.join(kinds)}", Fit(calibration, solution, geometric.aligned))
+            draft = draft.with_fit(f"{name}+{'+'.join(kinds)}", fitting.Fit(calibration, solution, geometric.aligned))
             break
         terms = terms[:-1]
     return replace(draft, term_choice=choice)
@@ -583,7 +572,7 @@ def _learn(draft: Draft) -> Draft:
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
     name, best = draft.best
     report = None if draft.progress is None else partial(draft.progress, "training network")
-    return draft.with_fit(f"{name}+{kind}", fit_remainder(best, kind, data, draft.rng, settings, report))
+    return draft.with_fit(f"{name}+{kind}", fitting.fit_remainder(best, kind, data, draft.rng, settings, report))
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:

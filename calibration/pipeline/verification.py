@@ -6,8 +6,8 @@ between two measurements. mm and degrees on screens, SI inside.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -25,7 +25,6 @@ from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, frames_mod
 from pickenv.calibration.model.measurements import OWN, Measurements
 from pickenv.calibration.model.observations import (
     BLOCKS,
-    Equations,
     Observations,
     Rows,
     equally_spaced,
@@ -57,6 +56,10 @@ CANDIDATES = 1000
 """Rows are chosen among so many at most, taken evenly."""
 
 
+Moves = dict[str, tuple[float, float, int, int]]
+"""Shift, m, and turn, rad, of frames by name, and how many of three directions of each are not told."""
+
+
 @dataclass(frozen=True, eq=False)
 class Restationed:
     """A calibration at another station.
@@ -67,16 +70,15 @@ class Restationed:
         rest: All rows of other poses.
         expected: Mean square that the errors there should have ``(R,)``, m^2: what the calibration leaves elsewhere,
             and what the frames are uncertain by.
-        moved: How far base and tool lie from where they were, by name: m and rad.
-        untold: How many of a frame's three directions of shift, and of turn, these rows do not tell, by name.
+        moved: How far base and tool lie from where they were, by name: m and rad, and how many of the three directions
+            of each these rows do not tell.
     """
 
     calibration: Calibration
     used: Rows
     rest: Rows
     expected: Array
-    moved: dict[str, tuple[float, float]]
-    untold: dict[str, tuple[int, int]]
+    moved: Moves
 
 
 def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...], int]:
@@ -135,7 +137,7 @@ def restationed(
     ]
     near = min(fits, key=lambda fit: fit.chi_square).arm_model
     # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
-    settled: list[Equations] = [few, replace(before, reference=near)]
+    settled: list[Observations] = [few, replace(before, reference=near)]
     model_there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
     poses = same_poses(data.joints)
     others = np.flatnonzero(~np.isin(poses, poses[used]))
@@ -148,10 +150,11 @@ def restationed(
     expected = np.einsum("rip,pq,riq->r", elsewhere, covariance, elsewhere) + expected_square(data)
     parts = [covariance[first : first + 3, first : first + 3] for first in range(0, len(std), 3)]
     lost = [int(np.sum(np.linalg.eigvalsh(part) > TOLD**2)) for part in parts]
-    untold = {name: (lost[2 * i], lost[2 * i + 1]) for i, name in enumerate(name for name in OWN if name in own)}
-    geometry = calibration.identified
-    moves = {name: apart(getattr(geometry, name), getattr(model_there.geometry, name)) for name in OWN if name in own}
-    return Restationed(replace(calibration, model=model_there), used, others, expected, moves, untold)
+    moves: Moves = {}
+    for i, name in enumerate(name for name in OWN if name in own):
+        shift, turn = apart(getattr(calibration.identified, name), getattr(model_there.geometry, name))
+        moves[name] = shift, turn, lost[2 * i], lost[2 * i + 1]
+    return Restationed(replace(calibration, model=model_there), used, others, expected, moves)
 
 
 def own_frames_model(geometry: Geometry, own: Collection[str]) -> ErrorModel:
@@ -266,12 +269,11 @@ class Verification:
         expected: What the RMS should be, mm.
         rows: Rows judged.
         refitted: Rows that base and tool were found from.
-        moved: How far base and tool lie from where they were, by name: m and rad.
+        moved: How far base and tool lie from where they were.
         since: The first row from which on errors stay large, in words; None where they do not.
         left_out: Rows far off from all others.
         no_gain: Why the rows do not show that the calibrated arm is better than the nominal one; None where they do.
         measured: Share of the rows that lie where the calibration was measured; None where that is not known.
-        untold: How many of a frame's three directions of shift, and of turn, the rows do not tell, by name.
     """
 
     status: Status
@@ -281,12 +283,11 @@ class Verification:
     expected: float
     rows: int
     refitted: int
-    moved: dict[str, tuple[float, float]]
+    moved: Moves
     since: str | None
     left_out: tuple[LeftOut, ...]
     no_gain: str | None = None
     measured: float | None = None
-    untold: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def ratio(self) -> float:
@@ -325,10 +326,10 @@ class Verification:
 
     def _moved(self, name: str) -> tuple[str, str]:
         """Sizes of a frame's shift and turn, as far as the rows tell."""
-        shift, turn = self.moved[name]
+        shift, turn, *untold = self.moved[name]
         sizes = (figure(shift * 1e3), figure(float(np.degrees(turn))))
         cells = []
-        for size, count in zip(sizes, self.untold.get(name, (0, 0)), strict=True):
+        for size, count in zip(sizes, untold, strict=True):
             some = f"{size}; {count} of 3 directions not told by these rows" if count else size
             cells.append("not told by these rows" if count == 3 else some)
         return cells[0], cells[1]
@@ -349,11 +350,11 @@ class Verification:
             "measured_share": self.measured,
             "moved": {
                 name: {
-                    "mm": None if self.untold.get(name, (0, 0))[0] == 3 else m * 1e3,
-                    "deg": None if self.untold.get(name, (0, 0))[1] == 3 else float(np.degrees(a)),
-                    "untold_directions": list(self.untold.get(name, (0, 0))),
+                    "mm": None if untold[0] == 3 else shift * 1e3,
+                    "deg": None if untold[1] == 3 else float(np.degrees(turn)),
+                    "untold_directions": untold,
                 }
-                for name, (m, a) in self.moved.items()
+                for name, (shift, turn, *untold) in self.moved.items()
             },
             "since": self.since,
             "left_out_rows": [vars(item) for item in self.left_out],
@@ -387,7 +388,7 @@ def verify(
         # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
         before = errors_there(restationed(nominal, poses, refit, refit_rows, at.used), nominal, poses)
     else:
-        at = Restationed(calibration, np.arange(0), np.arange(len(poses)), promised(calibration, poses), {}, {})
+        at = Restationed(calibration, np.arange(0), np.arange(len(poses)), promised(calibration, poses), {})
         errors, before = calibration.errors(poses), nominal.errors(poses)
     others, expected = at.rest, at.expected
     blocks = np.arange(len(others)) * BLOCKS // len(others) if len(others) >= 4 * BLOCKS else None
@@ -409,7 +410,6 @@ def verify(
         left_out,
         next(no_gain(before, errors, np.arange(len(others)), "mm", len(others), "rows"), None),
         measured,
-        at.untold,
     )
     status, reason = _verdict(verification, lambda: _cause(at.calibration, judging, errors, expected, inside, refit))
     return replace(verification, status=status, reason=reason)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,18 +24,7 @@ from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, complete_m
 from pickenv.calibration.model.kinds import DistanceObservations, SocketObservations
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import FRAMES, PriorModel
-from pickenv.calibration.planning.plan import (
-    DRAWS,
-    MARGIN,
-    Design,
-    PosePlan,
-    candidate_joints,
-    criterion_of,
-    error_weight,
-    finished_plan,
-    plan_sizes,
-    refuse_too_few,
-)
+from pickenv.calibration.planning import plan
 
 ROUNDS = 60
 """Rounds in which candidates are looked for at most."""
@@ -95,12 +83,14 @@ def measurable_joints(geometry: Geometry, first: FirstRows, count: int, rng: np.
     of all show a board.
     """
     room = geometry.upper - geometry.lower
-    lower, upper = geometry.lower + MARGIN * room, geometry.upper - MARGIN * room
+    lower, upper = geometry.lower + plan.MARGIN * room, geometry.upper - plan.MARGIN * room
     readable, seeds = np.zeros((0, geometry.joints)), np.clip(first.data.joints, lower, upper)
     for _ in range(ROUNDS):
         near = seeds[rng.integers(0, len(seeds), count)]
         sizes = 10.0 ** rng.uniform(-2.0, -0.5, (count, 1)) * room
-        trials = np.concatenate([candidate_joints(geometry, count, rng), near + sizes * rng.normal(size=near.shape)])
+        trials = np.concatenate(
+            [plan.candidate_joints(geometry, count, rng), near + sizes * rng.normal(size=near.shape)]
+        )
         trials, good = measurable(first, np.clip(trials, lower, upper), geometry)
         good &= ((trials >= lower) & (trials <= upper)).all(axis=1)
         readable, seeds = (np.concatenate([poses, trials[good]]) for poses in (readable, seeds))
@@ -165,11 +155,11 @@ def _shown(first: FirstRows, joints: Array) -> NDArray[np.bool_]:
 
 def readings_at(first: FirstRows, joints: Array) -> Observations:
     """Rows that the instrument would read at other joints; of a board the corners that are in the picture there."""
-    data: Any = first.data  # all kinds but stations can be imagined, which `first_rows` refuses
-    rows: Observations = data.imagined(joints)
+    data = first.data
+    rows = data.imagined(joints)  # not stations, which `first_rows` refuses
     if rows.views is None:
         return rows
-    margin = WARY * float(np.sqrt(np.mean(data.pixel_errors(first.model, first.unknowns) ** 2)))
+    margin = WARY * float(np.sqrt(np.mean(data.views.pixel_errors(first.model, first.unknowns) ** 2)))
     visible: Observations = replace(rows.views, seen=rows.views.visible(first.model, first.unknowns, margin))
     return visible
 
@@ -194,7 +184,7 @@ def plan_like(
     test_joints: Array | None = None,
     curve: bool = False,
     prior: PriorModel | None = None,
-) -> PosePlan:
+) -> plan.PosePlan:
     """Choose ``count`` further poses for an instrument that has measured a few, and order them for short travel.
 
     Base, tool and the arm's own parameters are planned for, with the instrument's unknowns.
@@ -218,7 +208,7 @@ def plan_like(
         InputError: If the first rows are of several kinds, too few or do not fit the arm, there are too few candidates
             or poses, or the criterion is unknown.
     """
-    criterion = criterion_of(criterion, test_joints)
+    criterion = plan.criterion_of(criterion, test_joints)
     begin = time.perf_counter()
     first = first_rows(arm, data)
     if isinstance(candidates, int):
@@ -237,28 +227,28 @@ def plan_like(
         parameters = len(design.names) + len(design.model.names)
         missing = parameters + 1 - int((first.data.equations()[0] >= 0).sum())
         least = max(1, -(-missing // min(design.rows.shape[1], 6)))
-        refuse_too_few(count, parameters, least, f"besides the {len(first.data.joints)} of {first.data.source} ")
-    plan = finished_plan(
+        plan.refuse_too_few(count, parameters, least, f"besides the {len(first.data.joints)} of {first.data.source} ")
+    pose_plan = plan.finished_plan(
         arm,
         design,
         count,
         rng,
-        drawn=cache(lambda size: np.stack([rng.choice(len(joints), size, replace=False) for _ in range(DRAWS)])),
+        drawn=cache(lambda size: np.stack([rng.choice(len(joints), size, replace=False) for _ in range(plan.DRAWS)])),
         rows_at=design.rows.__getitem__,
         criterion=criterion,
-        goal=error_weight(first.model.geometry, design, joints if test_joints is None else test_joints),
+        goal=plan.error_weight(first.model.geometry, design, joints if test_joints is None else test_joints),
         where="at the candidates" if test_joints is None else "at the test poses",
-        sizes=plan_sizes(count, 1, len(joints)) if curve else (),
+        sizes=plan.plan_sizes(count, 1, len(joints)) if curve else (),
     )
     return replace(
-        plan,
+        pose_plan,
         first=len(first.data.joints),
-        lines=None if lines is None else lines[plan.chosen],
+        lines=None if lines is None else lines[pose_plan.chosen],
         seconds=time.perf_counter() - begin,
     )
 
 
-def _design(geometry: Geometry, first: FirstRows, joints: Array, prior: PriorModel | None) -> Design:
+def _design(geometry: Geometry, first: FirstRows, joints: Array, prior: PriorModel | None) -> plan.Design:
     """The design of the candidates beside first rows and priors: of all parameters, or of a base set."""
     data, count = first.data, len(first.data.unknowns())
     if prior is not None and not data.framed:
@@ -275,7 +265,7 @@ def _design(geometry: Geometry, first: FirstRows, joints: Array, prior: PriorMod
     else:
         columns = np.arange(len(scale))
         information = np.diag((scale / np.r_[np.full(count, UNKNOWN_STD), prior.width]) ** 2)
-    return Design(
+    return plan.Design(
         joints,
         np.concatenate([_by_pose(first, part, model, scale)[..., columns] for part in parts]),
         model.some(np.isin(np.arange(count, len(scale)), columns)),

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from operator import attrgetter
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from scipy.linalg import qr
 
 from pickenv.arm import Arm, Array, Geometry, parameter_jacobian
 from pickenv.base import InputError, check_limit, single_threaded
-from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, Observability, observability
+from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, observability
 from pickenv.calibration.model.arm_model import ErrorModel, frames_model, link_model
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, random_joints, write_joints
 from pickenv.calibration.model.prior import FRAMES, PriorModel
@@ -200,34 +200,6 @@ class Design:
     framed: bool = False
 
 
-@dataclass(frozen=True)
-class AgainstChance:
-    """Observability of planned poses beside that of as many poses drawn evenly from the joint ranges.
-
-    Attributes:
-        parameters: The base parameters that it is about.
-        planned: Of the planned poses.
-        drawn: Of drawn poses: the median of 20 sets by condition.
-        drawn_o1: Mean O1 of the 20 sets.
-    """
-
-    parameters: tuple[str, ...]
-    planned: Observability
-    drawn: Observability
-    drawn_o1: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return {
-            "parameters": list(self.parameters),
-            "condition": self.planned.condition,
-            "random_condition": self.drawn.condition,
-            "o1_ratio": self.planned.o1 / self.drawn_o1,
-            "observability": self.planned.as_dict(),
-            "random_observability": self.drawn.as_dict(),
-        }
-
-
 @dataclass(frozen=True, eq=False)
 class PosePlan:
     """Poses to measure, in order.
@@ -243,7 +215,8 @@ class PosePlan:
         random_predicted_error: The same for drawn poses, median of 20 sets, m; or None.
         where: Where that error is taken, in words.
         passes: Rounds of exchange.
-        model: Observability of the parameters planned for; None where an instrument's first rows were planned on.
+        model: Observability of the parameters planned for, beside that of as many poses drawn evenly from the joint
+            ranges (for JSON); None where an instrument's first rows were planned on.
         arm: The same of the arm's own parameters, base and tool taken as known: what papers state. None where the poses
             are too few to tell all of them without priors, too.
         first: Rows measured already.
@@ -262,8 +235,8 @@ class PosePlan:
     random_predicted_error: float | None
     where: str
     passes: int
-    model: AgainstChance | None = None
-    arm: AgainstChance | None = None
+    model: dict[str, Any] | None = None
+    arm: dict[str, Any] | None = None
     first: int = 0
     seconds: float = 0.0
     lines: NDArray[np.int64] | None = None
@@ -291,10 +264,9 @@ class PosePlan:
         for name in ("criterion", "where", "travel_seconds", "random_travel_seconds", "passes", "seconds"):
             figures[name] = getattr(self, name)
         if self.model is not None:
-            arm = None if self.arm is None else self.arm.as_dict()
-            figures |= {"arm": arm, "model": self.model.as_dict()}
+            figures |= {"arm": self.arm, "model": self.model}
             for key in ("condition", "random_condition", "o1_ratio"):
-                figures[key] = None if arm is None else arm[key]
+                figures[key] = None if self.arm is None else self.arm[key]
         if self.predicted_error is not None and self.random_predicted_error is not None:
             figures["predicted_error_mm"] = self.predicted_error * 1e3
             figures["random_predicted_error_mm"] = self.random_predicted_error * 1e3
@@ -319,8 +291,8 @@ class PosePlan:
         for label, part in parts.items():
             if part is not None:
                 lines.append(
-                    f"  {label} ({len(part.parameters)}): condition {part.planned.condition:.1f} (poses drawn at "
-                    f"random: {part.drawn.condition:.1f}), O1 {part.planned.o1 / part.drawn_o1:.2f} times theirs"
+                    f"  {label} ({len(part['parameters'])}): condition {part['condition']:.1f} (poses drawn at "
+                    f"random: {part['random_condition']:.1f}), O1 {part['o1_ratio']:.2f} times theirs"
                 )
         lines.append(
             f"  moves take {self.travel_seconds:.0f} s in this order, {self.random_travel_seconds:.0f} s in another"
@@ -568,20 +540,26 @@ def finished_plan(
     )
 
 
-def _observed(design: Design, rows: Array) -> Observability:
+def _observed(design: Design, rows: Array) -> dict[str, float]:
     """Observability of stacked rows ``(M, r, p)``, and of what is known beforehand."""
     stacked = np.vstack([rows.reshape(-1, rows.shape[-1]), np.sqrt(design.known)])
     values = np.linalg.svd(stacked, compute_uv=False)
     return observability(np.asarray(values, dtype=float), len(rows))
 
 
-def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> AgainstChance:
+def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> dict[str, Any]:
+    """Observability of planned poses beside that of drawn sets, of which the median by condition stands for all."""
     rows = (_rows(geometry, design.model, design.weight, joints) for joints in sets)
-    random_sets = sorted((_observed(design, part) for part in rows), key=attrgetter("condition"))
-    o1 = float(np.mean([part.o1 for part in random_sets]))
-    return AgainstChance(
-        design.model.names, _observed(design, design.rows[chosen]), random_sets[len(random_sets) // 2], o1
-    )
+    random_sets = sorted((_observed(design, part) for part in rows), key=itemgetter("condition"))
+    planned, by_chance = _observed(design, design.rows[chosen]), random_sets[len(random_sets) // 2]
+    return {
+        "parameters": list(design.model.names),
+        "condition": planned["condition"],
+        "random_condition": by_chance["condition"],
+        "o1_ratio": planned["o1"] / float(np.mean([part["o1"] for part in random_sets])),
+        "observability": planned,
+        "random_observability": by_chance,
+    }
 
 
 def _least(design: Design) -> int:

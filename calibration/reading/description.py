@@ -7,8 +7,8 @@ It names separator, decimal sign, units, conventions and uncertainties; which se
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, make_dataclass
+from collections.abc import Callable
+from dataclasses import KW_ONLY, make_dataclass
 from math import inf
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_type_hints
@@ -63,13 +63,13 @@ def _lost(found: Any, _context: Any) -> tuple[str, ...]:
 
 @toml_table
 class LengthsTable:
-    """[position]; fields are called as in `pickenv.calibration.reading.description.ColumnDescription`."""
+    """[position]: expressions of x, y and z, or of lengths; their uncertainty, and columns of their repeat sigma."""
 
     _: KW_ONLY
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    position_unit: Annotated[str, one_of(LENGTHS), Key("unit")]
-    position_std: Annotated[float, MM.positive, Key("std_mm")] | None = None
-    position_std_columns: Annotated[tuple[str, ...], COLUMNS, Key("std_columns")] = ()
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Annotated[str, one_of(LENGTHS)]
+    std: Annotated[float, MM.positive] | None = None
+    std_columns: Annotated[tuple[str, ...], COLUMNS] = ()
 
 
 @toml_table
@@ -81,9 +81,9 @@ class ReflectorsTable(LengthsTable):
     places_std: Annotated[float, MM.not_negative] = 1e-4
 
     def __post_init__(self) -> None:
-        if self.places and len(self.places) != len(self.position):
+        if self.places and len(self.places) != len(self.columns):
             raise InputError(
-                f"places_mm of [reflectors] has {len(self.places)} numbers for {len(self.position)} columns; give x, y "
+                f"places_mm of [reflectors] has {len(self.places)} numbers for {len(self.columns)} columns; give x, y "
                 "and z of each reflector in turn"
             )
 
@@ -93,7 +93,7 @@ class ContactTable:
     """[touches] or [plane], and what every contact says: its uncertainty, and which point of the tool it is about."""
 
     _: KW_ONLY
-    position_std: Annotated[float, MM.positive, Key("std_mm")] = 1e-4
+    std: Annotated[float, MM.positive] = 1e-4
     tool: Annotated[str, one_of((KNOWN, FITTED))] = KNOWN
     tool_point: Annotated[tuple[float, float, float], MM, Key("tool_mm")] = (0.0, 0.0, 0.0)
     tool_std: Annotated[float, MM.not_negative] = 0.0
@@ -109,7 +109,7 @@ class ContactTable:
 class SocketsTable(ContactTable):
     """[sockets]."""
 
-    position: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
+    columns: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
     spacing: Annotated[float, MM.positive] | None = None
     spacing_std: Annotated[float, MM.positive] = 5e-5
 
@@ -118,8 +118,8 @@ class SocketsTable(ContactTable):
 class ReadingTable(ContactTable):
     """One column of readings, as [wire] and [dial] have it."""
 
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    position_unit: Annotated[str, one_of(LENGTHS), Key("unit")]
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Annotated[str, one_of(LENGTHS)]
     scale_std: Annotated[float, DOUBT, Key("scale")] = 0.0
 
 
@@ -159,9 +159,9 @@ class TiltTable:
     """[tilt]: components of down along the axes of an inclinometer or accelerometer."""
 
     _: KW_ONLY
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    position_unit: Annotated[str, one_of((*ANGLES, "g")), Key("unit")]
-    position_std: Annotated[float, DEG.positive, Key("std_deg")] = 1e-3
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Annotated[str, one_of((*ANGLES, "g"))]
+    std: Annotated[float, DEG.positive] = 1e-3
     axes_std: Annotated[float, DOUBT, Key("mount")] = inf
     down_std: Annotated[float, DOUBT, Key("base")] = inf
 
@@ -226,20 +226,16 @@ class PixelsTable:
     mount: Annotated[Mount, one_of(get_args(Mount))]
     picture: Annotated[str, COLUMN] | None = None
     files: Annotated[str, COLUMN] | None = None
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")] = ()
+    columns: Annotated[tuple[str, ...], COLUMNS] = ()
     view: Annotated[str, COLUMN] | None = None
     corner: Annotated[str, COLUMN] | None = None
-    std_px: Annotated[float, Unit("px").positive, Key("std_px")] | None = None
+    std: Annotated[float, Unit("px").positive] | None = None
 
     def __post_init__(self) -> None:
-        if (self.picture is None) == (not self.position):
+        if (self.picture is None) == (not self.columns):
             raise InputError("[pixels] needs either picture, or columns, view and corner of a table of corners")
-        if self.position and (self.view is None or self.corner is None):
+        if self.columns and (self.view is None or self.corner is None):
             raise InputError("columns of [pixels] need view and corner: which picture, and which corner of the board")
-
-
-Section = LengthsTable | ContactTable | TiltTable | PixelsTable
-"""The section that says what was measured."""
 
 
 @toml_table
@@ -256,7 +252,7 @@ class LensTable:
     height: Annotated[int, WHOLE.at_least(1)] | None = None
     distortion: Annotated[tuple[float, ...], NUMBER] = ()
     lens: Annotated[str, one_of(("fixed", "free", "prior"))] = "fixed"
-    prior_px: Annotated[float, PIXELS, Key("prior_px")] = 10.0
+    prior_px: Annotated[float, PIXELS] = 10.0
     prior_distortion: Annotated[float, NUMBER] = 0.1
 
     def __post_init__(self) -> None:
@@ -273,22 +269,22 @@ class LensTable:
 class RotationTable:
     """[rotation]; a convention that is not named stays None, and is asked for when the file is read."""
 
-    rotation: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
-    rotation_unit: Annotated[Any, Key("unit")] = None
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Any = None
     convention: Annotated[str, one_of(CONVENTIONS)] | None = None
-    attitude_std: Annotated[float, DEG.positive, Key("std_deg")] = ATTITUDE_STD
+    std: Annotated[float, DEG.positive] = ATTITUDE_STD
 
-    def unit(self) -> str:
+    def checked_unit(self) -> str:
         """The unit of angles, rad for a quaternion; columns that are no attitude, and a missing unit, are refused."""
-        count = len(self.rotation)
+        count = len(self.columns)
         if self.convention is None and count not in (3, 4):
             raise InputError(f"[rotation] has {count} columns; give three angles or four of a quaternion")
         if not (count == 3 if self.convention is None else CONVENTIONS[self.convention][0] == "angle"):
             return "rad"
-        if self.rotation_unit not in ANGLES:
-            unit = "missing" if self.rotation_unit is None else shortened(repr(self.rotation_unit))
+        if self.unit not in ANGLES:
+            unit = "missing" if self.unit is None else shortened(repr(self.unit))
             raise InputError(f"unit of [rotation] is {unit}; give {one_of(ANGLES).wanted}")
-        return str(self.rotation_unit)
+        return str(self.unit)
 
 
 @toml_table
@@ -296,9 +292,9 @@ class PosesTable:
     """[poses]: finished poses of the flange in place of joints, as the controller reports them."""
 
     _: KW_ONLY
-    position: Annotated[tuple[str, ...], COLUMNS, Key("columns")]
+    columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
-    rotation: Annotated[tuple[str, ...], COLUMNS, Key("rotation_columns")]
+    rotation_columns: Annotated[tuple[str, ...], COLUMNS]
     rotation_unit: Annotated[str, one_of(ANGLES)] = "rad"
     convention: Annotated[str, one_of(CONVENTIONS)]
 
@@ -335,6 +331,10 @@ class TorquesTable:
         return self.units if self.units or self.unit is None else (self.unit,) * len(self.columns)
 
 
+Recorded = tuple[tuple[str, ...], tuple[float, ...], float]
+"""Columns of a condition, what turns each into SI, and what is subtracted before."""
+
+
 @toml_table
 class ConditionsTable:
     """[conditions]."""
@@ -342,6 +342,19 @@ class ConditionsTable:
     temperature: TemperatureTable | None = None
     payload: PayloadTable | None = None
     torques: TorquesTable | None = None
+
+    def recorded(self, joint_units: tuple[str, ...]) -> dict[str, Recorded]:
+        """The conditions by name; torques are in the joints' own units where none is given."""
+        recorded: dict[str, Recorded] = {}
+        if (warmth := self.temperature) is not None:
+            usual = 20.0 if warmth.unit == "degC" else 0.0
+            recorded["temperature"] = (warmth.column,), (1.0,), usual if warmth.reference is None else warmth.reference
+        if (mass := self.payload) is not None:
+            recorded["payload"] = (mass.column,), (MASSES[mass.unit],), mass.reference
+        if (torques := self.torques) is not None:
+            units = torques.each or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
+            recorded["torque"] = torques.columns, tuple(TORQUES[unit] for unit in units), 0.0
+        return recorded
 
 
 @toml_table
@@ -381,16 +394,16 @@ class DescriptionFile:
             raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(kinds()))
         self._check_views()
         fits, columns = COUNTS.get(sections[0], (lambda _: True, ""))
-        count = len(getattr(self.measured, "position", ()))
+        count = len(self.columns)
         if not fits(count):
             raise InputError(f"[{sections[0]}] needs {columns}")
-        stds = len(getattr(self.measured, "position_std_columns", ()))
+        stds = len(getattr(self.measured, "std_columns", ()))
         if stds and stds != count:
             raise InputError(f"[{sections[0]}] has {count} columns but {stds} std_columns; give one each")
         if self.rotation is not None:
             if self.position is None:
                 raise InputError(f"[rotation] belongs to [position], not to [{sections[0]}]")
-            self.rotation.unit()
+            self.rotation.checked_unit()
         torques, n = self.conditions.torques, 0 if self.joints is None else len(self.joints.columns)
         if torques is not None and (len(torques.columns), len(torques.each or torques.columns)) != (n, n):
             raise InputError("[conditions.torques] needs one column, and one unit, per joint")
@@ -414,10 +427,37 @@ class DescriptionFile:
         return next(kind for kind in kinds() if getattr(self, kind, None) is not None)
 
     @property
-    def measured(self) -> Section:
-        """The section of that kind."""
-        section: Section = getattr(self, self.kind)
-        return section
+    def measured(self) -> Any:
+        """The section of that kind, of any class."""
+        return getattr(self, self.kind)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number.
+
+        None of sections that other packages read: what stands there is theirs.
+        """
+        return getattr(self.measured, "columns", ()) if self.kind in COUNTS else ()
+
+    @property
+    def unit(self) -> str:
+        """Their unit: mm or m; of a tilt deg, rad or g; empty where the section has none."""
+        return getattr(self.measured, "unit", "")
+
+    @property
+    def std(self) -> float:
+        """Standard uncertainty of a coordinate, of a length, or of a ball's rest, m; of a tilt, rad."""
+        return getattr(self.measured, "std", None) or POSITION_STD
+
+    @property
+    def joint_columns(self) -> tuple[str, ...]:
+        """Expressions of the joint columns, in joint order; none beside finished poses."""
+        return () if self.joints is None else self.joints.columns
+
+    @property
+    def joint_units(self) -> tuple[str, ...]:
+        """Their units."""
+        return () if self.joints is None else self.joints.each
 
 
 def description_file() -> type[DescriptionFile]:
@@ -435,119 +475,33 @@ def description_file() -> type[DescriptionFile]:
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
 
 
-MEASURED = ("position", "position_unit", "position_std", "position_std_columns")
-"""Keys of a section that are its own words for any kind."""
-
-
-@dataclass(frozen=True)
-class Condition:
-    """A recorded condition: its columns, what turns them into SI, and what is subtracted first."""
-
-    columns: tuple[str, ...]
-    scales: tuple[float, ...]
-    reference: float = 0.0
-
-
-@dataclass(frozen=True)
-class ColumnDescription:
-    """Layout of a foreign file.
-
-    Attributes:
-        where: The description's own file, for messages.
-        separator: Character between columns.
-        decimal: Decimal sign, "." or ",".
-        names: Column names of a file without a header, or None.
-        joints: Expressions of the joint columns, in joint order.
-        joint_units: Their units.
-        kind: What was measured, one of `kinds`.
-        position: Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number.
-        position_unit: mm or m; of a tilt deg, rad or g.
-        position_std: Standard uncertainty of a coordinate, of a length, or of a ball's rest, m; of a tilt, rad.
-        section: The file's whole section of that kind.
-        std_stated: Whether the description says it, or the default is assumed.
-        position_std_columns: Columns of the repeat sigma of each coordinate, in the position's unit; may be empty.
-        rotation: Expressions of the attitude's columns; empty for positions only.
-        convention: Attitude convention, a key of `CONVENTIONS`; None where the description names none.
-        rotation_unit: deg or rad.
-        attitude_std: Standard uncertainty of an attitude coordinate, rad.
-        conditions: Recorded temperature, payload and torques.
-        views: The whole file where it is about views of a board.
-    """
-
-    where: str
-    joints: tuple[str, ...]
-    joint_units: tuple[str, ...]
-    kind: str = "position"
-    position: tuple[str, ...] = ()
-    position_unit: str = "mm"
-    position_std: float = POSITION_STD
-    separator: str = ","
-    decimal: str = "."
-    names: tuple[str, ...] | None = None
-    std_stated: bool = False
-    position_std_columns: tuple[str, ...] = ()
-    rotation: tuple[str, ...] = ()
-    convention: str | None = "rotation_vector"
-    rotation_unit: str = "rad"
-    attitude_std: float = ATTITUDE_STD
-    conditions: Mapping[str, Condition] | None = None
-    views: DescriptionFile | None = None
-    section: Section | None = None
-
-
-def load_description(name: str | Path) -> ColumnDescription:
+def load_description(name: str | Path) -> DescriptionFile:
     """Read a column description by name (a shipped one) or from a path to a TOML file.
 
     Raises:
         InputError: If it is unknown or malformed; the message names the file and key.
     """
-    path = file_named("column description", name, DESCRIPTIONS)
-    file = read_toml(description_file(), path)
-    section = file.measured
-    stated: dict[str, Any] = {k: value for k, value in vars(section).items() if k in MEASURED and value is not None}
-    joints, joint_units = ((), ()) if file.joints is None else (file.joints.columns, file.joints.each)
-    description = ColumnDescription(
-        where=str(path),
-        separator=file.separator,
-        decimal=file.decimal,
-        names=file.names,
-        joints=joints,
-        joint_units=joint_units,
-        kind=file.kind,
-        views=None if file.pixels is None else file,
-        **stated,
-        std_stated="position_std" in stated,
-        section=section,
-        **({} if file.rotation is None else {**vars(file.rotation), "rotation_unit": file.rotation.unit()}),
-        conditions=_conditions(file.conditions, joint_units),
-    )
-    _refuse_repeats(description)
+    path = description_path(name)
+    description = read_toml(description_file(), path)
+    _refuse_repeats(description, path)
     return description
 
 
-def _conditions(table: ConditionsTable, joint_units: tuple[str, ...]) -> dict[str, Condition]:
-    """Recorded conditions, each with what turns it into SI."""
-    conditions = {}
-    if (warmth := table.temperature) is not None:
-        usual = 20.0 if warmth.unit == "degC" else 0.0
-        conditions["temperature"] = Condition(
-            (warmth.column,), (1.0,), usual if warmth.reference is None else warmth.reference
-        )
-    if (mass := table.payload) is not None:
-        conditions["payload"] = Condition((mass.column,), (MASSES[mass.unit],), mass.reference)
-    if (torques := table.torques) is not None:
-        units = torques.each or tuple("N" if unit in LENGTHS else "N*m" for unit in joint_units)
-        conditions["torque"] = Condition(torques.columns, tuple(TORQUES[unit] for unit in units))
-    return conditions
+def description_path(name: str | Path) -> Path:
+    """The file of a column description by name, or by its path."""
+    return file_named("column description", name, DESCRIPTIONS)
 
 
-def _refuse_repeats(description: ColumnDescription) -> None:
+def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
     """A column that stands for two things is a slip: one of them is lost, and the fit need not show it."""
-    roles = [(f"joint {i + 1}", text) for i, text in enumerate(description.joints)]
-    for section, columns in ((description.kind, description.position), ("rotation", description.rotation)):
+    roles = [(f"joint {i + 1}", text) for i, text in enumerate(description.joint_columns)]
+    sections = {description.kind: description.columns}
+    if description.rotation is not None:
+        sections["rotation"] = description.rotation.columns
+    for name, (columns, *_) in description.conditions.recorded(description.joint_units).items():
+        sections[f"conditions.{name}"] = columns
+    for section, columns in sections.items():
         roles += [(f"column {i + 1} of [{section}]", text) for i, text in enumerate(columns)]
-    for name, condition in (description.conditions or {}).items():
-        roles += [(f"column {i + 1} of [conditions.{name}]", text) for i, text in enumerate(condition.columns)]
     roles_of: dict[str, str] = {}
     for role, text in roles:
         tree, quoted = expression_tree(text)
@@ -556,20 +510,16 @@ def _refuse_repeats(description: ColumnDescription) -> None:
             plain = plain.replace(f"'__quoted_{i}'", repr(name))
         if plain in roles_of:
             raise InputError(
-                f"{description.where}: '{shortened(text)}' is given for {roles_of[plain]} and for {role}; "
-                "name each column once"
+                f"{path}: '{shortened(text)}' is given for {roles_of[plain]} and for {role}; name each column once"
             )
         roles_of[plain] = role
 
 
-OWN_CONDITIONS = {
-    "temperature_degC": ("temperature", Condition(("temperature_degC",), (1.0,), 20.0)),
-    "payload_kg": ("payload", Condition(("payload_kg",), (1.0,))),
-}
-"""Columns of our own CSV format beside joints and poses, and what they record."""
+OWN_CONDITIONS = ("temperature_degC", "payload_kg")
+"""Columns of our own CSV format beside joints and poses."""
 
 
-def own_description(geometry: Geometry, header: list[str], where: str) -> ColumnDescription:
+def own_description(geometry: Geometry, header: list[str], where: str) -> DescriptionFile:
     """The description of our own CSV format, for an arm and a file's header."""
     expected = joint_columns(geometry.prismatic)
     joints, units = [], []
@@ -594,34 +544,30 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Column
                 f"{where}: column '{shortened(column)}' is none of our format's, which records "
                 f"{' and '.join(OWN_CONDITIONS)}; rename it, describe it in [conditions] of `columns`, or remove it"
             )
-    return ColumnDescription(
-        where=where,
-        joints=tuple(joints),
-        joint_units=tuple(units),
-        position=tuple(f"{axis}_{position_unit}" for axis in "xyz"),
-        position_unit=position_unit,
-        rotation=tuple(f"r{axis}_{rotation_unit}" for axis in "xyz") if has_rotation else (),
-        rotation_unit=rotation_unit,
-        conditions=dict(condition for column, condition in OWN_CONDITIONS.items() if column in header),
+    angles, (warmth, mass) = tuple(f"r{axis}_{rotation_unit}" for axis in "xyz"), OWN_CONDITIONS
+    return DescriptionFile(
+        joints=JointsTable(tuple(joints), units=tuple(units)),
+        position=LengthsTable(columns=tuple(f"{axis}_{position_unit}" for axis in "xyz"), unit=position_unit),
+        rotation=RotationTable(angles, rotation_unit, "rotation_vector") if has_rotation else None,
+        conditions=ConditionsTable(
+            TemperatureTable(warmth, "degC") if warmth in header else None,
+            PayloadTable(mass, "kg") if mass in header else None,
+        ),
     )
 
 
-def joint_scales(description: ColumnDescription, geometry: Geometry) -> tuple[float, ...]:
-    """Factors that turn the joint columns into rad and m.
+def joint_scales(description: DescriptionFile, where: str, geometry: Geometry) -> tuple[float, ...]:
+    """Factors that turn the joint columns into rad and m; ``where`` is the description's place, for messages.
 
     Raises:
         InputError: If the number or the units of the joints are not the arm's.
     """
     n = geometry.joints
-    if len(description.joints) != n:
-        raise InputError(
-            f"{description.where}: {len(description.joints)} joint columns are named, but the arm has {n} joints"
-        )
+    if len(description.joint_units) != n:
+        raise InputError(f"{where}: {len(description.joint_units)} joint columns are named, but the arm has {n} joints")
     for i, unit in enumerate(description.joint_units):
         units = LENGTHS if geometry.prismatic[i] else ANGLES
         if unit not in units:
             kind = "prismatic" if geometry.prismatic[i] else "revolute"
-            raise InputError(
-                f"{description.where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(units)}"
-            )
+            raise InputError(f"{where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(units)}")
     return tuple(TO_SI[unit] for unit in description.joint_units)

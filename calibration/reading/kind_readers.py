@@ -7,7 +7,7 @@ a length in another unit, all touches in one pose, a direction that is none.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -29,8 +29,8 @@ from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading.csv_table import Table, read_table, rotations
 from pickenv.calibration.reading.description import (
     BarTable,
-    ColumnDescription,
     ContactTable,
+    DescriptionFile,
     DialTable,
     LensTable,
     PixelsTable,
@@ -52,6 +52,7 @@ class Files:
     Attributes:
         tables: Their columns.
         given: Their descriptions, one each.
+        where: How messages name these.
         geometry: The arm's nominal geometry.
         joints: Joints of all rows ``(N, n)``, rad or m.
         source: How messages name them.
@@ -59,26 +60,27 @@ class Files:
     """
 
     tables: list[Table]
-    given: list[ColumnDescription]
+    given: list[DescriptionFile]
+    where: str
     geometry: Geometry
     joints: Array
     source: str
     origins: Origins
 
     @property
-    def first(self) -> ColumnDescription:
+    def first(self) -> DescriptionFile:
         """The description that they share, but for units."""
         return self.given[0]
 
     def values(self) -> Array:
         """The readings of all rows, as described under the kind ``(N, k)``, m."""
-        return np.concatenate([t.values(d.position) * TO_SI[d.position_unit] for t, d in self.pairs()])
+        return np.concatenate([t.values(d.columns) * TO_SI[d.unit] for t, d in self.pairs()])
 
     def place(self, row: int) -> str:
         """File and line of a row, as messages name it."""
         return "{}: row {}".format(*self.origins.place(row))
 
-    def pairs(self) -> Iterator[tuple[Table, ColumnDescription]]:
+    def pairs(self) -> Iterator[tuple[Table, DescriptionFile]]:
         """Each file and its description."""
         return zip(self.tables, self.given, strict=True)
 
@@ -93,31 +95,32 @@ FARTHEST = 1e4
 """No instrument sees a tool from farther away than this, m."""
 
 
-def refuse_repeated_joints(given: list[ColumnDescription], joints: Array, geometry: Geometry) -> None:
+def refuse_repeated_joints(description: DescriptionFile, where: str, joints: Array, geometry: Geometry) -> None:
     """Two joints that read the same number in every row are one column read twice."""
     for i in range(geometry.joints):
         for j in range(i):
             if len(joints) > 2 and np.ptp(joints[:, i]) > 0 and np.array_equal(joints[:, i], joints[:, j]):
-                names = [f"joint {k + 1} ({geometry.joint_names[k]}, column '{given[0].joints[k]}')" for k in (j, i)]
+                columns = description.joint_columns
+                names = [f"joint {k + 1} ({geometry.joint_names[k]}, column '{columns[k]}')" for k in (j, i)]
                 raise InputError(
-                    f"{given[0].where}: {names[0]} and {names[1]} hold the same number in every row; name each "
+                    f"{where}: {names[0]} and {names[1]} hold the same number in every row; name each "
                     "joint's own column"
                 )
 
 
-def refuse_far(table: Table, description: ColumnDescription) -> None:
+def refuse_far(table: Table, description: DescriptionFile) -> None:
     """A coordinate beyond `FARTHEST` is no measurement of a tool."""
-    values = table.values(description.position)
-    for row, column in np.argwhere(np.abs(values) * TO_SI[description.position_unit] > FARTHEST)[:1]:
+    values = table.values(description.columns)
+    for row, column in np.argwhere(np.abs(values) * TO_SI[description.unit] > FARTHEST)[:1]:
         raise InputError(
-            f"{table.cell(row, description.position[column])} is {values[row, column]:.6g} "
-            f"{description.position_unit}, farther than any instrument sees; correct or remove the row"
+            f"{table.cell(row, description.columns[column])} is {values[row, column]:.6g} {description.unit}, farther "
+            "than any instrument sees; correct or remove the row"
         )
 
 
-def refuse_origin(table: Table, description: ColumnDescription) -> None:
+def refuse_origin(table: Table, description: DescriptionFile) -> None:
     """A position of exactly 0, 0, 0 is what trackers write when they have lost the reflector."""
-    zero = (table.values(description.position) == 0).all(axis=1)
+    zero = (table.values(description.columns) == 0).all(axis=1)
     if zero.any() and not zero.all():
         raise InputError(
             f"{table.where}: row {table.lines[int(np.argmax(zero))]} holds the position 0, 0, 0, which usually means "
@@ -140,15 +143,15 @@ def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> N
         )
 
 
-def read_joints(table: Table, description: ColumnDescription, geometry: Geometry) -> Array:
+def read_joints(table: Table, description: DescriptionFile, where: str, geometry: Geometry) -> Array:
     """Joints of every row ``(N, n)``, rad or m.
 
     Raises:
         InputError: If no such arm can take them: almost always degrees read as radians, or millimetres as metres.
     """
     columns = []
-    for i, scale in enumerate(joint_scales(description, geometry)):
-        column, unit = description.joints[i], description.joint_units[i]
+    for i, scale in enumerate(joint_scales(description, where, geometry)):
+        column, unit = description.joint_columns[i], description.joint_units[i]
         lower, upper = geometry.lower[i], geometry.upper[i]
         values = table.value(column) * scale
         room = upper - lower if geometry.prismatic[i] else max(upper - lower, 2 * np.pi)
@@ -184,15 +187,16 @@ EXPLAINED, UNEXPLAINED = 0.2, 0.5
 """Part of the spread of lengths that a wire's anchor leaves in the right unit at most, and in a wrong one at least."""
 
 
+@register("instrument", "reflectors")
 def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations:
     """Reflector groups; a reflector counts as lost only as the description says that it is marked."""
     first = files.first
     points, visible_parts = [], []
     for table in files.tables:
-        blank = np.zeros((len(table.lines), len(first.position)), dtype=bool)
+        blank = np.zeros((len(table.lines), len(first.columns)), dtype=bool)
         if "empty" in section.lost:
-            blank = np.stack([table.fill_blanks(name) for name in first.position], -1)
-        values = table.values(first.position).reshape(len(table.lines), -1, 3) * TO_SI[first.position_unit]
+            blank = np.stack([table.fill_blanks(name) for name in first.columns], -1)
+        values = table.values(first.columns).reshape(len(table.lines), -1, 3) * TO_SI[first.unit]
         empty, zero = blank.reshape(values.shape).any(axis=2), (values == 0).all(axis=2)
         if (zero & ~empty).any() and "zeros" not in section.lost:
             row, which = np.argwhere(zero & ~empty)[0]
@@ -210,12 +214,13 @@ def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations
         joints=files.joints,
         points=np.concatenate(points),
         seen=visible,
-        covariance=np.eye(3) * first.position_std**2,
+        covariance=np.eye(3) * first.std**2,
         places=np.reshape(section.places, (-1, 3)) if section.places else None,
         places_std=section.places_std,
     )
 
 
+@register("instrument", "wire")
 def _wire(files: Files, section: WireTable) -> DistanceObservations:
     length = files.values()[:, 0]
     for row in np.flatnonzero(length <= 0.0)[:1]:
@@ -225,16 +230,10 @@ def _wire(files: Files, section: WireTable) -> DistanceObservations:
     return data
 
 
-def _dial(files: Files, section: DialTable) -> DistanceObservations:
-    reading = files.values()[:, 0]
-    for row in np.flatnonzero(np.isclose(reading, section.free, rtol=0.0, atol=1e-9))[:1]:
-        raise InputError(
-            f"{files.place(row)}: the dial reads {reading[row] * 1e3:.6g} mm, as one that touches nothing; remove "
-            "the row, or say in [dial] what it reads then (free_mm)"
-        )
-    return _distances(files, section, reading, surface="plane", scale_std=section.scale_std)
-
-
+@register("instrument", "plane")
+@register("instrument", "edge")
+@register("instrument", "sphere")
+@register("instrument", "bar")
 def _kept(files: Files, section: ContactTable) -> DistanceObservations:
     """A ball bar, a sphere, an edge or a plane: one distance in all rows, known or not."""
     length, zero_std = 0.0, 0.0
@@ -246,29 +245,43 @@ def _kept(files: Files, section: ContactTable) -> DistanceObservations:
     return data
 
 
+@register("instrument", "dial")
+def _dial(files: Files, section: DialTable) -> DistanceObservations:
+    reading = files.values()[:, 0]
+    for row in np.flatnonzero(np.isclose(reading, section.free, rtol=0.0, atol=1e-9))[:1]:
+        raise InputError(
+            f"{files.place(row)}: the dial reads {reading[row] * 1e3:.6g} mm, as one that touches nothing; remove "
+            "the row, or say in [dial] what it reads then (free_mm)"
+        )
+    return _distances(files, section, reading, surface="plane", scale_std=section.scale_std)
+
+
 def _distances(files: Files, section: ContactTable, readings: Array, **more: Any) -> DistanceObservations:
-    _refuse_no_contact(files, section)
-    return DistanceObservations(
-        joints=files.joints,
-        length=readings,
-        std=files.first.position_std,
-        tip=section.tool_point,
-        tip_std=section.tip_std,
-        kind=files.first.kind,
-        **more,
-    )
+    return DistanceObservations(length=readings, **_contact(files, section), **more)
 
 
+def _contact(files: Files, section: ContactTable) -> dict[str, Any]:
+    """What every contact says of its rows; those without contact are refused."""
+    for table in files.tables if section.contact is not None else ():
+        table.fill_blanks(str(section.contact))
+        for row in np.flatnonzero(table.column(str(section.contact)) == 0.0)[:1]:
+            raise InputError(f"{table.cell(row, section.contact)} says that nothing was touched; remove the row")
+    tip = {"tip": section.tool_point, "tip_std": section.tip_std}
+    return {"joints": files.joints, "std": files.first.std, "kind": files.first.kind, **tip}
+
+
+@register("instrument", "touches")
 def _touches(files: Files, section: ContactTable) -> SocketObservations:
     """One place that was touched in every row."""
     return _rests(files, section, np.zeros(len(files.joints), dtype=np.int64), [], None, places=("point",))
 
 
+@register("instrument", "sockets")
 def _sockets(files: Files, section: SocketsTable) -> SocketObservations:
     """Sockets by a column, in consecutive pairs of their numbers; or one per file, the files of a folder a pair."""
     names: tuple[str, ...] = ()
-    if files.first.position:
-        numbers = np.concatenate([table.value(files.first.position[0]) for table in files.tables])
+    if files.first.columns:
+        numbers = np.concatenate([table.value(files.first.columns[0]) for table in files.tables])
         labels, socket = np.unique(numbers, return_inverse=True)
         folders = [str(i // 2) for i in range(len(labels))]
         names = tuple(f"socket{label:g}" for label in labels)
@@ -289,28 +302,25 @@ def _sockets(files: Files, section: SocketsTable) -> SocketObservations:
 def _rests(
     files: Files, section: ContactTable, socket: Rows, pairs: list[list[int]], spacing: float | None, **more: Any
 ) -> SocketObservations:
-    _refuse_no_contact(files, section)
+    contact = _contact(files, section)
     for place in np.unique(socket):
         _refuse_one_pose(files, np.flatnonzero(socket == place))
     return SocketObservations(
-        joints=files.joints,
         socket=np.asarray(socket, dtype=np.int64),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         spacing=np.full(len(pairs), spacing or 0.0),
-        std=files.first.position_std,
-        tip=section.tool_point,
-        tip_std=section.tip_std,
-        kind=files.first.kind,
+        **contact,
         **more,
     )
 
 
+@register("instrument", "tilt")
 def _tilt(files: Files, section: TiltTable) -> TiltObservations:
     """Components of down; angles of inclination are taken as those whose sine the component is."""
-    values = np.concatenate([table.values(section.position) for table in files.tables])
-    std = np.full(values.shape, section.position_std)
-    if section.position_unit != "g":
-        angles = values * TO_SI[section.position_unit]
+    values = np.concatenate([table.values(section.columns) for table in files.tables])
+    std = np.full(values.shape, section.std)
+    if section.unit != "g":
+        angles = values * TO_SI[section.unit]
         for row, column in np.argwhere(np.abs(angles) > np.pi / 2)[:1]:
             raise InputError(
                 f"{files.place(row)}: an inclination of {np.degrees(angles[row, column]):.4g} deg is beyond 90; "
@@ -326,14 +336,6 @@ def _tilt(files: Files, section: TiltTable) -> TiltObservations:
         )
     _refuse_one_pose(files, np.arange(len(files.joints)))
     return TiltObservations(files.joints, values, std, axes_std=section.axes_std, down_std=section.down_std)
-
-
-def _refuse_no_contact(files: Files, section: ContactTable) -> None:
-    """Rows whose contact column is empty or zero."""
-    for table in files.tables if section.contact is not None else ():
-        table.fill_blanks(str(section.contact))
-        for row in np.flatnonzero(table.column(str(section.contact)) == 0.0)[:1]:
-            raise InputError(f"{table.cell(row, section.contact)} says that nothing was touched; remove the row")
 
 
 def _refuse_one_pose(files: Files, rows: Rows) -> None:
@@ -357,7 +359,7 @@ def _refuse_other_unit(files: Files, data: DistanceObservations) -> None:
 
     if left(1.0) < UNEXPLAINED:
         return
-    unit = files.first.position_unit
+    unit = files.first.unit
     likely, factor = ("m", 1e3) if unit == "mm" else ("mm", 1e-3)
     if left(factor) < EXPLAINED:
         median = np.median(data.length) / TO_SI[unit]
@@ -365,19 +367,6 @@ def _refuse_other_unit(files: Files, data: DistanceObservations) -> None:
             f"{files.source}: lengths of {median:.4g} {unit} (median) fit no anchor, but as {likely} they do; correct "
             "unit of [wire]"
         )
-
-
-_READERS: dict[str, Callable[..., Observations]] = {
-    "reflectors": _reflectors,
-    "wire": _wire,
-    **dict.fromkeys(("bar", "sphere", "edge", "plane"), _kept),
-    "dial": _dial,
-    "touches": _touches,
-    "sockets": _sockets,
-    "tilt": _tilt,
-}
-for _name, _reader in _READERS.items():
-    register("instrument", _name)(_reader)
 
 
 # Views of a board: pictures with the arm's joints or finished poses beside them, or a table of corners found in them.
@@ -395,25 +384,25 @@ DEFAULT_STD = 0.3
 """px; of corners in a table that states none."""
 
 
-def read_views(paths: Sequence[str | Path], geometry: Geometry, description: ColumnDescription) -> PixelObservations:
+def read_views(paths: Sequence[str | Path], geometry: Geometry, file: DescriptionFile, where: str) -> PixelObservations:
     """Read views of a board.
 
     Args:
         paths: CSV or YAML files, or one folder, whose files are found by the description's ``files``.
         geometry: The arm's nominal geometry, for joint count and types; finished poses bring their own.
-        description: The description, with [pixels], [board] and [camera].
+        file: The description, with [pixels], [board] and [camera].
+        where: How messages name it.
 
     Raises:
         InputError: Names the file, row, column or picture at fault.
     """
-    file = description.views
-    assert file is not None and file.pixels is not None and file.board is not None and file.camera is not None
+    assert file.pixels is not None and file.board is not None and file.camera is not None
     if len(paths) != 1:
         raise InputError(f"views of a board are given as one file or folder, not as {len(paths)}; give one")
-    table, home = _table(Path(paths[0]), file.pixels, description)
+    table, home = _table(Path(paths[0]), file.pixels, file)
     camera = _lens(file.camera, home)
     pictures: list[Path] = []
-    if file.pixels.position:
+    if file.pixels.columns:
         rows, views = _found_in_table(table, file.pixels, file.board, camera)
     else:
         pictures = _pictures(table, file.pixels, home)
@@ -425,11 +414,11 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
                 f"lens is for {camera.size[0]} x {camera.size[1]}; give the camera's numbers at this resolution"
             )
     if (poses := file.poses) is None:
-        joints = read_joints(table, description, geometry)[rows]
-        refuse_repeated_joints([description], joints, geometry)
+        joints = read_joints(table, file, where, geometry)[rows]
+        refuse_repeated_joints(file, where, joints, geometry)
     else:
-        turned = rotations(poses.convention, table.values(poses.rotation) * TO_SI[poses.rotation_unit])
-        joints = joints_of_finished_poses(Pose(table.values(poses.position) * TO_SI[poses.unit], turned))[rows]
+        turned = rotations(poses.convention, table.values(poses.rotation_columns) * TO_SI[poses.rotation_unit])
+        joints = joints_of_finished_poses(Pose(table.values(poses.columns) * TO_SI[poses.unit], turned))[rows]
     std = np.stack([view.std for view in views])
     lines = np.array(table.lines, dtype=np.int64)[rows]
     data = PixelObservations(
@@ -439,7 +428,7 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
         board=file.board.corners,
         camera=camera,
         lens_std=_lens_std(file.camera),
-        std=std if file.pixels.std_px is None else np.full_like(std, file.pixels.std_px),
+        std=std if file.pixels.std is None else np.full_like(std, file.pixels.std),
         mount=file.pixels.mount,
         source=table.where,
         remarks=np.array([view.remark for view in views]),
@@ -450,7 +439,7 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, description: Col
     return data
 
 
-def _table(path: Path, pixels: PixelsTable, description: ColumnDescription) -> tuple[Table, Path]:
+def _table(path: Path, pixels: PixelsTable, description: DescriptionFile) -> tuple[Table, Path]:
     """The views as rows, and the folder that pictures' paths start from."""
     if not path.is_dir():
         return read_table(path, description.separator, description.decimal, description.names), path.parent
@@ -521,7 +510,7 @@ def _found_in_table(
 ) -> tuple[list[int], list[FoundCorners]]:
     """First row and corners of each view."""
     assert pixels.view is not None and pixels.corner is not None
-    views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.position)
+    views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.columns)
     count, rows, corners = len(board.corners), [], []
     for row in np.flatnonzero((numbers < 0) | (numbers >= count) | (numbers != np.rint(numbers)))[:1]:
         raise InputError(

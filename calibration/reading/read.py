@@ -17,7 +17,14 @@ from pickenv.arm import Array, Geometry, Pose, inverse, rotation_matrix
 from pickenv.base import TO_SI, InputError, listed, register
 from pickenv.base.registry import get
 from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements, joint_columns
+from pickenv.calibration.model.measurements import (
+    ATTITUDE_STD,
+    FRAMES,
+    FRAMES_COLUMN,
+    Frames,
+    Measurements,
+    joint_columns,
+)
 from pickenv.calibration.model.observations import Observations, Origins
 from pickenv.calibration.reading import kind_readers
 from pickenv.calibration.reading.csv_table import (
@@ -28,7 +35,13 @@ from pickenv.calibration.reading.csv_table import (
     refuse_repeated,
     rotations,
 )
-from pickenv.calibration.reading.description import LENGTHS, ColumnDescription, load_description, own_description
+from pickenv.calibration.reading.description import (
+    LENGTHS,
+    RotationTable,
+    description_path,
+    load_description,
+    own_description,
+)
 from pickenv.calibration.reading.kind_readers import Files, read_views
 
 
@@ -105,22 +118,27 @@ def read_observations(
         raise InputError("no measurement file was given; give at least one")
     refuse_repeated(paths)
     description = None if columns is None else load_description(columns)
-    if description is not None and description.views is not None:
-        return FileReading(read_views(paths, geometry, description), NoiseFloor(None, None))
+    where = "" if columns is None else str(description_path(columns))
+    if description is not None and description.pixels is not None:
+        return FileReading(read_views(paths, geometry, description, where), NoiseFloor(None, None))
     layout = () if description is None else (description.separator, description.decimal, description.names)
     tables = [read_table(path, *layout) for path in paths]
     descriptions = [description or own_description(geometry, table.header, table.where) for table in tables]
     joints = np.concatenate(
-        [kind_readers.read_joints(*pair, geometry) for pair in zip(tables, descriptions, strict=True)]
+        [
+            kind_readers.read_joints(table, layout_of_file, where or table.where, geometry)
+            for table, layout_of_file in zip(tables, descriptions, strict=True)
+        ]
     )
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"
     file = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
     lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
     origins = Origins(tuple(table.where for table in tables), file, lines)
-    files = Files(tables, descriptions, geometry, joints, source, origins)
-    kind_readers.refuse_repeated_joints(descriptions, joints, geometry)
+    where = where or tables[0].where
+    files = Files(tables, descriptions, where, geometry, joints, source, origins)
+    kind_readers.refuse_repeated_joints(files.first, where, joints, geometry)
     frames = {"frames": _frames(tables)} if description is None else {}
-    rows: Any = get("instrument", files.first.kind)(files, files.first.section)
+    rows: Any = get("instrument", files.first.kind)(files, files.first.measured)
     rows = replace(rows, source=source, conditions=_conditions(files), origins=origins, **frames)
     kind_readers.refuse_duplicates(joints, rows, origins)
     return FileReading(rows, _floor(files))
@@ -150,10 +168,11 @@ def _conditions(files: Files) -> Conditions:
     for name in ("temperature", "payload", "torque"):
         parts = []
         for table, description in files.pairs():
-            condition = (description.conditions or {}).get(name)
-            if condition is not None:
-                values = (table.values(condition.columns) - condition.reference) * np.array(condition.scales)
-                kind_readers.refuse_implausible_conditions(table, name, values, condition.columns)
+            recorded = description.conditions.recorded(description.joint_units)
+            if name in recorded:
+                columns, scales, reference = recorded[name]
+                values = (table.values(columns) - reference) * np.array(scales)
+                kind_readers.refuse_implausible_conditions(table, name, values, columns)
                 parts.append(values if name == "torque" else values[:, 0])
         if len(parts) == len(files.tables):
             conditions[name] = np.concatenate(parts)
@@ -167,42 +186,45 @@ def _poses(files: Files, _section: Any) -> Measurements:
     for table, description in files.pairs():
         kind_readers.refuse_far(table, description)
         kind_readers.refuse_origin(table, description)
-    rotation = None
-    if first.rotation:
-        values = np.concatenate([_attitudes(table, description) for table, description in files.pairs()])
-        if first.convention is None:
+    rotation, attitudes = None, first.rotation
+    if attitudes is not None:
+        parts = [_attitudes(table, description.rotation, files.where) for table, description in files.pairs()]
+        values = np.concatenate(parts)
+        if attitudes.convention is None:
             fits = convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
-                f"{first.where}: [rotation] names no convention, and none is guessed; after fitting base and tool "
+                f"{files.where}: [rotation] names no convention, and none is guessed; after fitting base and tool "
                 f"each would leave, on average:\n{fits}\n"
                 "name one of them, or the maker's, as convention in [rotation]"
             )
-        rotation = rotations(first.convention, values)
+        rotation = rotations(attitudes.convention, values)
     return Measurements(
         joints=files.joints,
         position=position,
         rotation=rotation,
         prismatic=files.geometry.prismatic,
-        position_std=first.position_std,
-        std_stated=first.std_stated,
-        attitude_std=first.attitude_std,
+        position_std=first.std,
+        std_stated=first.measured.std is not None,
+        attitude_std=ATTITUDE_STD if attitudes is None else attitudes.std,
     )
 
 
-def _attitudes(table: Table, description: ColumnDescription) -> Array:
+def _attitudes(table: Table, described: RotationTable | None, where: str) -> Array:
     """Attitude columns in rad, or quaternions, checked."""
-    values = table.values(description.rotation) * TO_SI[description.rotation_unit]
-    count = len(description.rotation) if description.convention is None else columns_of(description.convention)
+    assert described is not None
+    columns, unit = described.columns, described.checked_unit()
+    values = table.values(columns) * TO_SI[unit]
+    count = len(columns) if described.convention is None else columns_of(described.convention)
     if values.shape[1] != count:
-        raise InputError(f"{description.where}: convention '{description.convention}' needs {count} columns")
+        raise InputError(f"{where}: convention '{described.convention}' needs {count} columns")
     if count == 4 and np.any(np.abs(np.linalg.norm(values, axis=1) - 1.0) > 0.01):
         bad = int(np.argmax(np.abs(np.linalg.norm(values, axis=1) - 1.0)))
         raise InputError(f"{table.where}: row {table.lines[bad]} holds a quaternion that is not of unit length")
     if count == 3 and np.abs(values).max() > 4 * np.pi:
         bad, column = divmod(int(np.argmax(np.abs(values))), values.shape[1])
-        hint = "its unit is probably deg" if description.rotation_unit == "rad" else "correct or remove the row"
+        hint = "its unit is probably deg" if unit == "rad" else "correct or remove the row"
         raise InputError(
-            f"{table.cell(bad, description.rotation[column])} is {np.abs(values[bad, column]):.0f} rad, which no "
+            f"{table.cell(bad, columns[column])} is {np.abs(values[bad, column]):.0f} rad, which no "
             f"rotation needs; {hint}"
         )
     return values
@@ -212,15 +234,15 @@ def _floor(files: Files) -> NoiseFloor:
     """Repeat sigma and quantisation, over all files."""
     repeat, digits = [], []
     for table, description in files.pairs():
-        if description.position_unit not in LENGTHS or not description.position or description.kind == "sockets":
+        if description.unit not in LENGTHS or not description.columns:
             continue
-        unit = TO_SI[description.position_unit]
-        if description.position_std_columns:
-            std = table.values(description.position_std_columns) * unit
+        unit = TO_SI[description.unit]
+        if std_columns := getattr(description.measured, "std_columns", ()):
+            std = table.values(std_columns) * unit
             repeat.append(np.sum(std**2, axis=1) / (std.shape[1] / min(std.shape[1], 3)))
-        step = table.resolution(description.position) * unit
+        step = table.resolution(description.columns) * unit
         if step:
-            digits.append(step * np.sqrt(min(len(description.position), 3) / 12.0))
+            digits.append(step * np.sqrt(min(len(description.columns), 3) / 12.0))
     return NoiseFloor(
         repeat=float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None,
         digits=float(max(digits)) if digits else None,

@@ -19,7 +19,7 @@ from pickenv.arm import Array, Geometry
 from pickenv.base import InputError
 from pickenv.base.registry import names
 from pickenv.calibration.model.arm_model import ArmModel
-from pickenv.calibration.model.measurements import Measurements
+from pickenv.calibration.model.measurements import Measurements, screen_unit
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Rows, blocked_split, contiguous_folds, same_poses
 from pickenv.calibration.residuals.gaussian_process import Fitter
@@ -89,7 +89,7 @@ class GateReport:
             content: dict[str, Any] = {"accepted": verdict.accepted, "reason": verdict.reason}
             for key, value in vars(verdict).items():
                 if key.endswith("rms"):
-                    unit, scale = ("deg", np.degrees(1.0)) if key.endswith("attitude_rms") else ("mm", 1e3)
+                    unit, scale = screen_unit(not key.endswith("attitude_rms"))
                     content[f"{key}_{unit}"] = None if value is None else float(value * scale)
             models[verdict.model] = dict(sorted(content.items()))
         return {"models": models, "selected": self.selected, "blocked_rms_mm": self.blocked_rms * 1e3}

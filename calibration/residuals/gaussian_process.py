@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from operator import itemgetter
-from typing import Any, Protocol, Self
+from typing import Any, Protocol, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,18 +54,17 @@ Fitter = Callable[[Array, Array, np.random.Generator], Regressor]
 """Fits standardised inputs ``(N, F)`` to targets ``(N, k)``."""
 
 
-@dataclass(frozen=True, eq=False)
 class SavedArrays:
-    """A dataclass of arrays and numbers: by name for saving without pickle, and back."""
+    """What a dataclass of arrays and numbers has besides: all by name for saving without pickle, and back."""
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All numbers by name, for saving."""
-        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(self)}
+        return {field.name: np.asarray(getattr(self, field.name)) for field in fields(cast(Any, self))}
 
     @classmethod
     def from_arrays(cls, named: Mapping[str, NDArray[Any]]) -> Self:
         """The inverse of `arrays`."""
-        values = ((field.name, named[field.name]) for field in fields(cls))
+        values = ((field.name, named[field.name]) for field in fields(cast(Any, cls)))
         return cls(**{name: value if value.ndim else value.item() for name, value in values})
 
 
@@ -196,27 +195,11 @@ COARSE, FINE = 1e-5, 1e-7
 """A search ends when a step gains a smaller share of the log likelihood."""
 
 
-@dataclass(frozen=True)
-class GaussianProcessSettings:
-    """Settings of the fit.
+START_ROWS, ITERATIONS = 200, 100
+"""Rows at most that starts are compared on, of which the best two go on with all; L-BFGS' iterations at most."""
 
-    Attributes:
-        rows: Training rows kept at most, drawn evenly; the cost grows with their cube.
-        likelihood_rows: Rows at most that the marginal likelihood is taken over.
-        starts: Drawn starts of the search, beside the two plain ones.
-        start_rows: Rows at most that the starts are compared on; the best two go on with all.
-        iterations: Iterations of L-BFGS at most, per search.
-        length_scales: Bounds of a length scale, in standardised inputs.
-        noise: Bounds of the noise's standard deviation, in units of the output's own.
-    """
-
-    rows: int = 2000
-    likelihood_rows: int = 600
-    starts: int = 8
-    start_rows: int = 200
-    iterations: int = 100
-    length_scales: tuple[float, float] = (0.1, 1e3)
-    noise: tuple[float, float] = (1e-3, 2.0)
+LENGTH_SCALES, NOISES = (0.1, 1e3), (1e-3, 2.0)
+"""Bounds of a length scale, in standardised inputs, and of the noise's deviation, in units of the output's own."""
 
 
 @register("residual", "gp")
@@ -244,7 +227,13 @@ class GaussianProcess(SavedArrays):
 
     @staticmethod
     def fit(
-        inputs: Array, targets: Array, rng: np.random.Generator, settings: GaussianProcessSettings | None = None
+        inputs: Array,
+        targets: Array,
+        rng: np.random.Generator,
+        *,
+        rows: int = 2000,
+        likelihood_rows: int = 600,
+        starts: int = 8,
     ) -> GaussianProcess:
         """Fit one process per output.
 
@@ -252,30 +241,30 @@ class GaussianProcess(SavedArrays):
             inputs: Standardised inputs ``(N, F)``.
             targets: Residuals to learn ``(N, k)``, m and rad.
             rng: Draws the starts of the search, and the rows that are kept where there are too many.
-            settings: How; the defaults when left out.
+            rows: Training rows kept at most, drawn evenly; the cost grows with their cube.
+            likelihood_rows: Rows at most that the marginal likelihood is taken over.
+            starts: Drawn starts of the search, beside the two plain ones.
 
         Raises:
             InputError: If there are fewer than ten rows.
         """
-        settings = settings or GaussianProcessSettings()
         if len(inputs) < 10:
             raise InputError(f"{len(inputs)} poses are too few for a Gaussian process; measure at least 10")
         order = rng.permutation(len(inputs))
-        rows = np.sort(order[: settings.rows])
-        some = np.sort(order[: settings.likelihood_rows])
+        learnt_rows, some = np.sort(order[:rows]), np.sort(order[:likelihood_rows])
         mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
         scaled = (targets - mean) / std
         lengths, amplitudes, noises, weights = [], [], [], []
         with single_threaded():
             for j in range(targets.shape[1]):
-                amplitude, length, noise = _most_likely(inputs[some], scaled[some, j], rng, settings)
-                factor = _factor(_kernel(inputs[rows], inputs[rows], length, amplitude), noise)
+                amplitude, length, noise = _most_likely(inputs[some], scaled[some, j], rng, starts)
+                factor = _factor(_kernel(inputs[learnt_rows], inputs[learnt_rows], length, amplitude), noise)
                 lengths.append(length)
                 amplitudes.append(amplitude)
                 noises.append(noise)
-                weights.append(cho_solve((factor, True), scaled[rows, j]))
+                weights.append(cho_solve((factor, True), scaled[learnt_rows, j]))
         return GaussianProcess(
-            rows=inputs[rows],
+            rows=inputs[learnt_rows],
             length_scales=np.array(lengths),
             amplitude=np.array(amplitudes),
             noise=np.array(noises),
@@ -323,41 +312,35 @@ class GaussianProcess(SavedArrays):
         return _kernel(inputs, self.rows, self.length_scales[output], float(self.amplitude[output]))
 
 
-def _most_likely(
-    inputs: Array, target: Array, rng: np.random.Generator, settings: GaussianProcessSettings
-) -> tuple[float, Array, float]:
+def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: int) -> tuple[float, Array, float]:
     """Amplitude, length scales and noise of the best optimum of the marginal likelihood that any start leads to."""
     count = np.array([1, inputs.shape[1], 1])
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
     low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
-    random_starts = rng.uniform(low, high, (settings.starts, len(low)))
+    random_starts = rng.uniform(low, high, (drawn, len(low)))
     starts = [*plain, *random_starts]
-    some = np.linspace(0, len(inputs) - 1, min(len(inputs), settings.start_rows)).astype(int)
-    optima = sorted(
-        (_search(start, inputs[some], target[some], COARSE, settings) for start in starts), key=itemgetter(1)
-    )
+    some = np.linspace(0, len(inputs) - 1, min(len(inputs), START_ROWS)).astype(int)
+    optima = sorted((_search(start, inputs[some], target[some], COARSE) for start in starts), key=itemgetter(1))
     finalists = [optimum for optimum, _ in optima[:2]]
     if len(some) < len(inputs):
         finalists.append(plain[0])  # where some rows show noise alone, all may show more
-    best, _ = min((_search(start, inputs, target, FINE, settings) for start in finalists), key=itemgetter(1))
+    best, _ = min((_search(start, inputs, target, FINE) for start in finalists), key=itemgetter(1))
     best = np.exp(best)
     return float(best[0]), np.asarray(best[1:-1]), float(best[-1])
 
 
-def _search(
-    start: Array, inputs: Array, target: Array, precision: float, settings: GaussianProcessSettings
-) -> tuple[Array, float]:
+def _search(start: Array, inputs: Array, target: Array, precision: float) -> tuple[Array, float]:
     """The optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there."""
     from scipy.optimize import fmin_l_bfgs_b
 
-    bounds = np.log([AMPLITUDES, *[settings.length_scales] * inputs.shape[1], settings.noise])
+    bounds = np.log([AMPLITUDES, *[LENGTH_SCALES] * inputs.shape[1], NOISES])
     optimum, value, _ = fmin_l_bfgs_b(
         negative_log_likelihood,
         start,
         args=(inputs, target),
         bounds=[(low, high) for low, high in bounds.tolist()],
         factr=precision / np.finfo(float).eps,
-        maxiter=settings.iterations,
+        maxiter=ITERATIONS,
     )
     return optimum, float(value)
 

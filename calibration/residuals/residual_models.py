@@ -22,7 +22,6 @@ from pickenv.base.registry import get
 from pickenv.calibration.residuals.gaussian_process import (
     Fitter,
     GaussianProcess,
-    GaussianProcessSettings,
     Regressor,
     column_std,
 )
@@ -137,7 +136,7 @@ class LearntResidual:
 
 
 TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType(
-    {"gp": partial(GaussianProcess.fit, settings=GaussianProcessSettings(likelihood_rows=200, starts=4))}
+    {"gp": partial(GaussianProcess.fit, likelihood_rows=200, starts=4)}
 )
 """Fitters of models that are only to be compared, on split after split: the process with a shorter search, a fifth
 of the time, and on measured arms within 6 % of the error."""

@@ -116,7 +116,7 @@ def solutions(
             "attitude_deg": attitude.as_dict(),
             "eta_percent": paper_eta(values, parameter_vector(true)),
         }
-    dropped = {item.name: list(item.absorbed_by) for item in base.identifiability.dropped}
+    dropped = {name: list(absorbed) for name, absorbed in base.identifiability.dropped.items()}
     return {"rows": rows, "rank": base.identifiability.rank, "dropped": dropped}, errors
 
 

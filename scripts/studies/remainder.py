@@ -40,7 +40,7 @@ def remainder(rng: np.random.Generator, set: str) -> list[dict[str, Any]]:
             left[model] = float(1e3 * np.sqrt(np.mean(np.sum(errors[:, :3] ** 2, axis=1))))
     fitted = result.fit.identification
     reach = np.sqrt(np.mean(np.sum(joint_jacobian(fitted.geometry, rows.joints)[:, :3] ** 2, axis=1), axis=0))
-    waves = [(wave.joint, wave.order, 1e3 * wave.amplitude * float(reach[wave.joint])) for wave in harmonics_of(fitted)]
+    waves = [(joint, order, 1e3 * size * float(reach[joint])) for joint, order, _, size, _ in harmonics_of(fitted)]
     return parts_of(left, waves, repeats(SETS[set].paths(data)[0][0]))
 
 

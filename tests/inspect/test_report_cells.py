@@ -283,12 +283,11 @@ def test_a_calibrations_page_cell_by_cell(kind: str, results: dict[str, Result])
     assert drawing.name == "error_cumulative"
     lines = {line.get_label(): len(line.get_xdata()) for line in drawing.draw().axes[0].get_lines()}
     assert lines == dict.fromkeys(names, len(test) + 1)
-    for row, found in zip(
-        axes.rows, zip(*(axis_errors(r.errors[n]) for n in names.values()), strict=True), strict=True
-    ):
-        said = [figure(v) for a in found for v in (a.mean, a.std, a.rmse, a.max)]
+    by_stage = [axis_errors(r.errors[n]) for n in names.values()]
+    for row, axis in zip(axes.rows, by_stage[0], strict=True):
+        said = [figure(value) for stage in by_stage for value in stage[axis]]
         signed = [("+" if i % 4 == 0 and not text.startswith("-") else "") + text for i, text in enumerate(said)]
-        assert row == [f"{found[0].axis} ({found[0].unit})", *signed]
+        assert row == [axis, *signed]
     repeat = figure(1e3 * r.uncertainty.position_repeat)
     assert page.origin["Scatter of one reach"] == f"{repeat} mm per coordinate, beside the parameters'"
     assert page.origin["Reproduce"] == "seed 5" and page.origin["Unit"] == "not named"
@@ -367,7 +366,7 @@ def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: py
     regions, ranges, tables = parts_of(built(lambda: calibration_report.calibration_page(r)), "Were the poses good?")
     assert regions.rows == r.quality.workspace.block().rows and len(regions.rows) == 2
     seen = r.quality.observability
-    told = [seen.condition, seen.o1, seen.o2, seen.o3, seen.o4, seen.o5]
+    told = [seen[name] for name in ("condition", "o1", "o2", "o3", "o4", "o5")]
     indices, _ = tables.parts
     assert [row[1] for row in indices.rows] == [figure(value) for value in told]
     pairs = [("a1", "d2", 0.987 - 0.01 * i) for i in range(12)]

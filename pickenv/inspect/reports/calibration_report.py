@@ -125,7 +125,7 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
         was, now = attitudes[0].mean, attitudes[-1].mean
         sentence += f" The attitude error falls from {figure(was)} to {figure(now)} deg."
     text = "\n".join((f"{_sentence(quality.reason)} {_worth(r)}".strip(), sentence, _sentence(r.frames_text)))
-    findings = [(finding.weight, _sentence(finding.text)) for finding in quality.others]
+    findings = [(weight, _sentence(text)) for weight, text in quality.others]
     return PageVerdict(TONES[quality.grade], VERDICTS[quality.grade], text, findings)
 
 
@@ -243,12 +243,12 @@ def _poses(r: Result, train: Observations) -> Section:
     ranges: Pair | None = None
     caption = f"Where the {len(train.joints)} fitted poses lie within the joint limits."
     indices = (
-        ("condition number", figure(observability.condition), "how unevenly parameters are seen; near 1 is best"),
-        ("O1", figure(observability.o1), "mean sensitivity; D-optimal poses maximise it"),
-        ("O2", figure(observability.o2), "inverse condition number"),
-        ("O3", figure(observability.o3), "sensitivity to the worst-seen combination"),
-        ("O4", figure(observability.o4), "noise amplification"),
-        ("O5", figure(observability.o5), "mean parameter variance, inverse"),
+        ("condition number", figure(observability["condition"]), "how unevenly parameters are seen; near 1 is best"),
+        ("O1", figure(observability["o1"]), "mean sensitivity; D-optimal poses maximise it"),
+        ("O2", figure(observability["o2"]), "inverse condition number"),
+        ("O3", figure(observability["o3"]), "sensitivity to the worst-seen combination"),
+        ("O4", figure(observability["o4"]), "noise amplification"),
+        ("O5", figure(observability["o5"]), "mean parameter variance, inverse"),
     )
     pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
     hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")

@@ -21,7 +21,6 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from pickenv.calibration.assessment.quality import AxisErrors
 from pickenv.calibration.assessment.screen import is_number
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import THEME, style
@@ -300,24 +299,26 @@ def _pages(run: Run) -> Any:
     return import_module(run_kind(run.kind).pages)
 
 
-def axis_table(caption: str, stages: Mapping[str, Sequence[AxisErrors]], say: Callable[[float], str]) -> PageTable:
+def axis_table(
+    caption: str, stages: Mapping[str, Mapping[str, tuple[float, ...]]], say: Callable[[float], str]
+) -> PageTable:
     """Errors per degree of freedom, four columns for each stage.
 
     Args:
         caption: What the errors are of.
-        stages: For each stage, by label, its errors along and about each axis.
+        stages: For each stage, by label, mean, standard deviation, RMS and maximum of its errors by axis.
         say: How a number is written.
     """
     heads = ["axis", *(f"{label} {statistic}" for label in stages for statistic in ("mean", "std", "RMSE", "max"))]
     rows = [
         [
-            f"{axes[0].axis} ({axes[0].unit})",
+            axis,
             *(
                 cell
-                for a in axes
-                for cell in ("+" * (a.mean >= 0.0) + say(a.mean), say(a.std), say(a.rmse), say(a.max))
+                for axes in stages.values()
+                for cell in ("+" * (axes[axis][0] >= 0.0) + say(axes[axis][0]), *map(say, axes[axis][1:]))
             ),
         ]
-        for axes in zip(*stages.values(), strict=True)
+        for axis in next(iter(stages.values()))
     ]
     return PageTable(caption, heads, rows, "dense")

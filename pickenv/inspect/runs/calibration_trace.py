@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, Geometry, forward
 from pickenv.calibration import Bpnn, Fit, Measurements, Observations, Result
 from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.pipeline.fitting import view_names
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,7 @@ def views_of(result: Result) -> tuple[ViewErrors, ...]:
     if not isinstance(views, PixelObservations) or result.pixels is None:
         return ()
     paths = [None] * len(views.joints) if views.pictures is None else [str(path) for path in views.pictures]
-    parts = zip(result.pixels.names, views.corners, views.seen, result.held_out.pixels, paths, strict=True)
+    parts = zip(view_names(views), views.corners, views.seen, result.held_out.pixels, paths, strict=True)
     return tuple(
         ViewErrors(name, at[visible], errors, views.camera.size, path) for name, at, visible, errors, path in parts
     )

@@ -25,7 +25,6 @@ from pickenv.calibration.assessment.quality import (
     correlated_pairs,
     grade_quality,
 )
-from pickenv.calibration.identification.least_squares import Dropped
 from pickenv.calibration.pipeline.calibration import pose_uncertainty
 
 
@@ -115,10 +114,10 @@ def test_combinations_are_what_is_identified(qiao, exact):
 
 def test_statistics_per_degree_of_freedom():
     errors = np.array([[1e-3, 0, 0, np.radians(2), 0, 0], [-3e-3, 0, 0, np.radians(2), 0, 0]])
-    x, y, *_, rx, _, _ = axis_errors(errors)
-    assert (x.axis, x.unit, x.mean, x.std, x.max) == ("x", "mm", pytest.approx(-1), pytest.approx(2), pytest.approx(3))
-    assert x.rmse == pytest.approx(np.sqrt(5)) and (y.rmse, y.max) == (0, 0)
-    assert (rx.unit, rx.mean, rx.std) == ("deg", pytest.approx(2), pytest.approx(0, abs=1e-12))
+    axes = axis_errors(errors)
+    assert list(axes) == ["x (mm)", "y (mm)", "z (mm)", "rx (deg)", "ry (deg)", "rz (deg)"]
+    assert axes["x (mm)"] == pytest.approx((-1, 2, np.sqrt(5), 3)) and axes["y (mm)"][2:] == (0, 0)
+    assert axes["rx (deg)"][:2] == pytest.approx((2, 0), abs=1e-12)
     assert len(axis_errors(errors[:, :3])) == 3
 
 
@@ -128,9 +127,9 @@ def test_verdicts(calibrated):
     before, after = (test.difference(g) for g in (found.calibration.nominal, found.calibration.identified))
     good = grade_quality(found.identification, trained, before, after)
     assert good.grade == "good" and good.verdict().startswith("good: on 200 held-out rows the error falls from")
-    assert axis_errors(after)[2].rmse < axis_errors(before)[2].rmse
+    assert axis_errors(after)["z (mm)"][2] < axis_errors(before)["z (mm)"][2]
     worse = grade_quality(found.identification, trained, after, before)
-    assert worse.grade == "do not use" and worse.findings[0].weight == "fail" and "no better" in worse.reason
+    assert worse.grade == "do not use" and worse.findings[0][0] == "fail" and "no better" in worse.reason
     assert worse.findings[0] not in worse.others
     few = grade_quality(found.identification, trained, before[:2], after[:2])
     assert few.grade == "do not use" and "only 2 rows were held out" in few.reason
@@ -140,7 +139,7 @@ def test_verdicts(calibrated):
     unsettled = grade_quality(replace(found.identification, converged=False), trained, before, after)
     assert unsettled.grade == "do not use"
     flattered = grade_quality(found.identification, trained / 3, before, after)
-    assert flattered.grade == "with care" and "held-out errors" in flattered.findings[0].text
+    assert flattered.grade == "with care" and "held-out errors" in flattered.findings[0][1]
 
 
 def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, table_1):
@@ -205,9 +204,8 @@ def test_coefficients_between_lengths_and_angles_name_their_unit():
         return Identifiability(
             names=(kept, dropped),
             kept=np.array([0]),
-            dropped=(Dropped(dropped, {kept: share}),),
+            dropped={dropped: {kept: share}},
             r_diagonal=np.ones(2),
-            phi=np.ones(2),
             singular_values=np.ones(1),
         )
 

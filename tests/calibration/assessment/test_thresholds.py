@@ -28,7 +28,6 @@ from pickenv.calibration.assessment.quality import (
     grade_quality,
 )
 from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
-from pickenv.calibration.identification.least_squares import Dropped
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.prior import FRAMES, MADE, ZEROS
 
@@ -74,8 +73,8 @@ def errors(size, count=40, seed=0):
 def cautions(found, trained=1e-4, after=1e-4, **more):
     """What is said by way of caution of an arm whose error falls from 2 mm to ``after``."""
     quality = grade_quality(found, errors(trained), errors(2e-3), errors(after), **more)
-    assert quality.grade == ("with care" if quality.findings[0].weight == "caution" else "good")
-    return [finding.text for finding in quality.findings if finding.weight == "caution"]
+    assert quality.grade == ("with care" if quality.findings[0][0] == "caution" else "good")
+    return [text for weight, text in quality.findings if weight == "caution"]
 
 
 @pytest.mark.parametrize(("ratio", "noise"), [(2.0, "stated noise"), (0.5, "assumed noise"), (7.0, "stated noise")])
@@ -121,7 +120,7 @@ def test_priors_need_no_spare_equations(expected):
 
 
 def failures(found, before, after):
-    return [f.text for f in grade_quality(found, errors(1e-4), before, after).findings if f.weight == "fail"]
+    return [text for weight, text in grade_quality(found, errors(1e-4), before, after).findings if weight == "fail"]
 
 
 def test_two_held_out_rows_judge_nothing_and_three_do(found):
@@ -155,7 +154,7 @@ def test_gains_that_differ_by_roundings_are_no_chance(found, factor, blocks):
     before[:, :3] = 1e-3 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     assert np.ptp(np.linalg.norm(before[:, :3], axis=1)) > 0
     told = grade_quality(found, errors(1e-4), before, factor * before, blocks=blocks)
-    assert [finding for finding in told.findings if finding.weight == "fail"] == []
+    assert [text for weight, text in told.findings if weight == "fail"] == []
 
 
 def test_a_gain_counts_where_a_paired_t_test_says_so(found):
@@ -180,7 +179,7 @@ def cause(found, before, after, parametric=None):
     """Why an arm whose errors are ``before`` mm and ``after`` mm is not to be used."""
     more = {} if parametric is None else {"parametric": errors(parametric)}
     quality = grade_quality(found, errors(1e-4), errors(before), errors(after), **more)
-    assert quality.grade == "do not use" and quality.reason == quality.findings[0].text
+    assert quality.grade == "do not use" and quality.reason == quality.findings[0][1]
     return quality.reason
 
 
@@ -292,11 +291,11 @@ def test_pairs_that_correlate_by_more_than_nine_tenths_are_named_strongest_first
     weak = (names[2], names[5], pytest.approx(-0.95))
     assert correlated_pairs(correlated(found, 0.89)) == (weak,)
     assert correlated_pairs(correlated(found, 0.99)) == ((names[0], names[1], pytest.approx(0.99)), weak)
-    notes = [finding.text for finding in grade_quality(correlated(found, 0.99), *[errors(1e-4)] * 3).findings]
+    notes = [text for _, text in grade_quality(correlated(found, 0.99), *[errors(1e-4)] * 3).findings]
     assert any(
         f"2 pairs of parameters correlate by more than 0.9, most {names[0]} and {names[1]} (+0.99)" in n for n in notes
     )
-    notes = [finding.text for finding in grade_quality(correlated(found, 0.89), *[errors(1e-4)] * 3).findings]
+    notes = [text for _, text in grade_quality(correlated(found, 0.89), *[errors(1e-4)] * 3).findings]
     assert any(
         f"1 pair of parameters correlate by more than 0.9, most {names[2]} and {names[5]} (-0.95)" in n for n in notes
     )
@@ -319,18 +318,18 @@ def test_pairs_that_correlate_by_more_than_nine_tenths_are_named_strongest_first
     ],
 )
 def test_shares_below_a_hundredth_are_left_out_and_a_whole_one_needs_no_number(share, text):
-    found = Identifiability(("a1", "a2"), np.array([0]), (Dropped("a2", {"a1": share}),), *[np.ones(2)] * 3)
+    found = Identifiability(("a1", "a2"), np.array([0]), {"a2": {"a1": share}}, *[np.ones(2)] * 2)
     assert base_combinations(found) == {"a1": text}
 
 
 def test_a_share_that_is_left_out_hides_no_other():
-    dropped = (Dropped("a3", {"a1": 1e-4, "a2": 0.5}),)
-    found = Identifiability(("a1", "a2", "a3"), np.array([0, 1]), dropped, *[np.ones(3)] * 3)
+    dropped = {"a3": {"a1": 1e-4, "a2": 0.5}}
+    found = Identifiability(("a1", "a2", "a3"), np.array([0, 1]), dropped, *[np.ones(3)] * 2)
     assert base_combinations(found) == {"a1": "a1", "a2": "a2 + 0.5 a3"}
 
 
 def test_a_small_share_of_another_unit_is_shown():
-    found = Identifiability(("d3", "theta1"), np.array([0]), (Dropped("theta1", {"d3": 0.005}),), *[np.ones(2)] * 3)
+    found = Identifiability(("d3", "theta1"), np.array([0]), {"theta1": {"d3": 0.005}}, *[np.ones(2)] * 2)
     assert base_combinations(found) == {"d3": f"d3 + {np.radians(0.005) * 1e3:.4g} mm/deg theta1"}
 
 

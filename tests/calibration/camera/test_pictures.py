@@ -178,6 +178,6 @@ def _pose(path: Path) -> list[float]:
 def test_the_shipped_description_is_of_its_board() -> None:
     from pickenv.calibration import load_description
 
-    views = load_description("ical_charuco").views
+    views = load_description("ical_charuco")
     assert views is not None and views.board is not None
     assert len(views.board.corners) == 24 and views.board != load_board("charuco_a4")

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from pickenv.arm import chain_of, displace_pose, forward, load_arm, noncompensable_error, pose_error
 from pickenv.base import InputError
 from pickenv.calibration import Compensator, random_joints
-from pickenv.calibration.compensation.compensator import NEGLIGIBLE, _Expected, _expected, _nearer, corrected
+from pickenv.calibration.compensation.compensator import NEGLIGIBLE, _expected, _nearer, corrected
 from tests.calibration.compensation.networks import fast_network
 
 
@@ -129,14 +129,14 @@ def test_the_error_expected_is_the_length_of_all_six_components(error):
 def test_the_second_of_two_is_taken_unless_it_is_farther_off_by_more_than_is_negligible():
     """One pose or many, and none before the first."""
     farther = NEGLIGIBLE * np.array([-100.0, 0.0, 0.9, 1.1, 100.0])
-    one, other = _Expected([np.zeros(5)], np.full(5, 1e-3)), _Expected([np.ones(5)], 1e-3 + farther)
+    one, other = ([np.zeros(5)], np.full(5, 1e-3)), ([np.ones(5)], 1e-3 + farther)
     taken = np.array([1.0, 1.0, 1.0, 0.0, 0.0])
-    many = _nearer(np, one, other)
-    np.testing.assert_array_equal(many.joints[0], taken)
-    np.testing.assert_array_equal(many.error, np.where(taken == 1.0, other.error, one.error))
+    joints, errors = _nearer(np, one, other)
+    np.testing.assert_array_equal(joints[0], taken)
+    np.testing.assert_array_equal(errors, np.where(taken == 1.0, other[1], one[1]))
     for i in range(5):
-        single = _nearer(math, _Expected([0.0], 1e-3), _Expected([1.0], 1e-3 + farther[i]))
-        assert single.joints == [taken[i]]
+        joints, _ = _nearer(math, ([0.0], 1e-3), ([1.0], 1e-3 + farther[i]))
+        assert joints == [taken[i]]
     assert _nearer(np, None, other) is other
 
 

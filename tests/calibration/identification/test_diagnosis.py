@@ -93,10 +93,10 @@ def test_rows_that_are_grossly_off_are_left_out_with_their_reason(qiao, data, ot
     assert sorted((item.file, item.line, item.held_out, item.why) for item in found.left_out) == [
         (file, row + 1, held_out, why) for row in rows
     ]
-    (said,) = [finding for finding in found.quality.findings if "far off" in finding.text]
-    assert said.text.startswith(f"{count} of 120 rows {'is' if count == 1 else 'are'} far off, by up to ")
-    assert said.weight == ("note" if why is None and count == 1 else "caution" if why else said.weight)
-    assert ("fit only if " in said.text) == (why is not None) and (why or "left out") in said.text
+    ((weight, said),) = [finding for finding in found.quality.findings if "far off" in finding[1]]
+    assert said.startswith(f"{count} of 120 rows {'is' if count == 1 else 'are'} far off, by up to ")
+    assert weight == ("note" if why is None and count == 1 else "caution" if why else weight)
+    assert ("fit only if " in said) == (why is not None) and (why or "left out") in said
     assert found.position["geometric"].mean < 0.05
 
 

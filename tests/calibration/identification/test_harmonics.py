@@ -30,11 +30,11 @@ from pickenv.calibration.identification.term_choice import (
     MOST,
     ROWS_EACH,
     WITHIN,
-    BlockEquations,
     Linearised,
     choose_terms,
     chosen_orders,
     every_order,
+    left_of,
     pursued,
     refined,
     solved,
@@ -77,13 +77,13 @@ def test_planted_harmonics_are_found_with_orders_and_amplitudes_within_their_unc
     assert chosen.chosen == "periodic" and [kind_of_term(term) for term in chosen.terms] == ["periodic"]
     found = identify_terms(chosen.terms, bare, data)
     harmonics = harmonics_of(found)
-    sizes = [item.amplitude for item in harmonics]
+    sizes = [amplitude for _, _, _, amplitude, _ in harmonics]
     assert sizes == sorted(sizes, reverse=True) and found.converged
-    assert {(item.joint, round(item.order)) for item in harmonics} == {(0, 13), (1, 26), (2, 5)}
+    assert {(joint, round(order)) for joint, order, *_ in harmonics} == {(0, 13), (1, 26), (2, 5)}
     for joint, order, amplitude in ((0, 13.37, np.hypot(2e-4, 1e-4)), (1, 26.1, np.hypot(1e-4, 5e-5)), (2, 4.72, 3e-4)):
-        item = next(item for item in harmonics if item.joint == joint)
-        assert 0.0 < item.order_std < 0.1 and abs(item.order - order) < 4 * item.order_std
-        assert item.amplitude_std < 0.1 * amplitude and abs(item.amplitude - amplitude) < 4 * item.amplitude_std
+        ((at, at_std, size, size_std),) = (rest for moved, *rest in harmonics if moved == joint)
+        assert 0.0 < at_std < 0.1 and abs(at - order) < 4 * at_std
+        assert size_std < 0.1 * amplitude and abs(size - amplitude) < 4 * size_std
     left = data.difference(found.arm_model)
     assert np.sqrt(np.mean(left**2)) < 1.1 * NOISE < np.sqrt(np.mean(data.difference(bare.arm_model) ** 2)) / 2
 
@@ -94,8 +94,10 @@ def test_uncertainties_of_orders_and_amplitudes_are_their_scatter():
     off = []
     for seed in range(30):
         data = tracked(np.random.default_rng(seed), coefficients=(2e-4, 1e-4), wave=PeriodicTerm((0,), (13.37,)))
-        (item,) = harmonics_of(identify_terms(terms_of("periodic", ARM, bare_of(data), data), bare_of(data), data))
-        off.append([(item.order - 13.37) / item.order_std, (item.amplitude - 5**0.5 * 1e-4) / item.amplitude_std])
+        ((_, order, order_std, amplitude, amplitude_std),) = harmonics_of(
+            identify_terms(terms_of("periodic", ARM, bare_of(data), data), bare_of(data), data)
+        )
+        off.append([(order - 13.37) / order_std, (amplitude - 5**0.5 * 1e-4) / amplitude_std])
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(off), axis=0)), 1.0, atol=0.4)
 
 
@@ -135,15 +137,13 @@ def test_the_pursuit_takes_what_explains_most_each_time(seed, size):
 @pytest.fixture(scope="module")
 def equations(planted):
     data, bare = planted
-    model = Linearised.of(bare, (PLANTED, every_order(ARM.nominal)))
-    return BlockEquations.of(
-        model, [data.select(held) for _, held in contiguous_folds(data.groups, same_poses(data.joints), 5)]
-    )
+    blocks = [data.select(held) for _, held in contiguous_folds(data.groups, same_poses(data.joints), 5)]
+    return Linearised.of(bare, (PLANTED, every_order(ARM.nominal)), blocks)
 
 
 def test_equations_without_a_block_are_those_of_the_other_rows_with_the_prior(planted, equations):
     data, bare = planted
-    model = equations.model
+    model = equations
     others = np.concatenate([np.arange(240)[:48], np.arange(240)[96:]])
     columns, left = model.equations(data.select(others))
     prior = np.diag(np.r_[np.zeros(len(model.fitted)), np.full(len(model.names) - len(model.fitted), bare.scatter)])
@@ -153,21 +153,21 @@ def test_equations_without_a_block_are_those_of_the_other_rows_with_the_prior(pl
     np.testing.assert_allclose(found[places], by_hand, rtol=1e-6, atol=1e-9)
     assert not np.delete(found, places).any()
     there, remains = model.equations(data.select(np.arange(48, 96)))
-    assert equations.left(1, found) == pytest.approx(np.sum((remains - there @ found) ** 2), rel=1e-6)
+    assert left_of(equations.normal, 1, found) == pytest.approx(np.sum((remains - there @ found) ** 2), rel=1e-6)
 
 
 def test_what_a_solution_misses_is_what_the_arm_misses_that_it_stands_for(planted, equations):
     data, _ = planted
-    places = np.r_[equations.model.fitted, equations.model.coefficients_of(0)]
+    places = np.r_[equations.fitted, equations.coefficients_of(0)]
     found = solved(*equations.without(None), places)
-    columns, left = equations.model.equations(data)
+    columns, left = equations.equations(data)
     linear = (left - columns @ found).reshape(-1, 3) * NOISE
-    np.testing.assert_allclose(equations.model.misses(data, found), linear, atol=1e-6)
+    np.testing.assert_allclose(equations.misses(data, found), linear, atol=1e-6)
 
 
 def test_the_fewest_harmonics_within_three_per_cent_of_the_best_are_taken(equations):
     """Judged by hand, count by count."""
-    model = equations.model
+    model = equations
     candidates = model.coefficients_of(1).reshape(-1, 2)
     paths, whole = chosen_orders(equations, model.fitted, candidates)
     errors = []
@@ -177,7 +177,7 @@ def test_the_fewest_harmonics_within_three_per_cent_of_the_best_are_taken(equati
         for block in range(5):
             matrix, right = equations.without(block)
             path = candidates[pursued(matrix, right, model.fitted, candidates, count)].ravel()
-            left += equations.left(block, solved(matrix, right, np.r_[model.fitted, path]))
+            left += left_of(equations.normal, block, solved(matrix, right, np.r_[model.fitted, path]))
         errors.append(np.sqrt(left))
     wanted = min(count for count in range(31) if errors[count] <= (1 + WITHIN) * min(errors))
     assert len(whole) == 2 * wanted and all(len(path) == 2 * wanted for path in paths)
@@ -191,9 +191,9 @@ def test_harmonics_are_chosen_again_among_finer_orders_two_tenths_around_those_c
     blocks = [data.select(held) for _, held in contiguous_folds(data.groups, same_poses(data.joints), 5)]
 
     def taken(wave):
-        model = Linearised.of(bare, (wave,))
+        model = Linearised.of(bare, (wave,), blocks)
         places = model.coefficients_of(0)
-        _, whole = chosen_orders(BlockEquations.of(model, blocks), model.fitted, places.reshape(-1, 2))
+        _, whole = chosen_orders(model, model.fitted, places.reshape(-1, 2))
         return {(wave.joints[i], wave.orders[i]) for i in range(len(wave.orders)) if places[2 * i] in whole}
 
     coarse = taken(every_order(ARM.nominal))
@@ -312,8 +312,8 @@ def test_an_orders_column_is_the_difference_of_what_its_harmonic_does():
 
 def test_terms_are_chosen_on_fifteen_hundred_rows_of_the_whole_at_most(monkeypatch):
     data, seen = tracked(np.random.default_rng(0), rows=1502), []
-    monkeypatch.setattr(term_choice.BlockEquations, "of", staticmethod(lambda model, blocks: seen.extend(blocks)))
     bare = bare_of(data.select(np.arange(60)))
+    monkeypatch.setattr(term_choice.Linearised, "of", staticmethod(lambda bare, terms, blocks: seen.extend(blocks)))
     term_choice._Trial.of(ARM, bare, data, ())
     joints = np.concatenate([block.joints for block in seen])
     assert len(joints) == 1500 and (joints[[0, -1]] == data.joints[[0, -1]]).all()

@@ -98,6 +98,6 @@ def test_held_out_rows_at_trained_poses_are_counted(dynamic: Plant, again: int, 
     test[:again] = train.joints[:again]
     choices = Choices(terms="none", residual="none")
     result = calibrate(dynamic.arm, train, test=tracked(rng, 40, test), choices=choices)
-    said = [finding for finding in result.quality.findings if "at poses that were trained on" in finding.text]
-    assert [finding.weight for finding in said] == ([] if weight is None else [weight])
-    assert all(finding.text.startswith(f"{again} of 40 held-out rows") for finding in said)
+    said = [finding for finding in result.quality.findings if "at poses that were trained on" in finding[1]]
+    assert [weight for weight, _ in said] == ([] if weight is None else [weight])
+    assert all(text.startswith(f"{again} of 40 held-out rows") for _, text in said)

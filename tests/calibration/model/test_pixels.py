@@ -21,8 +21,8 @@ from pickenv.calibration import (
     projected,
 )
 from pickenv.calibration.assessment.instrument import said_of_instruments
-from pickenv.calibration.identification.robust import fitted_model, rough_start
-from pickenv.calibration.model.arm_model import joints_of_finished_poses
+from pickenv.calibration.identification.robust import rough_start
+from pickenv.calibration.model.arm_model import fitted_model, joints_of_finished_poses
 from pickenv.calibration.model.pixels import board_poses
 
 BOARD = Board(kind="charuco", columns=6, rows=8, square=0.03, marker=0.022, dictionary="5x5_100")

@@ -79,8 +79,8 @@ def test_the_true_error_falls_and_is_predicted(calibration, dynamic):
     assert np.linalg.norm(after[:, :3], axis=1).mean() < 0.4 * np.linalg.norm(before[:, :3], axis=1).mean()
     # What it says of the uncorrected arm is as true as it says it is, and rather truer well inside the joint ranges.
     missed = np.linalg.norm(found.before[:, :3] - before[:, :3], axis=1)
-    assert 0.7 < np.sqrt(np.mean(missed**2) / np.mean(found.position_uncertainty**2)) < 1.1
-    assert np.mean(np.linalg.norm(after[:, :3], axis=1) < 2 * found.position_uncertainty) > 0.9
+    assert 0.7 < np.sqrt(np.mean(missed**2) / np.mean(found.uncertainty[0] ** 2)) < 1.1
+    assert np.mean(np.linalg.norm(after[:, :3], axis=1) < 2 * found.uncertainty[0]) > 0.9
     assert np.linalg.norm(found.remaining[:, :3], axis=1).max() < 1e-5
 
 
@@ -161,7 +161,7 @@ def test_the_report_speaks_of_the_targets_that_are_reached_or_of_all_where_none_
         assert lines[0] == f"{found.reached.sum()} of 300 targets can be reached"
         assert f"would miss by {mm[0]:.3f} mm and {deg[0]:.4f} deg" in lines[1]
         assert f"{mm[1]:.4f} mm and {deg[1]:.4f} deg remain, of which {lost:.4f} deg" in lines[2]
-        sure, within = 1e3 * found.position_uncertainty, 1e3 * found.within95[0]
+        sure, within = 1e3 * found.uncertainty[0], 1e3 * found.within95[0]
         assert f"reached: {np.median(sure):.3f} mm (median), {sure.max():.3f} mm at most" in lines[3]
         assert f"within {np.median(within):.3f} mm (median of targets; {within.max():.3f} mm at most)" in lines[4]
 
@@ -199,11 +199,11 @@ def test_the_temperature_given_counts_for_commands_and_for_how_sure_they_are(war
         found = apply_calibration(calibration, qiao, targets, conditions=given)
         there = truth.pose(found.joints, Conditions(temperature=np.full(30, degrees)))
         assert np.linalg.norm(there.position - wanted.position, axis=1).max() < 1e-4
-        sure[degrees] = found.position_uncertainty
+        sure[degrees] = found.uncertainty[0]
         expected = uncertainty_from(calibration.record).standard(
             calibration.model, found.joints, Conditions(temperature=np.full(30, degrees))
         )
-        np.testing.assert_allclose([found.position_uncertainty, found.attitude_uncertainty], expected)
+        np.testing.assert_allclose(found.uncertainty, expected)
     assert np.abs(sure[-20.0] / sure[20.0] - 1.0).max() > 1e-4
 
 
@@ -288,13 +288,13 @@ def test_the_table_reads_back(calibration, dynamic, tmp_path):
     np.testing.assert_allclose(again.joints, found.joints, atol=1e-12)
     names, rows = found.table()
     assert rows.shape == (4, len(names)) and set(rows[:, names.index("reached")]) == {"yes"}
-    assert float(rows[0, names.index("uncertainty_mm")]) == pytest.approx(found.position_uncertainty[0] * 1e3)
+    assert float(rows[0, names.index("uncertainty_mm")]) == pytest.approx(found.uncertainty[0][0] * 1e3)
 
 
 def test_without_uncertainty_in_the_file_it_says_so(calibration, dynamic):
     bare = replace(calibration, record={k: v for k, v in calibration.record.items() if k != "uncertainty"})
     found = apply_calibration(bare, dynamic.arm, joint_targets(inner_joints(dynamic.arm.nominal, 2, 0)))
-    assert found.position_uncertainty is None and "uncertainty unknown" in found.report()
+    assert found.uncertainty[0] is None and "uncertainty unknown" in found.report()
     assert "uncertainty_mm" not in found.table()[0]
 
 
@@ -383,8 +383,8 @@ def test_the_table_says_errors_and_uncertainties_in_mm_and_degrees(calibration, 
         for unit, factor, columns in (("mm", 1e3, [0, 1, 2]), ("deg", 180 / np.pi, [3, 4, 5])):
             expected = factor * np.sqrt((error[:, columns] ** 2).sum(axis=1))
             np.testing.assert_allclose(table[f"{name}_error_{unit}"].astype(float), expected, rtol=1e-9)
-    np.testing.assert_allclose(table["uncertainty_mm"].astype(float), 1e3 * found.position_uncertainty)
-    np.testing.assert_allclose(table["uncertainty_deg"].astype(float), np.rad2deg(found.attitude_uncertainty))
+    np.testing.assert_allclose(table["uncertainty_mm"].astype(float), 1e3 * found.uncertainty[0])
+    np.testing.assert_allclose(table["uncertainty_deg"].astype(float), np.rad2deg(found.uncertainty[1]))
     position, attitude = found.within95
     np.testing.assert_allclose(table["within95_mm"].astype(float), 1e3 * position)
     np.testing.assert_allclose(table["within95_deg"].astype(float), np.rad2deg(attitude))

@@ -27,7 +27,7 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.apply import CorrectedCommands
-from pickenv.calibration.pipeline.calibration import PoseUncertainty, Within95, pose_uncertainty, within95
+from pickenv.calibration.pipeline.calibration import PoseUncertainty, pose_uncertainty, within95
 from pickenv.wrappers import CompensationWrapper
 
 PRISMATIC = (False, True)
@@ -44,8 +44,7 @@ def commands(reached, **more):
         "before": before,
         "remaining": remaining,
         "impossible": impossible,
-        "position_uncertainty": np.array([1e-4, 2e-4, 4e-4, 9e-4]),
-        "attitude_uncertainty": np.array([1e-3, 2e-3, 4e-3, 9e-3]),
+        "uncertainty": (np.array([1e-4, 2e-4, 4e-4, 9e-4]), np.array([1e-3, 2e-3, 4e-3, 9e-3])),
         "within95": (np.array([2e-4, 4e-4, 8e-4, 18e-4]), np.array([2e-3, 4e-3, 8e-3, 18e-3])),
         "reasons": {},
         "lines": (2, 3, 5, 8),
@@ -90,14 +89,14 @@ def test_the_table_holds_each_number_in_its_unit_and_no_command_where_none_shoul
         size = np.sqrt(np.sum(error.reshape(4, 2, 3) ** 2, axis=2))
         np.testing.assert_allclose(column[f"{label}_error_mm"].astype(float), 1e3 * size[:, 0])
         np.testing.assert_allclose(column[f"{label}_error_deg"].astype(float), np.degrees(size[:, 1]))
-    np.testing.assert_allclose(column["uncertainty_mm"].astype(float), 1e3 * found.position_uncertainty)
-    np.testing.assert_allclose(column["uncertainty_deg"].astype(float), np.degrees(found.attitude_uncertainty))
+    np.testing.assert_allclose(column["uncertainty_mm"].astype(float), 1e3 * found.uncertainty[0])
+    np.testing.assert_allclose(column["uncertainty_deg"].astype(float), np.degrees(found.uncertainty[1]))
     np.testing.assert_allclose(column["within95_mm"].astype(float), [0.2, 0.4, 0.8, 1.8])
     np.testing.assert_allclose(column["within95_deg"].astype(float), np.degrees([2e-3, 4e-3, 8e-3, 18e-3]))
     assert column["note"].tolist() == ["", "too far", "", ""]
     assert "row 3: too far" in found.report()
     assert "95 of 100 such commands end within 0.600 mm (median of targets; 1.800 mm at most)" in found.report()
-    bare = commands([True] * 4, attitude_uncertainty=None)
+    bare = commands([True] * 4, uncertainty=(found.uncertainty[0], None))
     assert "uncertainty_deg" not in bare.table()[0] and "uncertainty_mm" in bare.table()[0]
 
 
@@ -112,7 +111,7 @@ def judged(request, dynamic, sets):
     train, test = sets if request.param == "poses" else [part.positions_only() for part in sets]
     verdict = GateVerdict("gp", 2e-4, 4e-4, None, None, 5e-5, 6e-5, True, "cuts")
     gate = GateReport((verdict,), "gp", 2e-4)
-    return assess(dynamic.arm, fit(dynamic.arm, train, known_frames=True), train, test, gate=gate)
+    return replace(assess(dynamic.arm, fit(dynamic.arm, train, known_frames=True), train, test), gate=gate)
 
 
 def test_a_results_figures_are_those_of_its_errors(judged, sets):
@@ -204,7 +203,8 @@ def test_the_uncertainty_of_a_reach_is_that_of_parameters_and_of_what_they_do_no
 
 def test_how_far_errors_go_is_the_median_with_the_5th_and_95th_of_100_poses(judged):
     sure, model, q = judged.uncertainty, judged.fit.calibration.model, judged.test.joints
-    sure = replace(sure, position_within95=Within95(2.0, 0.93), attitude_within95=Within95(3.0, 0.96))
+    factors = {"position": {"factor": 2.0, "covered": 0.93}, "attitude": {"factor": 3.0, "covered": 0.96}}
+    sure = replace(sure, factors=factors)
     block = sure.block(model, q, judged.test.conditions)
     parts = zip(block.rows, sure.standard(model, q), (2e3, np.degrees(3.0)), ("mm", "deg"), strict=False)
     for (_, said, held), size, scale, unit in parts:
@@ -254,8 +254,8 @@ def test_95_of_100_new_errors_lie_within(contrast: float) -> None:
         known = within95(joints, squares, np.zeros(150), None)
         assert known is not None
         _, new = errors(rng, 400, contrast)
-        share.append(np.mean(np.sqrt(new) <= known.factor * np.sqrt(squares.mean())))
-        said.append(known.covered)
+        share.append(np.mean(np.sqrt(new) <= known["factor"] * np.sqrt(squares.mean())))
+        said.append(known["covered"])
     assert 0.945 < np.mean(share) < 0.97  # ranks are rounded up, and the factor is of fits to nine tenths
     assert np.mean(said) == pytest.approx(0.95, abs=0.015)
 
@@ -269,7 +269,7 @@ def test_what_parameters_add_counts() -> None:
     sizes = [np.sqrt(squares[np.arange(40) // 4 != b].mean() + extra) for b in range(10) for extra in (0.0, 3e-8)]
     ratios = [np.sqrt(squares) / np.repeat(sizes[i::2], 4) for i in range(2)]
     for found, ratio in ((plain, ratios[0]), (wide, ratios[1])):
-        assert found.factor == np.sort(ratio)[int(np.ceil(0.95 * 41)) - 1]
+        assert found["factor"] == np.sort(ratio)[int(np.ceil(0.95 * 41)) - 1]
     assert within95(joints[:19], squares[:19], np.zeros(19), None) is None
 
 
@@ -287,13 +287,13 @@ def test_new_reaches_of_an_arm_that_errs_more_where_it_is_stretched_lie_within()
         return Measurements(joints, position + size * rng.normal(size=(count, 3)), None, geometry.prismatic)
 
     found = calibrate(arm, seen(500), split="blocked", choices=Choices(terms="none", residual="none"))
-    known = found.uncertainty.position_within95
-    assert isinstance(known, Within95) and 0.92 < known.covered < 0.98
+    known = found.uncertainty.factors["position"]
+    assert 0.92 < known["covered"] < 0.98
     new = seen(2000)
     missed = np.linalg.norm(new.difference(found.calibration.model), axis=1)
     radius, _ = found.uncertainty.within95(found.calibration.model, new.joints)
     assert radius is not None and np.mean(missed <= radius) == pytest.approx(0.95, abs=0.025)
-    assert found.as_dict()["within95"]["position"] == vars(known) and f"{100 * known.covered:.1f} %" in found.report()
+    assert found.as_dict()["within95"]["position"] == known and f"{100 * known['covered']:.1f} %" in found.report()
     kept = uncertainty_from(found.calibration.record)
     assert kept is not None
     again, _ = kept.within95(found.calibration.model, new.joints)
@@ -307,8 +307,7 @@ def test_95_of_100_errors_of_wam_lie_within(data_folder: Path) -> None:
     if not files:
         pytest.skip(f"no grid of WAM in {data_folder}")
     found = calibrate("wam", files, columns="wam_jacobi2025", split="blocked", choices=Choices(residual="none"))
-    known = found.uncertainty.position_within95
-    assert known is not None and 0.93 <= known.covered <= 0.97
+    assert 0.93 <= found.uncertainty.factors["position"]["covered"] <= 0.97
 
 
 @pytest.mark.parametrize("older", ["position", "attitude"])
@@ -319,9 +318,10 @@ def test_a_factor_for_a_scatter_that_differed_from_pose_to_pose_is_not_taken(old
     kept |= {"position_within95": one, "attitude_within95": one}
     sure, old = (uncertainty_from({"uncertainty": kept | more}) for more in ({}, {f"{older}_local": {"counts": [1]}}))
     assert sure is not None and old is not None
-    assert sure.position_within95 == sure.attitude_within95 == Within95(1.6, 0.95)
+    taken = {"factor": 1.6, "covered": 0.95}
+    assert sure.factors == {"position": taken, "attitude": taken}
     for name in ("position", "attitude"):
-        assert getattr(old, f"{name}_within95") == (None if name == older else Within95(1.6, 0.95))
+        assert old.factors.get(name) == (None if name == older else taken)
 
 
 def test_an_episode_ends_with_the_radius_of_its_command(tmp_path: Path) -> None:

@@ -60,7 +60,7 @@ def day(
 
 
 def said(arm: Arm, days: Sequence[Measurements]) -> list[tuple[tuple[int, ...], tuple[str, ...]]]:
-    return [(each.parts, each.own) for each in set_ups(arm, days)]
+    return list(set_ups(arm, days))
 
 
 @pytest.mark.parametrize("poses", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["positions", "poses"])
@@ -176,7 +176,7 @@ def test_the_command_prints_set_ups_with_their_files_and_keeps_them(ur5: Arm, tr
 
 
 def findings(result: Result) -> str:
-    return " ".join(f"{finding.weight}: {finding.text}" for finding in result.quality.findings)
+    return " ".join(": ".join(finding) for finding in result.quality.findings)
 
 
 def test_a_file_is_never_left_out_whole_in_silence(ur5: Arm, true: Geometry) -> None:

@@ -74,7 +74,9 @@ def result(ur5: Arm, true: Geometry) -> Result:
     return calibrate(ur5, seen(true, 1, rows=150), choices=PLAIN)
 
 
-@pytest.mark.parametrize("moved", [{}, {"base": (0.0123, 0.25), "tool": (4.5e-4, 0.01)}], ids=["as it was", "moved"])
+@pytest.mark.parametrize(
+    "moved", [{}, {"base": (0.0123, 0.25, 0, 0), "tool": (4.5e-4, 0.01, 0, 0)}], ids=["as it was", "moved"]
+)
 def test_every_number_on_the_screen_is_in_mm_or_degrees_and_so_it_is_for_programs(moved: dict) -> None:
     """Lengths that frames moved by are kept in m and angles in rad; errors come in mm."""
     nominal, mine = (error_statistics(size * np.arange(1.0, 41.0), np.arange(40) // 4) for size in (0.5, 0.02))
@@ -352,12 +354,12 @@ def test_frames_that_a_line_at_one_attitude_does_not_tell_stay_where_they_were(
     for count in (6, 12):
         found = verify(calibration, data, FRAMES, count)
         assert found.ratio < 1.5 and found.status in ("still good", "worse than nominal", "no better than nominal")
-        assert found.untold["base"][0] == found.untold["tool"][0] == 3 and found.untold["base"][1] >= 1
-        assert (found.untold["tool"][1] == 3) != poses
+        (*_, base_shifts, base_turns), (*_, tool_shifts, tool_turns) = found.moved["base"], found.moved["tool"]
+        assert base_shifts == tool_shifts == 3 and base_turns >= 1 and (tool_turns == 3) != poses
         assert "not told by these rows" in found.text() and found.as_dict()["moved"]["base"]["mm"] is None
         wide = verify(calibration, seen(true, 2, poses=poses), FRAMES, count)
-        assert wide.status == "still good" and not any(wide.untold["base"])
-        assert wide.untold["tool"] == (0, 0 if poses else 3)
+        assert wide.status == "still good" and not any(wide.moved["base"][2:])
+        assert wide.moved["tool"][2:] == (0, 0 if poses else 3)
         assert wide.moved["base"][0] < 2e-3 and wide.moved["tool"][0] < 2e-3
 
 

@@ -61,22 +61,22 @@ def seen_by(nominal, joints, names):
 @pytest.mark.parametrize("of", ["model", "arm"])
 def test_chance_is_the_median_condition_and_the_mean_o1_of_twenty_sets(qiao, drawn, of):
     plan, _, sets, _, _ = drawn
-    part = getattr(plan, of)
-    every = [np.linalg.svd(seen_by(qiao.nominal, s, part.parameters), compute_uv=False) for s in sets]
+    told = plan.as_dict()[of]
+    parameters, planned = told["parameters"], told["observability"]
+    every = [np.linalg.svd(seen_by(qiao.nominal, s, parameters), compute_uv=False) for s in sets]
     conditions = sorted(s[0] / s[-1] for s in every)
     o1 = [np.exp(np.log(s).mean()) / np.sqrt(COUNT) for s in every]
-    assert part.drawn.condition == pytest.approx(conditions[10], rel=1e-6)
-    assert part.drawn_o1 == pytest.approx(np.mean(o1), rel=1e-6)
-    own = np.linalg.svd(seen_by(qiao.nominal, plan.joints, part.parameters), compute_uv=False)
-    assert part.planned.condition == pytest.approx(own[0] / own[-1], rel=1e-6) and part.planned.poses == COUNT
+    assert told["random_observability"]["condition"] == pytest.approx(conditions[10], rel=1e-6)
+    assert planned["o1"] / told["o1_ratio"] == pytest.approx(np.mean(o1), rel=1e-6)
+    own = np.linalg.svd(seen_by(qiao.nominal, plan.joints, parameters), compute_uv=False)
+    assert planned["condition"] == pytest.approx(own[0] / own[-1], rel=1e-6) and planned["poses"] == COUNT
     ratio = np.exp(np.log(own).mean()) / np.sqrt(COUNT) / np.mean(o1)
-    told = plan.as_dict()[of]
     assert told["o1_ratio"] == pytest.approx(ratio, rel=1e-6)
-    assert (told["condition"], told["random_condition"]) == (part.planned.condition, part.drawn.condition)
-    assert told["parameters"] == list(part.parameters)
-    assert (
-        f"({len(part.parameters)}): condition {own[0] / own[-1]:.1f} (poses drawn at random: {conditions[10]:.1f})"
-        in (plan.report())
+    drawn_condition = told["random_observability"]["condition"]
+    assert (told["condition"], told["random_condition"]) == (planned["condition"], drawn_condition)
+    assert parameters == list(getattr(plan, of)["parameters"])
+    assert f"({len(parameters)}): condition {own[0] / own[-1]:.1f} (poses drawn at random: {conditions[10]:.1f})" in (
+        plan.report()
     )
     assert f"O1 {ratio:.2f} times theirs" in plan.report()
 
@@ -97,8 +97,8 @@ def test_the_error_to_expect_is_the_parameters_covariance_carried_to_the_test_po
     plan, _, sets, _, near = drawn
 
     def expected(joints):
-        rows = seen_by(qiao.nominal, joints, plan.model.parameters)
-        there = seen_by(qiao.nominal, near, plan.model.parameters).reshape(len(near), 6, -1)[:, :3] * POSITION_STD
+        rows = seen_by(qiao.nominal, joints, plan.model["parameters"])
+        there = seen_by(qiao.nominal, near, plan.model["parameters"]).reshape(len(near), 6, -1)[:, :3] * POSITION_STD
         spread = there @ np.linalg.inv(rows.T @ rows) @ np.swapaxes(there, 1, 2)
         return np.sqrt(np.trace(spread, axis1=1, axis2=2).mean())
 

@@ -169,7 +169,7 @@ def test_shipped_descriptions_are_sound():
     for name in names:
         description = load_description(name)
         counts = {"position": {3}, "reflectors": {3, 6, 9, 12}, "wire": {1}, "sockets": {0, 1}, "pixels": {0, 2}}
-        assert len(description.position) in counts[description.kind]
+        assert len(description.columns) in counts[description.kind]
 
 
 GOOD = JOINTS + POSITION

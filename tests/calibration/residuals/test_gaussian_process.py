@@ -14,13 +14,13 @@ from pickenv.calibration import identify, link_model, random_joints, simulated_t
 from pickenv.calibration.residuals import gaussian_process
 from pickenv.calibration.residuals.gaussian_process import (
     AMPLITUDES,
+    LENGTH_SCALES,
+    NOISES,
     GaussianProcess,
-    GaussianProcessSettings,
     negative_log_likelihood,
 )
 from pickenv.calibration.residuals.residual_models import joint_inputs
 
-SETTINGS = GaussianProcessSettings()
 LIMIT_MM = 0.06
 """Mean position error allowed on the paper's arm; where the process takes all for noise, 0.35 is left."""
 LIKELIHOOD_TOLERANCE = 0.5
@@ -76,13 +76,13 @@ def likelihoods(process: GaussianProcess, arm: Arm) -> np.ndarray:
 
 
 def fitted(arm: Arm, **changes: int) -> GaussianProcess:
-    return GaussianProcess.fit(arm.inputs, arm.targets, np.random.default_rng(0), replace(SETTINGS, **changes))
+    return GaussianProcess.fit(arm.inputs, arm.targets, np.random.default_rng(0), **changes)
 
 
 def referees(arm: Arm, restarts: int) -> list[GaussianProcessRegressor]:
     """scikit-learn's processes, one per output: the same kernel and bounds, its own optimiser and restarts."""
-    squared = [tuple(bound**2 for bound in bounds) for bounds in (AMPLITUDES, SETTINGS.noise)]
-    kernel = ConstantKernel(1.0, squared[0]) * RBF(np.ones(arm.inputs.shape[1]), SETTINGS.length_scales)
+    squared = [tuple(bound**2 for bound in bounds) for bounds in (AMPLITUDES, NOISES)]
+    kernel = ConstantKernel(1.0, squared[0]) * RBF(np.ones(arm.inputs.shape[1]), LENGTH_SCALES)
     referee = GaussianProcessRegressor(
         kernel + WhiteKernel(0.25, squared[1]), alpha=1e-10, n_restarts_optimizer=restarts, random_state=0
     )
@@ -150,10 +150,14 @@ def test_more_starts_find_optima_that_one_misses_and_never_lose_one(
     assert np.max(one - several) > nats
 
 
-def test_where_some_rows_show_noise_alone_all_rows_have_the_last_word(dynamic: Plant) -> None:
+def test_where_some_rows_show_noise_alone_all_rows_have_the_last_word(
+    dynamic: Plant, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """40 rows leave the process ignorant; it still ends as well as with all rows for every start."""
     arm = arm_after_least_squares(dynamic, 1)
-    few, every = (likelihoods(fitted(arm, start_rows=rows), arm)[:3] for rows in (40, 200))
+    every = likelihoods(fitted(arm), arm)[:3]
+    monkeypatch.setattr(gaussian_process, "START_ROWS", 40)
+    few = likelihoods(fitted(arm), arm)[:3]
     np.testing.assert_allclose(few, every, atol=LIKELIHOOD_TOLERANCE)
 
 

@@ -16,7 +16,6 @@ from pickenv.calibration import Bpnn, BpnnSettings, fit_residual, train_bpnn
 from pickenv.calibration.residuals import bpnn, gaussian_process
 from pickenv.calibration.residuals.gaussian_process import (
     GaussianProcess,
-    GaussianProcessSettings,
     Rbf,
     column_std,
     k_means,
@@ -259,8 +258,7 @@ def test_with_more_than_400_poses_batches_double_and_epochs_fall(monkeypatch, ro
 def test_the_process_keeps_no_more_rows_than_allowed_and_predicts_in_chunks(monkeypatch):
     """Weights are the textbooks' on the rows that are kept: K^-1 y with the noise on the diagonal."""
     x, y = drawn(60)
-    settings = GaussianProcessSettings(rows=40, likelihood_rows=30, starts=2)
-    process = GaussianProcess.fit(x, y, np.random.default_rng(0), settings)
+    process = GaussianProcess.fit(x, y, np.random.default_rng(0), rows=40, likelihood_rows=30, starts=2)
     kept = np.sort(np.random.default_rng(0).permutation(60)[:40])
     np.testing.assert_array_equal(process.rows, x[kept])
     np.testing.assert_allclose(process.output_mean, y.mean(axis=0))
@@ -286,7 +284,7 @@ def searches(monkeypatch, rows):
     """Each search of one output: its start, how many rows it sees, its precision; the fourth start is told the best."""
     told, seen = [], []
 
-    def standing(start, inputs, target, precision, settings):
+    def standing(start, inputs, target, precision):
         told.append((np.exp(start), len(inputs), precision))
         seen.append(inputs)
         assert len(inputs) == len(target)
@@ -340,7 +338,7 @@ def test_a_search_stays_within_its_bounds_and_ends_by_its_precision(monkeypatch)
 
     monkeypatch.setattr(scipy.optimize, "fmin_l_bfgs_b", climb)
     start = np.zeros(4)
-    found, value = gaussian_process._search(start, np.zeros((5, 2)), np.zeros(5), 1e-5, GaussianProcessSettings())
+    found, value = gaussian_process._search(start, np.zeros((5, 2)), np.zeros(5), 1e-5)
     ((bounds, factr, iterations),) = asked
     np.testing.assert_allclose(np.exp(bounds), [[0.03, 30.0], [0.1, 1e3], [0.1, 1e3], [1e-3, 2.0]])
     assert factr * np.finfo(float).eps == pytest.approx(1e-5) and iterations == 100
