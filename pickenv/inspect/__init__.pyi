@@ -51,13 +51,8 @@ from .reports.calibration_report import (
     write_calibration_report as write_calibration_report,
 )
 from .reports.report_page import (
-    Bar as Bar,
-    Folded as Folded,
-    Interactive as Interactive,
-    Page as Page,
     PageTable as PageTable,
     PageVerdict as PageVerdict,
-    Pair as Pair,
     Picture as Picture,
     Section as Section,
     drawings_of as drawings_of,

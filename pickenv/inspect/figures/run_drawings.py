@@ -70,11 +70,15 @@ class Drawing:
         name: File name without suffix.
         caption: What it shows, in a sentence.
         draw: Draws it.
+        spec: Plotly's data and layout where it comes alive in a browser; what `draw` draws is for print.
+        hint: What a reader can do with it then.
     """
 
     name: str
     caption: str
     draw: Callable[[], Figure]
+    spec: Mapping[str, Any] | None = None
+    hint: str = ""
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -86,16 +87,14 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         _recording(picture(recording) if picture and recording.is_file() else None),
     )
     return report_page.html_of(
-        report_page.Page(
-            f"Calibration and picking: {comparison.plant.name}",
-            f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
-            f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("quick" in run.command),
-            demo_verdict(comparison, cases),
-            sections,
-            _origin(run, comparison, trace, calibration),
-            _tiles(comparison, trace),
-            contents=True,
-        )
+        f"Calibration and picking: {comparison.plant.name}",
+        f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
+        f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("quick" in run.command),
+        demo_verdict(comparison, cases),
+        sections,
+        _origin(run, comparison, trace, calibration),
+        _tiles(comparison, trace),
+        contents=True,
     )
 
 
@@ -155,7 +154,7 @@ def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
     caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"
     return report_page.Section(
         "Does it matter?",
-        [report_page.Folded(caption, [report_page.PageTable(caption, heads, rows)])] if rows else (),
+        [report_page.Section(caption, [report_page.PageTable(caption, heads, rows)])] if rows else (),
         "Each arm's own error across the tool, with an error of perception beside it; the gripper's curve says what is "
         "taken.",
     )
@@ -216,7 +215,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
         "Reaches, by policy",
         (
             report_page.PageTable(caption, heads, rows),
-            report_page.Pair((drawn["position_error_by_policy"], drawn["reach_errors_cumulative"])),
+            (drawn["position_error_by_policy"], drawn["reach_errors_cumulative"]),
             drawn["success_against_misalignment"],
         ),
         "Distance of the true tool from the fruit at the end of each reach. Accuracy must not be oversold: a "
@@ -230,7 +229,7 @@ def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.
     hint = "Drag to turn all scenes together, hover over the end of an arrow to read its millimetres."
     return report_page.Section(
         "Where the tool misses",
-        [report_page.Interactive(drawn["error_fields"], field_spec(comparison), hint)],
+        [replace(drawn["error_fields"], spec=field_spec(comparison), hint=hint)],
         f"{len(comparison.grid.points)} positions {comparison.grid.step * 1e3:g} mm apart, tool upright.",
     )
 
@@ -244,8 +243,8 @@ def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, 
         (
             report_page.axis_table(caption, stages, "{:.3f}".format),
             _floors(comparison, trace) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
-            report_page.Interactive(drawn["error_per_test_pose"], pose_spec(norms_mm(trace.errors)), hint),
-            report_page.Pair((drawn["error_histogram"], drawn["error_against_extension"])),
+            replace(drawn["error_per_test_pose"], spec=pose_spec(norms_mm(trace.errors)), hint=hint),
+            (drawn["error_histogram"], drawn["error_against_extension"]),
         ),
         f"{len(trace.sets['test'])} poses from the whole joint ranges that took no part in the calibration.",
     )
@@ -280,7 +279,7 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
             f"absorb them: {dropped or 'none'}.",
             drawn["least_squares_convergence"],
             drawn["parameter_spectrum"],
-            report_page.Pair((drawn.get("network_convergence"), ranges)),
+            (drawn.get("network_convergence"), ranges),
         ),
     )
 
