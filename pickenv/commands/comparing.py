@@ -136,9 +136,6 @@ def film(
     plain = why_plain()
     if plain is not None:
         print(plain)
-    last = movie.plan.frames[-1]
-    counted = ", ".join(f"{stated.label} picks {stated.picked} of {stated.tried}" for stated in last.stated)
-    size = f"{movie.path.stat().st_size / 1e6:.1f} MB"
-    print(
-        f"{movie.path}: {len(movie.plan.frames)} frames, {size}; {counted}; {movie.plan.speed:.1f} x as fast as the arm"
-    )
+    counted = ", ".join(f"{stated.label} picks {stated.picked} of {stated.tried}" for stated in movie.stated(-1))
+    size = f"{out.stat().st_size / 1e6:.1f} MB"
+    print(f"{out}: {len(movie.frames)} frames, {size}; {counted}; {movie.speed:.1f} x as fast as the arm")
