@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import effect_shares, forward, joint_jacobian, load_plant, noncompensable_error
 from pickenv.inspect import Comparison, RecordedPolicy, record_comparison
 from pickenv.inspect.colours import GREY, STEEL, policy_colours, viridis
+from pickenv.inspect.recordings import details as details_module
 from pickenv.inspect.recordings.details import (
     CAMERA_STD,
     FLOOR,
@@ -88,9 +89,12 @@ def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison) -> None
         np.testing.assert_allclose(day.errors_mm[policy.key], np.broadcast_to(error, day.errors_mm[policy.key].shape))
 
 
-def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(comparison: Comparison) -> None:
+def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(
+    comparison: Comparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(details_module, "DAY_HOURS", 2000.0)
     plant = load_plant("orchard").without(("settling", "stick_band", "backlash", "servo"))
-    day = day_of(replace(comparison, plant=plant), hours=2000.0)
+    day = day_of(replace(comparison, plant=plant))
     raw = comparison.policies[0]
     settled = 1e3 * np.linalg.norm(plant.tool_pose(raw.ends.joint_command).position - comparison.fruit, axis=-1)
     assert day.hours[-1] == 2000.0

@@ -24,6 +24,8 @@ NAME_ROOM = 0.15
 """Inches along the axis that an upright name of a parameter takes."""
 NUMBER_ROOM = 0.22
 """Inches along the axis that a number of up to three digits takes."""
+CELLS_ALONG = 26
+"""Cells of a map of uncertainty along its longer side."""
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
@@ -151,18 +153,17 @@ def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
     return figure
 
 
-def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike, cells: int = 26) -> Figure:
+def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike) -> Figure:
     """Mean predicted uncertainty in square cells of the plane through the base's axis, Viridis.
 
     Args:
         distance_mm: Distance from the base of each pose ``(N,)``, mm.
         height_mm: Height above it ``(N,)``, mm.
         uncertainty_mm: Standard uncertainty ``(N,)``, mm.
-        cells: Cells along the longer side.
     """
     series = {"distance": distance_mm, "height": height_mm, "uncertainty": uncertainty_mm}
     x, y, values = finite_series(series).values()
-    step = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9) / cells
+    step = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9) / CELLS_ALONG
     edges = [v.min() + step * np.arange(int(np.ptp(v) // step) + 2) for v in (x, y)]
     count, total = (np.histogram2d(x, y, edges, weights=weights)[0].T for weights in (None, values))
     mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)

@@ -49,6 +49,9 @@ MOST_ARROWS = 400
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "headwidth": 3.5, "minlength": 0.0}
 """Arrows that are vectors in the units of the axes."""
 
+SLICES = 3
+"""Slices of a field at most, evenly taken from those of its grid."""
+
 LONGEST = 0.1
 """Length of the longest arrow, as a share of the picture's width."""
 
@@ -65,28 +68,24 @@ BOXES: dict[str, Any] = {
     "whiskerprops": {"color": style.SOFT},
     "capprops": {"color": style.SOFT},
 }
+GROUPS = 8
+"""Groups of poses at most whose mean error is drawn against what it may depend on."""
 WIDEST = 16
 """Characters of a label beside others, above which what is added by + stands on lines of its own."""
 
 
-def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure:
+def error_fields(comparison: Comparison) -> Figure:
     """Error fields side by side: arrows from the wanted to the true tool position, coloured by their true length.
 
-    Args:
-        comparison: What to show.
-        gain: How much longer than true size errors are drawn; `field_gain` when left out.
-
     Raises:
-        InputError: If there is no policy or no field point, or if the gain is not above zero.
+        InputError: If there is no policy or no field point.
     """
     policies = comparison.policies
     if not policies or not len(comparison.grid.points):
         raise InputError("there is no error field to draw; give at least one policy and one field point")
-    if gain is not None and not gain > 0.0:
-        raise InputError(f"the gain is {gain}; give a number above zero")
     rows, _ = thinned(comparison)
     top = colour_scale_mm(comparison)
-    gain = gain or field_gain(comparison.grid.step, top)
+    gain = field_gain(comparison.grid.step, top)
     view = _View(comparison)
     width, height = view.high - view.low
     height = min(0.93 * PANEL_WIDTH * height / width, PANEL_WIDTH)
@@ -257,20 +256,16 @@ def colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
     bar.outline.set_visible(False)
 
 
-def error_slices(
-    points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: float, axis: int | None = None, slices: int = 3
-) -> Figure:
+def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: float) -> Figure:
     """Quiver plot of position errors over slices of a regular grid: a row per method, one colour scale and one gain.
 
-    Arrows show the two components within the slice; their colour is the whole length of the error.
+    Arrows show the two components within the slice; their colour is the whole length of the error. Slices are taken
+    across the axis along which the first method's errors are smallest, so that the arrows show most of them.
 
     Args:
         points: Wanted tool positions on the grid ``(F, 3)``, m.
         errors: For each method, by label, true minus wanted position ``(F, 3)``, m.
         step: Distance of neighbouring grid points, m.
-        axis: The slices are taken across this axis: 0 for x, 1 for y, 2 for z; when left out, across the one along
-            which the first method's errors are smallest, so that the arrows show most of them.
-        slices: Slices at most, evenly taken from those of the grid.
 
     Raises:
         InputError: If there is nothing to draw or a shape does not fit.
@@ -280,11 +275,11 @@ def error_slices(
     if not len(points) or not fields or any(field.shape != points.shape for field in fields.values()):
         raise InputError("an error field needs points (F, 3) and errors (F, 3) for each method; give at least one")
     first = next(iter(fields.values()))
-    axis = int(np.argmin(np.mean(first**2, axis=0))) if axis is None else axis
+    axis = int(np.argmin(np.mean(first**2, axis=0)))
     layer = np.rint((points[:, axis] - points[:, axis].min()) / step).astype(int)
     layers = np.unique(layer)
-    if len(layers) > slices:
-        layers = layers[np.rint(np.linspace(0, len(layers) - 1, slices + 2)[1:-1]).astype(int)]
+    if len(layers) > SLICES:
+        layers = layers[np.rint(np.linspace(0, len(layers) - 1, SLICES + 2)[1:-1]).astype(int)]
     across, up = plane = [i for i in range(3) if i != axis]
     lengths = {label: np.linalg.norm(field, axis=1) * 1e3 for label, field in fields.items()}
     top = scale_end(np.linalg.norm(first, axis=1) * 1e3)
@@ -315,21 +310,19 @@ def error_slices(
     return figure
 
 
-def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position error", unit: str = "mm") -> Figure:
+def error_per_pose(errors_mm: Mapping[str, ArrayLike]) -> Figure:
     """Error at each test pose on a logarithmic axis, a mark per pose and method: before and after calibration.
 
     Args:
-        errors: For each method, by label, its errors ``(N,)``, in ``unit``.
-        quantity: What the errors are.
-        unit: Their unit.
+        errors_mm: For each method, by label, its errors ``(N,)``, mm.
     """
-    series = style.finite_series(errors)
+    series = style.finite_series(errors_mm)
     with style.new_figure(style.WIDTH, 2.9) as figure:
-        axes = figure.add_subplot(xlabel="test pose (number)", ylabel=f"{quantity} ({unit})")
+        axes = figure.add_subplot(xlabel="test pose (number)", ylabel="position error (mm)")
         style.headline(axes, _better(series))
         for label, values, colour in style.coloured(series):
             number = np.arange(1, len(values) + 1)
-            name = f"{label}: mean {values.mean():.2f} {unit}, max {values.max():.2f} {unit}"
+            name = f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
             axes.plot(number, values, "o", color=colour, label=name, markersize=3.0)
         longest = max(len(values) for values in series.values())
         axes.set(xlim=(0.5, longest + 0.5), yscale="log")
@@ -438,14 +431,7 @@ def error_cumulative(
     return figure
 
 
-def error_against(
-    cause: ArrayLike,
-    errors_mm: Mapping[str, ArrayLike],
-    *,
-    name: str,
-    unit: str,
-    groups: int = 8,
-) -> Figure:
+def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name: str, unit: str) -> Figure:
     """Position error against what it may depend on: extension, payload, temperature; a mark per pose, and their mean.
 
     Args:
@@ -453,7 +439,6 @@ def error_against(
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
         name: What the quantity is, for the axis.
         unit: Its unit.
-        groups: Means are taken over so many groups of equal size, or over each value where there are fewer values.
 
     Raises:
         InputError: If a series has another length than ``cause``.
@@ -463,7 +448,7 @@ def error_against(
     for label, values in series.items():
         if len(values) != len(x):
             raise InputError(f"series '{label}' has {len(values)} errors for {len(x)} values of {name}; give as many")
-    parts = _groups(x, groups)
+    parts = _groups(x)
     with style.new_figure(style.COLUMN, 2.9) as figure:
         axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
         last, values = list(series.items())[-1]
@@ -488,12 +473,12 @@ def _better(series: Mapping[str, Array]) -> str:
     return f"{last} errs less than {first} at {int((after < before).sum())} of {len(after)} poses"
 
 
-def _groups(x: Array, most: int) -> list[NDArray[np.intp]]:
-    """Rows that lie together in ``x``: one group per value, or ``most`` of equal size where there are more values."""
+def _groups(x: Array) -> list[NDArray[np.intp]]:
+    """Rows that lie together in ``x``: one group per value, or `GROUPS` of equal size where there are more values."""
     values = np.unique(x)
-    if len(values) <= most:
+    if len(values) <= GROUPS:
         return [np.flatnonzero(x == value) for value in values]
-    return np.array_split(np.argsort(x, kind="stable"), most)
+    return np.array_split(np.argsort(x, kind="stable"), GROUPS)
 
 
 def corner_errors(views: Sequence[ViewErrors]) -> Figure:

@@ -264,7 +264,7 @@ def drifting_plant(plant: Plant) -> Plant | None:
     return replace(drifting, name=preset.name, load=plant.load or preset.load)
 
 
-def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:
+def day_of(comparison: Comparison) -> Day | None:
     """Let the drifting plant make the comparison's reaches all day, with the commands that the policies gave.
 
     R machines start together, each with another fruit, and go through all fruit in the same order: so every fruit is
@@ -273,7 +273,7 @@ def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:
     plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
     if plant is None or not count:
         return None
-    dt = 3600.0 * hours / count
+    dt = 3600.0 * DAY_HOURS / count
     errors, machines = {}, np.arange(count)
     for policy in comparison.policies:
         rows, commands = np.empty((count, count)), policy.ends.joint_command
@@ -284,7 +284,7 @@ def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:
             rows[k, turn] = 1e3 * np.linalg.norm(tool - comparison.fruit[turn], axis=-1)
         errors[policy.key] = rows
     adapted = _adapted(comparison, plant, dt) if count >= FEWEST_LOOKS else None
-    return Day(plant.name, (machines + 1.0) * hours / count, errors, adapted)
+    return Day(plant.name, (machines + 1.0) * DAY_HOURS / count, errors, adapted)
 
 
 def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:

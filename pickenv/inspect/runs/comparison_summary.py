@@ -287,6 +287,9 @@ GAIN = 20.0
 SCALE_PERCENTILE = 99.0
 """The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
 
+BINS = 24
+"""Of a histogram of reach errors, about."""
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -351,11 +354,11 @@ def scale_end(values: Array) -> float:
     return top if top > 0.0 else 1.0
 
 
-def histogram_edges_mm(comparison: Comparison, bins: int = 24) -> Array:
-    """Edges ``(B + 1,)`` in mm of about ``bins`` bins of round width, which hold every policy's reach errors."""
+def histogram_edges_mm(comparison: Comparison) -> Array:
+    """Edges ``(B + 1,)`` in mm of about `BINS` bins of round width, which hold every policy's reach errors."""
     errors = [policy.ends.position_error_mm for policy in comparison.policies]
     largest = float(np.max(errors, initial=0.0))
-    width = round_step((largest or 1.0) / bins)
+    width = round_step((largest or 1.0) / BINS)
     return np.asarray(width * np.arange(int(largest / width) + 2))
 
 
@@ -365,9 +368,9 @@ def round_step(at_least: float) -> float:
     return next(float(m * power) for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= at_least * (1.0 - 1e-9))
 
 
-def ticks(top: float, count: int = 8) -> list[float]:
-    """Round tick values from 0 up to ``top``, about ``count`` of them."""
-    step = round_step(top / count)
+def ticks(top: float) -> list[float]:
+    """Round tick values from 0 up to ``top``, about eight of them."""
+    step = round_step(top / 8)
     return [i * step for i in range(int(top / step + 1e-9) + 1)]
 
 

@@ -106,17 +106,16 @@ def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) ->
     return float(capture_probability(gripper, lateral * 1e-3, 0.0, 0.0).mean())
 
 
-def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike, grippers: Sequence[str] = GRIPPERS) -> list[PickChange]:
-    """The effect of a calibration on picks, for each gripper and each of `PERCEPTION_MM`.
+def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[PickChange]:
+    """The effect of a calibration on picks, for each of `GRIPPERS` and of `PERCEPTION_MM`.
 
     Args:
         before_mm: Lateral errors without calibration ``(N,)``, mm.
         after_mm: The same with it.
-        grippers: Names of grippers.
     """
     return [
         PickChange(name, perception, *(pick_share(gripper, errors, perception) for errors in (before_mm, after_mm)))
-        for name, gripper in ((name, load_gripper(name)) for name in grippers)
+        for name, gripper in ((name, load_gripper(name)) for name in GRIPPERS)
         for perception in PERCEPTION_MM
     ]
 
