@@ -107,7 +107,7 @@ def error_fields(comparison: Comparison) -> Figure:
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)
         title = f"Mean error across the workspace: {style.change(means, 'mm')}; wanted (dot) to true position ×{gain:g}"
         figure.suptitle(title, fontsize=10)
-        colour_bar(figure, panels, top, policies[0].label)
+        field_colour_bar(figure, panels, top, policies[0].label)
     return figure
 
 
@@ -244,16 +244,14 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
         axes.plot(*np.stack([a, b]).T, color=style.RULE, linewidth=thickness, solid_capstyle="round", zorder=1.5)
 
 
-def colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
+def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
     """The one scale of all panels, Viridis from 0 to ``top`` mm, below them; ``first`` is whose errors set its end."""
     scale = ScalarMappable(Normalize(0.0, top), viridis_map())
-    bar = figure.colorbar(
-        scale, ax=list(np.ravel(panels)), location="bottom", aspect=60, shrink=0.8, pad=0.02, extend="max"
-    )
+    look: dict[str, Any] = {"location": "bottom", "aspect": 60, "shrink": 0.8, "pad": 0.02, "extend": "max"}
+    bar = style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
     bar.set_ticks(ticks(top))
     end = f"the colour saturates above {top:.3g} mm, the {SCALE_PERCENTILE:g}th percentile of {first}"
     bar.set_label(f"position error (mm); {end}", color=style.INK)
-    bar.outline.set_visible(False)
 
 
 def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: float) -> Figure:
@@ -303,7 +301,7 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
                     axes.set_xlabel(f"{'xyz'[across]} (m)")
                 if column == 0:
                     axes.set_ylabel(f"{label}\n{'xyz'[up]} (m)")
-        colour_bar(figure, panels, top, next(iter(fields)))
+        field_colour_bar(figure, panels, top, next(iter(fields)))
         rows = np.isin(layer, layers)
         means = style.change({label: float(mm[rows].mean()) for label, mm in lengths.items()}, "mm")
         figure.suptitle(f"Mean error in slices: {means}; arrows ×{gain:g}", fontweight="bold", fontsize=9.0)
@@ -317,8 +315,7 @@ def error_per_pose(errors_mm: Mapping[str, ArrayLike]) -> Figure:
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
     """
     series = style.finite_series(errors_mm)
-    with style.new_figure(style.WIDTH, 2.9) as figure:
-        axes = figure.add_subplot(xlabel="test pose (number)", ylabel="position error (mm)")
+    with style.new_panel(style.WIDTH, 2.9, "test pose (number)", "position error (mm)", legend=2) as (figure, axes):
         style.headline(axes, _better(series))
         for label, values, colour in style.coloured(series):
             number = np.arange(1, len(values) + 1)
@@ -327,7 +324,6 @@ def error_per_pose(errors_mm: Mapping[str, ArrayLike]) -> Figure:
         longest = max(len(values) for values in series.values())
         axes.set(xlim=(0.5, longest + 0.5), yscale="log")
         style.plain_decades(axes.yaxis)
-        figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -349,8 +345,8 @@ def error_by_method(
         counted: What the numbers under the labels count.
     """
     series = style.finite_series(errors)
-    with style.new_figure(max(style.COLUMN, 1.2 + 0.9 * len(series)), 2.9) as figure:
-        axes = figure.add_subplot(ylabel=f"{quantity} ({unit})", xlabel=f"method (number of {counted})")
+    width = max(style.COLUMN, 1.2 + 0.9 * len(series))
+    with style.new_panel(width, 2.9, f"method (number of {counted})", f"{quantity} ({unit})") as (figure, axes):
         means = style.change({label: float(values.mean()) for label, values in series.items()}, unit)
         style.headline(axes, f"Mean {quantity}{' of reaches' * (counted == 'reaches')}: {means}", pad=16.0)
         boxes = axes.boxplot(list(series.values()), widths=0.55, patch_artist=True, showmeans=True, **BOXES)
@@ -379,17 +375,16 @@ def error_histogram(errors_mm: Mapping[str, ArrayLike]) -> Figure:
     """
     series = style.finite_series(errors_mm)
     width = round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
-    with style.new_figure(style.COLUMN, 2.9) as figure:
-        axes = figure.add_subplot(xlabel="position error (mm)", ylabel=f"share of poses in {width:g} mm (%)")
+    share = f"share of poses in {width:g} mm (%)"
+    with style.new_panel(style.COLUMN, 2.9, "position error (mm)", share, legend=2) as (figure, axes):
         style.headline(axes, f"Median: {style.change({n: float(np.median(v)) for n, v in series.items()}, 'mm')}")
         for label, values, colour in style.coloured(series):
             edges = width * np.arange(int(values.max() / width) + 2)
-            share = np.full(len(values), 100.0 / len(values))
+            weights = np.full(len(values), 100.0 / len(values))
             look: dict[str, Any] = {"color": (*colour, 0.35), "edgecolor": colour, "histtype": "stepfilled"}
-            axes.hist(values, edges.tolist(), weights=share, **look)
+            axes.hist(values, edges.tolist(), weights=weights, **look)
             axes.plot([], [], color=colour, linewidth=5.0, alpha=0.7, label=label)
         axes.set_xlim(left=0.0)
-        figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -411,8 +406,8 @@ def error_cumulative(
         counted: What the shares are of.
     """
     series = style.finite_series(errors)
-    with style.new_figure(style.COLUMN, 2.9) as figure:
-        axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"{counted} within it (%)")
+    words = f"{quantity} ({unit})", f"{counted} within it (%)"
+    with style.new_panel(style.COLUMN, 2.9, *words, legend=2) as (figure, axes):
         if tolerance is None:
             ends = {name: float(np.percentile(v, 95)) for name, v in series.items()}
             style.headline(axes, f"95 of 100 {counted} within: {style.change(ends, unit)}")
@@ -427,7 +422,6 @@ def error_cumulative(
         if tolerance is not None:
             label = f"tolerance {tolerance:g} {unit}"
             axes.axvline(tolerance, color=style.rgb([RED])[0], linestyle="--", linewidth=1.2, label=label)
-        figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -449,8 +443,7 @@ def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name:
         if len(values) != len(x):
             raise InputError(f"series '{label}' has {len(values)} errors for {len(x)} values of {name}; give as many")
     parts = _groups(x)
-    with style.new_figure(style.COLUMN, 2.9) as figure:
-        axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
+    with style.new_panel(style.COLUMN, 2.9, f"{name} ({unit})", "position error (mm)", legend=2) as (figure, axes):
         last, values = list(series.items())[-1]
         ends = [(values[part].mean(), x[part].mean()) for part in (parts[0], parts[-1])]
         text = ", ".join(f"{style.short(mean)} mm at {style.short(place)} {unit}" for mean, place in ends)
@@ -461,7 +454,6 @@ def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name:
             means = np.array([[x[part].mean(), values[part].mean()] for part in parts])
             axes.plot(*means.T, "o-", color=colour, markersize=4.0, label=label)
         axes.set_ylim(bottom=0.0)
-        figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -490,12 +482,12 @@ def corner_errors(views: Sequence[ViewErrors]) -> Figure:
     size = _size(views)
     places, errors = np.concatenate([v.found for v in views]), np.concatenate([v.errors for v in views])
     together, (gain, top) = ViewErrors("all", places, errors, size), _scale(views)
-    with style.new_figure(style.WIDTH, style.WIDTH * 0.72 * size[1] / size[0] + 0.6) as figure:
-        axes = figure.add_subplot(xlabel="u (px)", ylabel="v (px)")
+    height = style.WIDTH * 0.72 * size[1] / size[0] + 0.6
+    with style.new_panel(style.WIDTH, height, "u (px)", "v (px)") as (figure, axes):
         arrows = _draw(axes, together, gain, top)
         corners = f"{len(errors)} corners of {len(views)} views"
         axes.set_title(f"{together.rms:.3g} px RMS over {corners}, errors drawn ×{gain:g}")
-        figure.colorbar(arrows, ax=axes, label="error (px)").outline.set_visible(False)
+        style.colour_bar(figure, arrows, axes, label="error (px)")
     return figure
 
 
@@ -527,8 +519,7 @@ def view_errors(views: Sequence[ViewErrors]) -> Figure:
             last.tick_params(labelbottom=True)
         ends = " to ".join(dict.fromkeys(f"{view.rms:.3g}" for view in (worst[0], worst[-1])))
         figure.suptitle(f"The worst views: {ends} px RMS; errors drawn ×{gain:g}", fontsize=9.0)
-        bar = figure.colorbar(arrows, ax=panels, label="error (px)", location="bottom", shrink=0.5, aspect=40.0)
-        bar.outline.set_visible(False)
+        style.colour_bar(figure, arrows, panels, label="error (px)", location="bottom", shrink=0.5, aspect=40.0)
     return figure
 
 

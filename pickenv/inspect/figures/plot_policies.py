@@ -34,8 +34,9 @@ HEIGHTS = 3
 
 def distance_over_time(episodes: RecordedEpisodes) -> Figure:
     """Distance between tool and fruit in every episode, on a logarithmic axis, with what the gripper forgives."""
-    with style.new_figure(style.WIDTH, 3.2) as figure:
-        axes = figure.add_subplot(xlabel="time in the episode (s)", ylabel="distance to the fruit (mm)", yscale="log")
+    words = "time in the episode (s)", "distance to the fruit (mm)"
+    with style.new_panel(style.WIDTH, 3.2, *words, legend=len(episodes.policies) + 1) as (figure, axes):
+        axes.set_yscale("log")
         for policy, colour in zip(episodes.policies, _episode_colours(episodes), strict=True):
             for distance, moments in zip(policy.position_error_mm, policy.moments, strict=True):
                 distance = np.maximum(distance[:moments], SMALLEST)
@@ -50,12 +51,11 @@ def _episode_colours(episodes: RecordedEpisodes) -> list[tuple[float, float, flo
 
 
 def _title_and_tolerance(axes: Any, episodes: RecordedEpisodes, title: str) -> None:
-    """Set a panel's title and legend, and draw what the gripper forgives as a line."""
+    """Set a panel's title, and draw what the gripper forgives as a line."""
     label = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
     axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=label)
     axes.set_title(title)
     style.plain_decades(axes.yaxis)
-    axes.figure.legend(loc="outside lower center", ncols=len(episodes.policies) + 1)
 
 
 def misses_by_fruit(episodes: RecordedEpisodes) -> Figure:
@@ -63,9 +63,9 @@ def misses_by_fruit(episodes: RecordedEpisodes) -> Figure:
     first, last = episodes.policies[0], episodes.policies[-1]
     order = np.argsort(episode_misses(first))
     nearer = int(np.sum(episode_misses(last) < episode_misses(first)))
-    with style.new_figure(style.WIDTH, 2.8) as figure:
-        axes = figure.add_subplot(ylabel="miss (mm)", yscale="log")
-        axes.set_xlabel(f"fruit, by the miss of {first.label} (number)")
+    words = f"fruit, by the miss of {first.label} (number)", "miss (mm)"
+    with style.new_panel(style.WIDTH, 2.8, *words, legend=len(episodes.policies) + 1) as (figure, axes):
+        axes.set_yscale("log")
         for policy, colour in zip(episodes.policies, _episode_colours(episodes), strict=True):
             misses = np.maximum(episode_misses(policy)[order], SMALLEST)
             axes.plot(np.arange(1, len(order) + 1), misses, "o", color=colour, markersize=4, label=policy.label)
@@ -171,8 +171,7 @@ def success_against_misalignment(
         points: For each policy, by gripper, its mean error, mm, and its share of successes with its interval.
     """
     colours = style.shades(points)
-    with style.new_figure(style.WIDTH, 2.8) as figure:
-        axes = figure.add_subplot(xlabel="lateral misalignment (mm)", ylabel="success (%)")
+    with style.new_panel(style.WIDTH, 2.8, "lateral misalignment (mm)", "success (%)", legend=3) as (figure, axes):
         shares = {policy: {g: 100.0 * share for g, (_, (share, _)) in at.items()} for policy, at in points.items()}
         grippers = list(dict.fromkeys(g for at in shares.values() for g in at))
         taken = [f"{g} {style.change({p: at[g] for p, at in shares.items() if g in at}, '%')}" for g in grippers]
@@ -191,7 +190,6 @@ def success_against_misalignment(
             axes.plot([], [], "o", label=f"{policy}: mean error, success", **look)
         farthest = max((error for at in points.values() for error, _ in at.values()), default=0.0)
         axes.set(ylim=(-3.0, 103.0), xlim=(0.0, _seen_to(curves, farthest)))
-        figure.legend(loc="outside lower center", ncols=3)
     return figure
 
 
@@ -224,8 +222,8 @@ def accuracy_against_cycle_time(
     colours = style.shades(dict.fromkeys(compensation for _, compensation in curves))
     shortest = min(map(len, errors))
     times = period * np.arange(1, 1 + max(map(len, errors)))
-    with style.new_figure(style.WIDTH, 3.2) as figure:
-        axes = figure.add_subplot(xlabel="cycle time (s)", ylabel="mean position error (mm)", yscale="log")
+    with style.new_panel(style.WIDTH, 3.2, "cycle time (s)", "mean position error (mm)") as (figure, axes):
+        axes.set_yscale("log")
         first, ends = next(iter(patterns)), {}
         for (policy, compensation), error in zip(curves, errors, strict=True):
             axes.plot(times[: len(error)], error, linestyle=patterns[policy], color=colours[compensation])
@@ -277,8 +275,7 @@ def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Fi
         accuracy_mm: For each controller, AP at those times ``(T,)``.
     """
     series = style.finite_series(accuracy_mm)
-    with style.new_figure(style.COLUMN, 2.6) as figure:
-        axes = figure.add_subplot(xlabel="time since switched on (h)", ylabel="AP at P1 (mm)")
+    with style.new_panel(style.COLUMN, 2.6, "time since switched on (h)", "AP at P1 (mm)") as (figure, axes):
         drifts = {label: float(np.abs(values - values[0]).max()) for label, values in series.items()}
         style.headline(axes, f"Drift of AP at P1: {style.change(drifts, 'mm')}")
         for label, values, colour in style.coloured(series):
