@@ -129,7 +129,7 @@ def test_a_demonstrations_page_cell_by_cell(
         [
             p.label,
             share(np.count_nonzero(p.ends.position_error_mm <= 1.0), count),
-            *(share(float(grips[p.label].success[name].sum()), count) for name in ("li_cup", "compliant_hand")),
+            *(share(float(grips[p.label][1][name].sum()), count) for name in ("li_cup", "compliant_hand")),
             whole(p.ends.position_error_mm, 3),
             f"{np.sqrt(np.mean(p.position_error_mm**2)):.3f}",
             f"{np.percentile(p.position_error_mm, 95):.3f}",
@@ -185,7 +185,7 @@ def test_a_demonstrations_page_cell_by_cell(
     assert matters("orchard", CHANGES) in text
     assert f"{np.count_nonzero(raw <= 1.0)} without calibration." in text
     assert f"What remains is {whole(last, 2)} mm in the mean and at most {last.max():.2f} mm." in text
-    lateral = [grip.lateral_mm for grip in grips.values()]
+    lateral = [lateral_mm for lateral_mm, _ in grips.values()]
     own = demo_report.demo_verdict(shown)
     assert (
         matters("qiao2026", pick_changes(lateral[0], lateral[-1])) in own.text and own.headline == page.verdict.headline

@@ -159,10 +159,10 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
 def _success(comparison: Comparison) -> Figure:
     points = {
         label: {
-            name: (float(grips.lateral_mm.mean()), (float(p.mean()), clustered_share_interval(p, 1)))
-            for name, p in grips.success.items()
+            name: (float(lateral_mm.mean()), (float(p.mean()), clustered_share_interval(p, 1)))
+            for name, p in success.items()
         }
-        for label, grips in gripped(comparison).items()
+        for label, (lateral_mm, success) in gripped(comparison).items()
     }
     return plot_policies.success_against_misalignment(gripper_curves(), points)
 

@@ -26,7 +26,7 @@ from pickenv.inspect.recordings.episode_entities import (
     send_looks,
     send_rows,
 )
-from pickenv.inspect.recordings.live import PATIENCE, Live, open_live
+from pickenv.inspect.recordings.live import PATIENCE, open_live
 from pickenv.inspect.recordings.scribe import write_recording
 from pickenv.inspect.runs.recorded_episodes import believed_joints, missing_positions
 
@@ -57,7 +57,8 @@ class _Recorder:
             raise InputError(f"policy '{policy}' cannot name an entity; use lower-case letters, digits and underscores")
         if recording_length < 0:
             raise InputError(f"recording_length is {recording_length}; give a number of steps, or 0 for whole episodes")
-        self._live = Live(spawn, connect, serve)
+        self._viewers: dict[str, Any] = {"spawn": spawn, "connect": connect, "serve": serve}
+        self._live = spawn or connect is not None or serve is not None
         if save_path is None and not self._live:
             raise InputError("nothing would be logged; give save_path, spawn, connect or serve")
         if episode_trigger is None and step_trigger is None:
@@ -140,7 +141,7 @@ class _Recorder:
         assert self._scene is not None
         if self._stream is None:
             blueprint = episode_blueprint(self._scene, self._rows())
-            self._stream = open_live(self._live, self._identity, blueprint)
+            self._stream = open_live(self._identity, blueprint, **self._viewers)
         self._send(self._stream, self._shown)
         self._shown = [len(log.rows) for log in self.logs]
 

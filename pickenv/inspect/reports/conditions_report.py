@@ -9,7 +9,7 @@ from pickenv.inspect.figures import plot_estimates
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.reports.report_words import estimated
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_conditions
+from pickenv.inspect.runs.run_folder import CONDITIONS, Run, TakePicture, load_result
 
 SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}
 """Conditions that are varied one at a time, the others as at the reference."""
@@ -19,13 +19,13 @@ HELD_OUT = "held-out sessions"
 
 def drawings(run: Run) -> Drawings:
     """The figure of a study's run folder."""
-    sweeps = load_conditions(run)["sweeps"]
+    sweeps = load_result(run, CONDITIONS)["sweeps"]
     return [captioned("error_by_condition", plot_estimates.error_by_condition, sweeps, SWEEPS)]
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """The page of a study's run folder."""
-    result = load_conditions(run)
+    result = load_result(run, CONDITIONS)
     verdict = PageVerdict("note", *conditions_in_words(result))
     tables = [PageTable(*table, look="dense") for table in condition_tables(result)]
     ranges, settings = result["settings"]["ranges"], result["settings"]

@@ -26,7 +26,7 @@ from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
 from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_cases, load_part
+from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, load_part, load_result
 from pickenv.inspect.runs.saved import eye_direction
 
 RECORDING = "errors.rrd"
@@ -71,7 +71,8 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If a file of the run is missing or damaged.
     """
     comparison, trace = load_part(run, Comparison), load_part(run, CalibrationTrace)
-    cases = {name: [PickChange(**change) for change in case] for name, case in load_cases(run).items()}
+    told = load_result(run, MATTERS_FILE) if (run.folder / MATTERS_FILE).is_file() else {}
+    cases = {name: [PickChange(**change) for change in case] for name, case in told.items()}
     if not len(comparison.fruit):
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
@@ -132,7 +133,7 @@ def demo_verdict(
             f"This one calibration does not lower the mean position error of {before.mean:.2f} mm: it changes by "
             f"{-gain.mean():+.2f} mm ({interval})."
         )
-    lateral = [grip.lateral_mm for grip in gripped(comparison).values()]
+    lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
     worth = " ".join(matters(name, changes) for name, changes in changed.items())
     return report_page.PageVerdict(
@@ -194,8 +195,8 @@ def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
 
 
 def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
-    grips = gripped(comparison)
-    grippers = list(next(iter(grips.values())).success)
+    taken = {label: success for label, (_, success) in gripped(comparison).items()}
+    grippers = list(next(iter(taken.values())))
     heads = ["policy", f"within {comparison.tolerance_mm:g} mm (%)", *(f"taken by {name} (%)" for name in grippers)]
     heads += ["position, mean (mm)", "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)"]
     rows = []
@@ -204,7 +205,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
             error_statistics(policy.ends.position_error_mm),
             error_statistics(policy.ends.attitude_error_deg),
         )
-        shares = [_share(comparison, policy), *(_expected(grips[policy.label].success[name]) for name in grippers)]
+        shares = [_share(comparison, policy), *(_expected(taken[policy.label][name]) for name in grippers)]
         cells = [share.replace(" %", "") for share in shares]
         cells += [_mean(position, 3), *(f"{value:.3f}" for value in (position.rms, position.p95, position.max))]
         cells += [_mean(attitude, 3)]

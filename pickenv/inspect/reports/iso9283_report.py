@@ -9,14 +9,14 @@ from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.reports.report_words import estimated
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_iso9283
+from pickenv.inspect.runs.run_folder import ISO9283, Run, TakePicture, load_result
 
 CONTROLLERS = ("raw", "calibrated")
 
 
 def drawings(run: Run) -> Drawings:
     """The figures of a test's run folder."""
-    result = load_iso9283(run)
+    result = load_result(run, ISO9283)
     controllers = {name: result[name] for name in CONTROLLERS if name in result}
     accuracy, repeatability = (
         {name: [pose[key] for pose in test["poses"]] for name, test in controllers.items()}
@@ -31,7 +31,7 @@ def drawings(run: Run) -> Drawings:
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """The page of a test's run folder."""
-    result = load_iso9283(run)
+    result = load_result(run, ISO9283)
     controllers = {name: result[name] for name in CONTROLLERS if name in result}
     worst = "; ".join(
         f"{name}: AP {test['worst_accuracy_mm']:.3f} mm, RP {test['worst_repeatability_mm']:.3f} mm, drift dAP "

@@ -139,40 +139,57 @@ def _plain(value: float, digits: int) -> float:
     return round(value, digits) + 0.0
 
 
+def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, str, dict[str, Any] | None]:
+    """The row of the policy that ends nearest, its rival, and the difference of the two.
+
+    The rival is the first of the others, or the nearest where the best is the first. Without a policy that closed the
+    gripper there is no row; without another one, no difference.
+    """
+    closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
+    if not closed:
+        return None, "", None
+    best = min(closed, key=lambda row: row["mean_mm"])
+    if len(closed) == 1:
+        return best, "", None
+    lines = [line for line in policy_differences(episodes) if best["policy"] in (line["from"], line["to"])]
+    line = next((line for line in lines if line["difference_mm"] is not None), lines[0])
+    return best, line["from"] if line["to"] == best["policy"] else line["to"], line
+
+
 def outcome_sentence(episodes: RecordedEpisodes) -> str:
     """The verdict in a few words: the better policy."""
-    rows = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
-    if not rows:
+    best, _, line = _best(episodes)
+    if best is None:
         return "No policy closed the gripper"
-    best = min(rows, key=lambda row: row["mean_mm"])
-    if len(rows) == 1:
-        return f"{best['policy']} ends {best['mean_mm']:.3f} mm from the fruit"
-    _, line = _against(episodes, best["policy"])
+    name, mean = best["policy"], f"{best['mean_mm']:.3f} mm"
+    if line is None:
+        return f"{name} ends {mean} from the fruit"
     if line["significant"] is None:
-        return f"{best['policy']} ends nearest in these few episodes, {best['mean_mm']:.3f} mm"
+        return f"{name} ends nearest in these few episodes, {mean}"
     if not line["significant"]:
-        return f"No policy is told apart from {best['policy']} with {best['mean_mm']:.3f} mm"
-    return f"{best['policy']} ends nearest to the fruit: {best['mean_mm']:.3f} mm"
+        return f"No policy is told apart from {name} with {mean}"
+    return f"{name} ends nearest to the fruit: {mean}"
 
 
 def explanation(episodes: RecordedEpisodes) -> str:
     """By how much it is better, whether that changes a pick for any gripper, and what this gripper picked here."""
-    rows = policy_rows(episodes)
-    closed = [row for row in rows if row["mean_mm"] is not None]
-    if not closed:
+    best, rival, line = _best(episodes)
+    if best is None:
         return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
-    best = min(closed, key=lambda row: row["mean_mm"])
-    rival, line = _against(episodes, best["policy"]) if len(closed) > 1 else ("", {"difference_mm": None})
-    if line["difference_mm"] is None:  # no fruit for which two of them closed the gripper
-        return f"{_picking(episodes, rows)}."
-    by = said(abs(line["difference_mm"]), _turned(line), 3)
-    first = f"{best['policy']} misses by {by} mm less than {rival} for the same {line['pairs']} fruit"
-    between = (f"with {rival}", f"with {best['policy']}")
-    worth = matters(episodes.plant_name or episodes.env_id, _changes(episodes, rival, best["policy"]), between)
-    return f"{first}. {worth} {_picking(episodes, rows)}."
+    if line is None or line["difference_mm"] is None:  # no fruit for which two of them closed the gripper
+        return f"{_picking(episodes)}."
+    name, ends = best["policy"], line["ci95_mm"]
+    if ends is not None and line["difference_mm"] < 0.0:
+        ends = [-ends[1], -ends[0]]
+    by = said(abs(line["difference_mm"]), ends, 3)
+    first = f"{name} misses by {by} mm less than {rival} for the same {line['pairs']} fruit"
+    changes = _changes(episodes, rival, name)
+    worth = matters(episodes.plant_name or episodes.env_id, changes, (f"with {rival}", f"with {name}"))
+    return f"{first}. {worth} {_picking(episodes)}."
 
 
-def _picking(episodes: RecordedEpisodes, rows: Sequence[Mapping[str, Any]]) -> str:
+def _picking(episodes: RecordedEpisodes) -> str:
+    rows = policy_rows(episodes)
     counts = ", ".join(f"{row['picked']} of {row['tried']} with {row['policy']}" for row in rows)
     return f"In these episodes {episodes.gripper}, which forgives {episodes.tolerance_mm:g} mm, picks {counts}"
 
@@ -182,14 +199,11 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
 
     What counts is the miss across the tool. Empty where no two policies closed the gripper for the same fruit.
     """
-    closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
-    if len(closed) < 2:
+    best, rival, line = _best(episodes)
+    if best is None or line is None or line["difference_mm"] is None:
         return {}
-    best = min(closed, key=lambda row: row["mean_mm"])["policy"]
-    rival, line = _against(episodes, best)
-    if line["difference_mm"] is None:
-        return {}
-    return {"from": rival, "to": best, "changes": [vars(change) for change in _changes(episodes, rival, best)]}
+    changes = [vars(change) for change in _changes(episodes, rival, best["policy"])]
+    return {"from": rival, "to": best["policy"], "changes": changes}
 
 
 def change_table(episodes: RecordedEpisodes) -> tuple[tuple[str, ...], list[tuple[str, ...]]] | None:
@@ -213,22 +227,6 @@ def _across(policy: RecordedPolicy) -> Array:
     apart = (policy.fruit_position - policy.tool_position)[comparable]
     across[comparable] = 1e3 * misalignment(apart, axis[comparable]).lateral
     return _finite(across)
-
-
-def _against(episodes: RecordedEpisodes, best: str) -> tuple[str, dict[str, Any]]:
-    """The difference of the best policy to the first of the others, or to the nearest where the best is the first."""
-    lines = [line for line in policy_differences(episodes) if best in (line["from"], line["to"])]
-    lines = [line for line in lines if line["difference_mm"] is not None] or lines
-    line = lines[0]
-    return (line["from"] if line["to"] == best else line["to"]), line
-
-
-def _turned(line: Mapping[str, Any]) -> list[float] | None:
-    """The interval of a difference's size, in the direction in which it is above zero."""
-    ends = line["ci95_mm"]
-    if ends is None or line["difference_mm"] >= 0.0:
-        return None if ends is None else list(ends)
-    return [-ends[1], -ends[0]]
 
 
 def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:

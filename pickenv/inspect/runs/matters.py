@@ -6,7 +6,7 @@ the tool, independent of the arm's. Whether the gripper then takes the fruit is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,28 +24,19 @@ CURVE_MM = np.linspace(0.0, 40.0, 401)
 """Lateral misalignments at which a gripper's curve is drawn, mm."""
 
 
-@dataclass(frozen=True, eq=False)
-class Gripped:
-    """One policy's reaches as a gripper sees them.
-
-    Attributes:
-        lateral_mm: Distance of the fruit across the tool's axis ``(R,)``.
-        success: For each gripper, the probability that it takes each fruit ``(R,)``.
-    """
-
-    lateral_mm: Array
-    success: Mapping[str, Array]
-
-
 def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, Array]]:
     """For each gripper, lateral misalignment ``(N,)``, mm, and its probability of success ``(N,)``."""
     return {name: (CURVE_MM, capture_probability(load_gripper(name), CURVE_MM * 1e-3, 0.0, 0.0)) for name in names}
 
 
-def gripped(comparison: Comparison) -> dict[str, Gripped]:
+def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]:
     """The fruit of each reach as it lies in the true tool, by policy label.
 
     The tool is as the true arm holds it; it should point as the nominal arm does at the first policy's command.
+
+    Returns:
+        For each policy, distances of the fruit across the tool's axis ``(R,)``, mm, and for each gripper the
+        probability that it takes each fruit ``(R,)``.
     """
     grippers: dict[str, Gripper] = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
@@ -55,7 +46,7 @@ def gripped(comparison: Comparison) -> dict[str, Gripped]:
         axis = comparison.plant.tool_pose(ends.joint_command).rotation[..., 2]
         lying = misalignment(comparison.fruit - ends.tool_position, axis, target)
         success = {n: capture_probability(g, lying.lateral, lying.axial, lying.angle) for n, g in grippers.items()}
-        by_policy[policy.label] = Gripped(lying.lateral * 1e3, success)
+        by_policy[policy.label] = lying.lateral * 1e3, success
     return by_policy
 
 

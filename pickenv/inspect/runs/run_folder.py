@@ -51,6 +51,12 @@ ISO9283 = "iso9283.json"
 CONDITIONS = "conditions.json"
 MATTERS_FILE = "matters.json"
 REPORT = "report.html"
+RESULTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    ISO9283: ("an ISO 9283 result", ("raw", "settings", "plant", "standard")),
+    CONDITIONS: ("a study of conditions", ("sweeps", "settings", "plant", "interval_over")),
+    MATTERS_FILE: ("what calibration does to picks", ()),
+}
+"""Files of results in JSON: what each is, and what it must hold."""
 STUDY = "study.toml"
 """The configuration in a study's folder, which has no `run.json`."""
 
@@ -313,36 +319,19 @@ def load_part(run: Run, kind: type[Part]) -> Part:
     return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
 
 
-def load_iso9283(run: Run) -> dict[str, Any]:
-    """The result of a test by ISO 9283, as it was written.
+def load_result(run: Run, name: str) -> dict[str, Any]:
+    """One of `RESULTS` of a run, as it was written.
 
     Raises:
         InputError: If the file is missing or damaged.
     """
-    result = _load_result(run, ISO9283, "an ISO 9283 result", ("raw", "settings", "plant", "standard"))
-    with refusing_damage(run.folder / ISO9283, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
-        result["raw"]["poses"]
-    return result
-
-
-def load_cases(run: Run) -> dict[str, list[dict[str, Any]]]:
-    """The effect of calibration on picks, by plant of a demonstration; empty for a run that says nothing of it."""
-    if not (run.folder / MATTERS_FILE).is_file():
-        return {}
-    return _load_result(run, MATTERS_FILE, "what calibration does to picks", ())
-
-
-def load_conditions(run: Run) -> dict[str, Any]:
-    """The result of a study of conditions, as it was written; raises `InputError` if it is missing or damaged."""
-    return _load_result(run, CONDITIONS, "a study of conditions", ("sweeps", "settings", "plant", "interval_over"))
-
-
-def _load_result(run: Run, name: str, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
-    path = unedited(run, name)
+    path, (what, keys) = unedited(run, name), RESULTS[name]
     with refusing_damage(path, what, f"`{run.made_by}` makes it anew"):
         result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         for key in keys:
             result[key]
+        if name == ISO9283:
+            result["raw"]["poses"]
     return result
 
 

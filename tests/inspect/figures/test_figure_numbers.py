@@ -329,14 +329,14 @@ def test_success_points_are_the_policies_own(comparison: Comparison) -> None:
     labels = [policy.label for policy in comparison.policies]
     colours = dict(zip(labels, [np.array(c) / 255 for c in policy_colours(labels)], strict=True))
     texts = legend(figure)
-    for label, held in gripped(comparison).items():
+    for label, (lateral_mm, success) in gripped(comparison).items():
         assert same(colour_of(texts[f"{label}: mean error, success"]), colours[label])
         points = [
             np.asarray(line.get_xydata())[0]
             for line in axes.get_lines()
             if same(colour_of(line), colours[label]) and len(np.asarray(line.get_xdata())) == 1
         ]
-        wanted = [(np.mean(held.lateral_mm), 100 * np.mean(p)) for p in held.success.values()]
+        wanted = [(np.mean(lateral_mm), 100 * np.mean(p)) for p in success.values()]
         np.testing.assert_allclose(points, wanted)
 
 

@@ -158,12 +158,12 @@ def test_how_a_fruit_lies_in_the_true_tool_and_whether_grippers_take_it(comparis
         wanted = forward(comparison.nominal, comparison.policies[0].ends.joint_command)
         for i, fruit in enumerate(comparison.fruit):
             x, y, along = tool.rotation[i].T @ (fruit - policy.ends.tool_position[i])
-            told = found[policy.label]
-            assert told.lateral_mm[i] == pytest.approx(1e3 * np.hypot(x, y), rel=1e-9)
+            lateral_mm, success = found[policy.label]
+            assert lateral_mm[i] == pytest.approx(1e3 * np.hypot(x, y), rel=1e-9)
             angle = np.arccos(min(1.0, tool.rotation[i, :, 2] @ wanted.rotation[i, :, 2]))
             for name in ("li_cup", "compliant_hand"):
                 taken = capture_probability(load_gripper(name), np.hypot(x, y), along, angle)
-                assert told.success[name][i] == pytest.approx(taken, abs=1e-6)
+                assert success[name][i] == pytest.approx(taken, abs=1e-6)
     for name, (lateral, curve) in gripper_curves().items():
         assert (lateral[0], lateral[-1], len(lateral)) == (0.0, 40.0, 401)
         np.testing.assert_allclose(curve, capture_probability(load_gripper(name), 1e-3 * lateral, 0.0, 0.0))
