@@ -23,23 +23,14 @@ from matplotlib.quiver import Quiver
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from pickenv.arm import Array
+from pickenv.arm import Array, nominal_points
 from pickenv.base import InputError
 from pickenv.inspect.colours import RED, viridis, viridis_map
 from pickenv.inspect.figures import style
+from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.calibration_trace import ViewErrors
-from pickenv.inspect.runs.comparison_summary import (
-    GAIN,
-    SCALE_PERCENTILE,
-    colour_scale_mm,
-    error_spread,
-    field_mm,
-    round_step,
-    scale_end,
-    ticks,
-)
 from pickenv.inspect.runs.recorded_episodes import Comparison
-from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
+from pickenv.inspect.runs.saved import eye_direction, shown_box
 
 PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.5
 """Inches; the latter is the height of the titles and the colour bar."""
@@ -84,7 +75,7 @@ def error_fields(comparison: Comparison) -> Figure:
     if not policies or not len(comparison.grid.points):
         raise InputError("there is no error field to draw; give at least one policy and one field point")
     rows, _ = thinned(comparison)
-    top = colour_scale_mm(comparison)
+    top = summary.colour_scale_mm(comparison)
     gain = field_gain(comparison.grid.step, top)
     view = _View(comparison)
     width, height = view.high - view.low
@@ -100,7 +91,7 @@ def error_fields(comparison: Comparison) -> Figure:
             axes.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), aspect="equal")
             axes.set_axis_off()
             axes.set_title(policy.label, fontsize=12, weight="bold", pad=15.0)
-            numbers = error_spread(field_mm(policy))
+            numbers = summary.error_spread(summary.field_mm(policy))
             means[policy.label] = numbers.mean
             text = f"mean {numbers.mean:.2f} mm, max {numbers.largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
@@ -132,8 +123,8 @@ def field_gain(step: float, top_mm: float) -> float:
         step: Cell size of the field, m.
         top_mm: Upper end of the colour scale, mm.
     """
-    cells = GAIN * top_mm * 1e-3 / step
-    return GAIN if 0.25 <= cells <= 1.5 else round_down(1.1 * step / (top_mm * 1e-3))
+    cells = summary.GAIN * top_mm * 1e-3 / step
+    return summary.GAIN if 0.25 <= cells <= 1.5 else round_down(1.1 * step / (top_mm * 1e-3))
 
 
 def round_down(value: float) -> float:
@@ -249,8 +240,8 @@ def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> Non
     scale = ScalarMappable(Normalize(0.0, top), viridis_map())
     look: dict[str, Any] = {"location": "bottom", "aspect": 60, "shrink": 0.8, "pad": 0.02, "extend": "max"}
     bar = style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
-    bar.set_ticks(ticks(top))
-    end = f"the colour saturates above {top:.3g} mm, the {SCALE_PERCENTILE:g}th percentile of {first}"
+    bar.set_ticks(summary.ticks(top))
+    end = f"the colour saturates above {top:.3g} mm, the {summary.SCALE_PERCENTILE:g}th percentile of {first}"
     bar.set_label(f"position error (mm); {end}", color=style.INK)
 
 
@@ -280,7 +271,7 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
         layers = layers[np.rint(np.linspace(0, len(layers) - 1, SLICES + 2)[1:-1]).astype(int)]
     across, up = plane = [i for i in range(3) if i != axis]
     lengths = {label: np.linalg.norm(field, axis=1) * 1e3 for label, field in fields.items()}
-    top = scale_end(np.linalg.norm(first, axis=1) * 1e3)
+    top = summary.scale_end(np.linalg.norm(first, axis=1) * 1e3)
     gain = field_gain(step, top)
     low, high = points.min(axis=0) - step, points.max(axis=0) + step
     height = (style.WIDTH - 0.9) / len(layers) * (high[up] - low[up]) / (high[across] - low[across])
@@ -374,7 +365,7 @@ def error_histogram(errors_mm: Mapping[str, ArrayLike]) -> Figure:
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
     """
     series = style.finite_series(errors_mm)
-    width = round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
+    width = summary.round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
     share = f"share of poses in {width:g} mm (%)"
     with style.new_panel(style.COLUMN, 2.9, "position error (mm)", share, legend=2) as (figure, axes):
         style.headline(axes, f"Median: {style.change({n: float(np.median(v)) for n, v in series.items()}, 'mm')}")

@@ -15,9 +15,9 @@ from rerun.blueprint.components import ComponentColumnSelector
 from rerun.components import Colormap
 from rerun.encodings import TensorDimensionIndexSelection
 
-from pickenv.arm import Array
+from pickenv.arm import Array, drawn_parts, nominal_points, true_points
 from pickenv.base import InputError
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, lane, policy_colours, policy_key
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, lane, policy_key
 from pickenv.inspect.recordings.details import DAY_WORDS, FLOOR, Day, Details, attitude_length, details_of, send_details
 from pickenv.inspect.recordings.scribe import (
     Scribe,
@@ -33,7 +33,7 @@ from pickenv.inspect.recordings.scribe import (
 )
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
-from pickenv.inspect.runs.saved import cut_away, drawn_parts, eye_direction, nominal_points, shown_box, true_points
+from pickenv.inspect.runs.saved import cut_away, eye_direction, shown_box
 
 TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008
@@ -94,18 +94,14 @@ def _send(scribe: Scribe, comparison: Comparison, details: Details, gain: float)
         colour_scale_mm=top,
     )
     _send_scene(scribe, comparison, gain)
-    for policy in comparison.policies:
+    for policy, colour in zip(comparison.policies, comparison.colours, strict=True):
         _send_field(scribe, comparison, policy, gain)
-        _send_reaches(scribe, comparison, policy, gain)
+        _send_reaches(scribe, comparison, policy, colour, gain)
     _send_tolerance(scribe, comparison, gain)
     _send_histograms(scribe, comparison)
     scribe.colour_bar("legend/position", top, "mm")
     scribe.document("summary", summary.summary_markdown(comparison, gain))
     send_details(scribe, comparison, details, gain)
-
-
-def _colours(comparison: Comparison) -> list[Rgb]:
-    return policy_colours([policy.key for policy in comparison.policies])
 
 
 def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
@@ -141,16 +137,13 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     exaggerated = nominal + gain * (true - nominal)
     scribe.arm("world/arm/nominal", nominal, parts, GREY, "majorwireframe")
     scribe.arm("world/arm/true", true, parts, STEEL, "solid")
-    scribe.arm("world/arm/exaggerated", exaggerated, parts, _colours(comparison)[0], "solid", 0.5)
+    scribe.arm("world/arm/exaggerated", exaggerated, parts, comparison.colours[0], "solid", 0.5)
 
 
 def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, gain: float) -> None:
     """One policy's error field three times: arrows, voxels, and a tensor for slices."""
-    entity, top, magnitude = (
-        f"world/field/{policy.key}",
-        summary.colour_scale_mm(comparison),
-        summary.field_mm(policy),
-    )
+    entity, magnitude = f"world/field/{policy.key}", summary.field_mm(policy)
+    top = summary.colour_scale_mm(comparison)
     errors, step = policy.field_errors, comparison.grid.step
     scribe.arrows(f"{entity}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
     visible, index = ~cut_away(comparison), comparison.grid.index
@@ -172,11 +165,10 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, 
     )
 
 
-def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, gain: float) -> None:
+def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb, gain: float) -> None:
     """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
     if not scribe.times:
         return
-    colour = dict(zip((p.key for p in comparison.policies), _colours(comparison), strict=True))[policy.key]
     ends = policy.ends
     miss = ends.tool_position - comparison.fruit
     entity = f"world/miss/{policy.key}"
@@ -219,7 +211,7 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     """Reach errors in bins that all policies share; within a bin the policies' bars stand side by side."""
     edges, count = summary.histogram_edges_mm(comparison), len(comparison.policies)
     width = float(edges[1] - edges[0]) * 0.9 / count
-    for i, (policy, colour) in enumerate(zip(comparison.policies, _colours(comparison), strict=True)):
+    for i, (policy, colour) in enumerate(zip(comparison.policies, comparison.colours, strict=True)):
         numbers, _ = np.histogram(policy.ends.position_error_mm, edges)
         middle = (edges[:-1] + edges[1:]) / 2.0 + (i - (count - 1) / 2.0) * width
         chart = rr.BarChart(
@@ -312,8 +304,7 @@ def _picking(comparison: Comparison, gain: float) -> Any:
         [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],
         overrides={"/world/arm/true": rrb.EntityBehavior(visible=False)},
     )
-    largest = max(float(policy.ends.position_error_mm.max()) for policy in comparison.policies)
-    distance = 1.7 * max(largest, comparison.tolerance_mm)
+    distance = 1.7 * max(comparison.largest_mm, comparison.tolerance_mm)
     aim = 500.0 * (comparison.policies[0].ends.tool_position - comparison.fruit).mean(axis=0)
     shots = seen_from(
         aim + distance * eye_direction(comparison),
@@ -342,12 +333,11 @@ def _slice(comparison: Comparison, policy: RecordedPolicy) -> Any:
 
 
 def _reaches(comparison: Comparison) -> Any:
-    largest = max(float(policy.ends.position_error_mm.max()) for policy in comparison.policies)
     errors = rrb.TimeSeriesView(
         origin="/metrics",
         contents=["+ /metrics/error_mm/**", "+ /metrics/tolerance_mm"],
         name="Final position error of each reach, mm",
-        axis_y=rrb.ScalarAxis(range=(0.0, 1.4 * max(largest, comparison.tolerance_mm)), zoom_lock=True),
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.4 * max(comparison.largest_mm, comparison.tolerance_mm)), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
     )
     outcome = view_of(rrb.StateTimelineView, "outcome", "Picked or missed (red)")
@@ -429,10 +419,8 @@ def _attitude(comparison: Comparison, details: Details) -> Any:
 def _uncertainty(comparison: Comparison) -> Any:
     assert comparison.field_uncertainty is not None
     last, predicted = comparison.policies[-1], 1e3 * comparison.field_uncertainty
-    actual, inside = (
-        summary.field_mm(last),
-        100.0 * float(np.mean(summary.field_mm(last) < 2.0 * predicted)),
-    )
+    actual = summary.field_mm(last)
+    inside = 100.0 * float(np.mean(actual < 2.0 * predicted))
     least, most = float(predicted.min()), float(predicted.max())
     titles = {
         "predicted": f"Predicted standard uncertainty u | mean {predicted.mean():.2f} mm, {least:.2f} to {most:.2f} mm",

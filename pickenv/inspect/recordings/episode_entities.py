@@ -16,13 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Geometry, forward
+from pickenv.arm import Array, Geometry, drawn_parts, forward, nominal_points, true_points
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
 from pickenv.inspect.recordings.scribe import Scribe, f32, layout, reading_columns, seen_from, view_of
 from pickenv.inspect.runs.recorded_episodes import POSITIONS
-from pickenv.inspect.runs.saved import drawn_parts, nominal_points, true_points
 
 Trigger = Callable[[int], bool]
 
@@ -261,8 +260,7 @@ def _send_bodies_looks(scribe: Scribe, scene: Scene, key: str, rows: Sequence[Ro
 
 def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], root: str = "world") -> None:
     """Send ``rows`` of one environment as whole columns; an episode that is sent in parts ends with its last part."""
-    moments = np.array([row.moment for row in rows])
-    seconds = scene.period * moments + GAP * np.array([row.order for row in rows])
+    moments, seconds = _strung(scene, rows)
     strung = [rr.TimeColumn("step", sequence=moments), rr.TimeColumn("sim_time", duration=seconds)]
     every = [
         *strung,
@@ -296,11 +294,16 @@ def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence
         _send_numbers(stream, scene, f"metrics/{unit}/{lane(key)}", rows, np.array(values, dtype=float))
 
 
+def _strung(scene: Scene, rows: Sequence[Row]) -> tuple[NDArray[np.int64], Array]:
+    """Moments of rows, and their times, s, ``(T,)``, when all episodes are strung with gaps between them."""
+    moments = np.array([row.moment for row in rows])
+    return moments, scene.period * moments + GAP * np.array([row.order for row in rows])
+
+
 def _send_numbers(stream: rr.RecordingStream, scene: Scene, entity: str, rows: Sequence[Row], values: Array) -> None:
     """Numbers ``(T, k)``: strung with a break before each episode, as each ended, and over one another."""
     first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
-    moments = np.array([row.moment for row in rows])
-    seconds = scene.period * moments + GAP * np.array([row.order for row in rows])
+    moments, seconds = _strung(scene, rows)
     lengths = np.insert(np.full(len(rows), values.shape[1]), first, 0)  # a row without numbers ends a line
     times = [
         rr.TimeColumn("step", sequence=np.insert(moments, first, moments[first])),

@@ -131,9 +131,7 @@ def headless_viewer() -> Iterator[Any]:
     """A client of a viewer that has no window; None where there is no graphics adapter for it."""
     from rerun.experimental import ViewerClient
 
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = _free_port()
     options = ["--headless", "--hide-welcome-screen", "--window-size", WINDOW, "--bind", "127.0.0.1"]
     with tempfile.TemporaryDirectory() as folder:
         process = subprocess.Popen(

@@ -14,20 +14,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from pickenv.arm import Array
-from pickenv.inspect.colours import WHITE, lane, policy_colours
+from pickenv.inspect.colours import WHITE, lane
 from pickenv.inspect.figures.plot_errors import field_gain
-from pickenv.inspect.recordings.episode_entities import (
-    EYE,
-    GAIN,
-    Row,
-    Scene,
-    at_the_end,
-    distance_plot,
-    number_plots,
-    send_looks,
-    send_rows,
-    target_view,
-)
+from pickenv.inspect.recordings import episode_entities as entities
 from pickenv.inspect.recordings.scribe import Scribe, seen_from, view_of, with_colour_bar, write_recording
 from pickenv.inspect.runs.comparison_summary import comparison_markdown, error_spread, field_mm, scale_end
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
@@ -64,9 +53,9 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
     return write_recording(path, identity, _blueprint(episodes), send)
 
 
-def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
+def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
     """A policy's episodes as recorded steps, with what `info` said of them."""
-    rows: list[Row] = []
+    rows: list[entities.Row] = []
     has_attitude = not np.isnan(policy.attitude_error_deg).all()
     for e, moments in enumerate(policy.moments):
         for t in range(int(moments)):
@@ -79,25 +68,24 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
             }
             info |= {"attitude_error_deg": float(policy.attitude_error_deg[e, t])} if has_attitude else {}
             info |= {"joint_command": policy.joint_command[e, t]} if arm else {}
-            rows.append(Row(len(rows), e, t, e, float(policy.reward[e, t]), info, policy.joint_target[e, t]))
+            rows.append(entities.Row(len(rows), e, t, e, float(policy.reward[e, t]), info, policy.joint_target[e, t]))
     return rows
 
 
 def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> None:
     scribe = Scribe(stream)
     low, high = _box(episodes)
-    colours = policy_colours([policy.key for policy in episodes.policies])
-    for number, (policy, colour) in enumerate(zip(episodes.policies, colours, strict=True)):
+    for number, (policy, colour) in enumerate(zip(episodes.policies, episodes.colours, strict=True)):
         rows = rows_of(policy, arm=episodes.nominal is not None)
-        scene = Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
+        scene = entities.Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
         root = f"side/{lane(policy.key)}"
         scribe.still(root, rr.Transform3D(translation=number * _step(low, high)))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
         scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=NAME_SIZE))
         name = rr.Points3D([above], labels=[policy.label], colors=[WHITE], radii=0.0, show_labels=True)
         scribe.still(f"{root}/name", name)
-        send_looks(stream, scene, policy.key, rows, root)
-        send_rows(stream, scene, policy.key, rows, root)
+        entities.send_looks(stream, scene, policy.key, rows, root)
+        entities.send_rows(stream, scene, policy.key, rows, root)
         misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)
         scribe.still(f"ends/{policy.key}", rr.Points3D(misses, colors=[colour], radii=rr.Radius.ui_points(3.0)))
     scribe.document("verdict", comparison_markdown(episodes))
@@ -144,14 +132,23 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     low, high = _box(episodes)
     step, count = _step(low, high), len(episodes.policies)
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
-    eye = middle + (0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))) * EYE
-    subject = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
+    eye = (
+        middle
+        + (0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))) * entities.EYE
+    )
+    subject = (
+        "Tool and fruit"
+        if episodes.nominal is None
+        else f"Believed arm (wire), true arm's deviation ×{entities.GAIN:g}"
+    )
     side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{subject}; last episode")
-    largest = max(float(policy.ends.position_error_mm.max()) for policy in episodes.policies)
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
     first = rrb.Horizontal(
         rrb.Vertical(side, verdict),
-        rrb.Vertical(distance_plot("Distance to the fruit"), target_view(largest, episodes.tolerance_mm)),
+        rrb.Vertical(
+            entities.distance_plot("Distance to the fruit"),
+            entities.target_view(episodes.largest_mm, episodes.tolerance_mm),
+        ),
         name="Who is better",
     )
     tabs: list[Any] = [first]
@@ -159,8 +156,8 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
         tabs.append(_field_tab(episodes))
     info = rows_of(episodes.policies[0], arm=False)[0].info
     lanes = view_of(rrb.StateTimelineView, "outcome", "Success, last episode")
-    tabs.append(rrb.Vertical(rrb.Horizontal(*number_plots(info)), lanes, name="Numbers"))
-    return at_the_end(rrb.Tabs(*tabs, active_tab=0))
+    tabs.append(rrb.Vertical(rrb.Horizontal(*entities.number_plots(info)), lanes, name="Numbers"))
+    return entities.at_the_end(rrb.Tabs(*tabs, active_tab=0))
 
 
 def _without_true(episodes: RecordedEpisodes) -> list[str]:
@@ -172,7 +169,7 @@ def _field_tab(comparison: Comparison) -> Any:
     centre, radius = shown_box(comparison)
     step, count = _field_step(comparison), len(_fields(comparison))
     middle = centre + (count - 1) / 2.0 * step
-    eye = middle + (radius + 0.25 * (count - 1) * float(np.linalg.norm(step))) * EYE
+    eye = middle + (radius + 0.25 * (count - 1) * float(np.linalg.norm(step))) * entities.EYE
     gain = _arrow_gain(comparison)
     view = seen_from(
         eye, middle, "/fields", ["+ /fields/**"], f"Final misses by goal, one eye for all, arrows ×{gain:g}"

@@ -182,9 +182,7 @@ def _mean(statistics: ErrorStatistics, digits: int = 2) -> str:
 
 
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
-    first, last = (
-        error_statistics(p.ends.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1])
-    )
+    first, last = (error_statistics(comparison.policies[i].ends.position_error_mm) for i in (0, -1))
     held_out = [error_statistics(values) for values in norms_mm(trace.errors).values()]
     return {
         "mean position error of the reaches, raw → calibrated": f"{first.mean:.2f} → {last.mean:.2f} mm",
@@ -201,10 +199,8 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
     heads += ["position, mean (mm)", "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)"]
     rows = []
     for policy in comparison.policies:
-        position, attitude = (
-            error_statistics(policy.ends.position_error_mm),
-            error_statistics(policy.ends.attitude_error_deg),
-        )
+        ends = policy.ends
+        position, attitude = map(error_statistics, (ends.position_error_mm, ends.attitude_error_deg))
         shares = [_share(comparison, policy), *(_expected(taken[policy.label][name]) for name in grippers)]
         cells = [share.replace(" %", "") for share in shares]
         cells += [_mean(position, 3), *(f"{value:.3f}" for value in (position.rms, position.p95, position.max))]
@@ -315,7 +311,9 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     gain = field_gain(comparison.grid.step, top)
     points = comparison.grid.points[rows]
     scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
-    axes = _axes(points, spacing) | {"camera": {"eye": _xyz(EYE_DISTANCE * eye_direction(comparison))}}
+    axes = _axes(points, spacing) | {
+        "camera": {"eye": dict(zip("xyz", _numbers(EYE_DISTANCE * eye_direction(comparison)), strict=True))}
+    }
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 80}, "showlegend": False}
     for i, policy in enumerate(comparison.policies, start=1):
@@ -390,10 +388,6 @@ def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
 
 def _coordinates(points: Array) -> dict[str, Any]:
     return {axis: _numbers(points[:, i]) for i, axis in enumerate("xyz")}
-
-
-def _xyz(vector: Array) -> dict[str, Any]:
-    return dict(zip("xyz", _numbers(vector), strict=True))
 
 
 def _numbers(values: Array) -> list[float | None]:

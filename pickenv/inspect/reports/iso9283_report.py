@@ -14,10 +14,15 @@ from pickenv.inspect.runs.run_folder import ISO9283, Run, TakePicture, load_resu
 CONTROLLERS = ("raw", "calibrated")
 
 
+def _result(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
+    """All of a test's result, and the part of each controller."""
+    result = load_result(run, ISO9283)
+    return result, {name: result[name] for name in CONTROLLERS if name in result}
+
+
 def drawings(run: Run) -> Drawings:
     """The figures of a test's run folder."""
-    result = load_result(run, ISO9283)
-    controllers = {name: result[name] for name in CONTROLLERS if name in result}
+    result, controllers = _result(run)
     accuracy, repeatability = (
         {name: [pose[key] for pose in test["poses"]] for name, test in controllers.items()}
         for key in ("accuracy_mm", "repeatability_mm")
@@ -31,8 +36,7 @@ def drawings(run: Run) -> Drawings:
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """The page of a test's run folder."""
-    result = load_result(run, ISO9283)
-    controllers = {name: result[name] for name in CONTROLLERS if name in result}
+    result, controllers = _result(run)
     worst = "; ".join(
         f"{name}: AP {test['worst_accuracy_mm']:.3f} mm, RP {test['worst_repeatability_mm']:.3f} mm, drift dAP "
         f"{test['drift_mm']:.3f} mm"

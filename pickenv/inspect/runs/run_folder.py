@@ -157,7 +157,7 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
             (folder / RECORD).unlink()
         before = _stamps(folder)
         yield run
-        _write_record(replace(run, files=_changed_since(folder, before)))
+        write_text(folder / RECORD, _record_text(replace(run, files=_changed_since(folder, before))))
 
 
 @contextmanager
@@ -168,7 +168,8 @@ def added_to(run: Run) -> Iterator[None]:
     changed = _changed_since(run.folder, before)
     if run.files is not None and changed:
         latest = read_run(run.folder)  # another command may have added its own since
-        _write_record(replace(latest, files={**(latest.files or {}), **changed}))
+        added = replace(latest, files={**(latest.files or {}), **changed})
+        write_text(run.folder / RECORD, _record_text(added))
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
@@ -187,10 +188,6 @@ def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]
     """SHA-256 of the files that were written since."""
     now = _stamps(folder)
     return {name: file_sha256(folder / name) for name in sorted(now) if now[name] != before.get(name)}
-
-
-def _write_record(run: Run) -> Path:
-    return write_text(run.folder / RECORD, _record_text(run))
 
 
 def _record_text(run: Run) -> str:
