@@ -18,9 +18,9 @@ from pickenv.inspect.recordings import details as details_module
 from pickenv.inspect.recordings.details import (
     CAMERA_STD,
     FLOOR,
+    arrow_tabs,
     attitude_fields,
     day_of,
-    details_of,
     drifting_plant,
     effect_fields,
     joints_at,
@@ -30,6 +30,11 @@ from pickenv.inspect.runs.saved import cut_away
 
 COLORMAP = 6
 """Rerun's number of Viridis."""
+
+
+def removed_field(comparison: Comparison) -> np.ndarray:
+    """What the last policy removes of the error that the one before it leaves, as it is drawn at true size."""
+    return arrow_tabs(comparison, 1.0)[0].fields["world/field/removed/vectors"][1]
 
 
 def orchard(comparison: Comparison) -> Comparison:
@@ -58,6 +63,7 @@ def test_effects_without_a_settled_field_are_left_out(comparison: Comparison) ->
     nothing = replace(comparison.plant.without(("joint_compliance", "boom_bending", "transmission_error")))
     ideal = replace(comparison, plant=replace(nothing, geometry=comparison.nominal))
     assert effect_fields(ideal) == {}
+    assert [tab.name for tab in arrow_tabs(ideal, 20.0)] == ["Error fields, arrows ×20", "Attitude"]
 
 
 def test_the_floor_is_what_no_joint_motion_moves(comparison: Comparison) -> None:
@@ -74,10 +80,11 @@ def test_the_floor_is_what_no_joint_motion_moves(comparison: Comparison) -> None
 
 
 def test_what_is_removed_lies_between_two_policies(comparison: Comparison) -> None:
-    removed = details_of(comparison).removed
+    removed = removed_field(comparison)
     before, last = comparison.policies[-2:]
     np.testing.assert_array_equal(last.field_errors + removed, before.field_errors)
-    assert details_of(replace(comparison, policies=comparison.policies[:1])).removed is None
+    alone = arrow_tabs(replace(comparison, policies=comparison.policies[:1]), 20.0)
+    assert list(alone[0].fields) == ["world/field/raw/vectors"]
 
 
 def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison) -> None:
@@ -182,13 +189,14 @@ def without_day(comparison: Comparison) -> Comparison:
 
 
 def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison) -> None:
-    details = details_of(orchard(comparison))
-    assert len(details.effects) > 5
+    shown = orchard(comparison)
+    effects, attitude, day = effect_fields(shown), attitude_fields(shown), day_of(shown)
+    assert len(effects) > 5
     assert orchard_reading.unmatched_rules() == []
-    fields = {f"effect/{name}": field for name, field in details.effects.items()}
+    fields = {f"effect/{name}": field for name, field in effects.items()}
     raw, last = (1e3 * np.linalg.norm(comparison.policies[i].field_errors, axis=1) for i in (0, -1))
     top = np.percentile(raw, 99)
-    for name, field in {**fields, "field/removed/vectors": details.removed}.items():
+    for name, field in {**fields, "field/removed/vectors": removed_field(shown)}.items():
         length = 1e3 * np.linalg.norm(field, axis=1)
         orchard_reading.holds(
             f"/world/{name}",
@@ -199,10 +207,10 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
             colors=viridis(length / top),
             radii=[-1.6],
         )
-    turned = np.degrees(np.linalg.norm(details.attitude["raw"], axis=1))
+    turned = np.degrees(np.linalg.norm(attitude["raw"], axis=1))
     top = np.percentile(turned, 99)
     drawn = next(s for s in (0.01, 0.02, 0.025, 0.05, 0.1, 0.2, 0.25, 0.5, 1, 2, 2.5, 5) if s >= 0.055 / top)
-    for key, field in details.attitude.items():
+    for key, field in attitude.items():
         degrees = np.degrees(field)
         orchard_reading.holds(
             f"/world/attitude/{key}",
@@ -228,9 +236,9 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
     for key, said in (("attitude", "deg"), ("uncertainty", "mm")):
         assert orchard_reading.values(f"/legend/{key}/ticks", "Points2D:labels")[-1].endswith(f" {said}")
     labels = {policy.key: policy.label for policy in comparison.policies}
-    lines = details.day.lines(labels)
+    lines = day.lines(labels)
     for (key, (label, errors)), colour in zip(lines.items(), policy_colours(list(lines)), strict=True):
-        assert len(errors) == len(details.day.hours) == 100
+        assert len(errors) == len(day.hours) == 100
         ordered = np.sort(errors, axis=1)
         place = 0.95 * (errors.shape[1] - 1)
         below, above = (ordered[:, int(place) + i] for i in (0, 1))
@@ -241,13 +249,13 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
             entity = f"/day/{name}_mm/{key}"
             orchard_reading.holds(entity, scalars=values, names=[f"{label}, {name}"], colors=[colour], widths=[width])
             times = orchard_reading.times(entity, "hours")
-            np.testing.assert_allclose(times, 3.6e12 * details.day.hours, rtol=1e-9)
-    orchard_reading.holds("/about_the_day", text=[details.day.explanation(labels)], media_type=["text/markdown"])
+            np.testing.assert_allclose(times, 3.6e12 * day.hours, rtol=1e-9)
+    orchard_reading.holds("/about_the_day", text=[day.explanation(labels)], media_type=["text/markdown"])
 
 
 def test_two_policies_have_a_difference_and_unknown_attitudes_no_field(without_day: Comparison) -> None:
     before, last = without_day.policies[:2]
-    removed = details_of(replace(without_day, policies=(before, last))).removed
+    removed = removed_field(replace(without_day, policies=(before, last)))
     np.testing.assert_allclose(removed, before.field_errors - last.field_errors)
     for unknown in ((replace(before, field_attitude=None), last), (before, replace(last, field_attitude=None))):
         assert attitude_fields(replace(without_day, policies=unknown)) == {}

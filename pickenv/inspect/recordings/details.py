@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,26 +38,17 @@ WORLD = "tf#/"
 """Rerun's name for the frame of the root entity, in which both URDF arms stand."""
 
 
-def send_details(scribe: Scribe, comparison: Comparison, details: Details, gain: float) -> None:
-    """Send ``details`` of ``comparison``, whose errors are drawn ``gain`` times too long."""
-    points, top = comparison.grid.points, summary.colour_scale_mm(comparison)
-    if details.removed is not None:
-        scribe.arrows("world/field/removed/vectors", points, gain * details.removed, 1e3 * details.removed, top)
-    for name, field in details.effects.items():
-        scribe.arrows(f"world/effect/{name}", points, gain * field, 1e3 * field, top)
-    if details.attitude:
-        top, length = (
-            summary.attitude_scale_deg(details.attitude),
-            attitude_length(comparison, details.attitude),
-        )
-        for key, field in details.attitude.items():
-            degrees = np.degrees(field)
-            scribe.arrows(f"world/attitude/{key}", points, length * degrees, degrees, top, "deg")
-        scribe.colour_bar("legend/attitude", top, "deg")
+def send_details(scribe: Scribe, comparison: Comparison, tabs: Sequence[ArrowTab], day: Day | None) -> None:
+    """Send fields of arrows, what a calibration predicts of its errors, the day, and the arms as they are exported."""
+    for tab in tabs:
+        for entity, (_, arrows, values) in tab.fields.items():
+            scribe.arrows(entity, comparison.grid.points, arrows, values, tab.top, tab.unit)
+    for legend, tab in {tab.legend: tab for tab in tabs}.items():
+        scribe.colour_bar(f"legend/{legend}", tab.top, tab.unit)
     if comparison.field_uncertainty is not None:
         _send_uncertainty(scribe, comparison, comparison.field_uncertainty)
-    if details.day is not None:
-        _send_day(scribe, comparison, details.day)
+    if day is not None:
+        _send_day(scribe, comparison, day)
     if scribe.times:
         commands = comparison.policies[0].ends.joint_command
         _send_urdf(scribe, "urdf_nominal", comparison.nominal, commands, GREY, "majorwireframe")
@@ -121,30 +112,62 @@ FLOOR = "floor"
 
 
 @dataclass(frozen=True, eq=False)
-class Details:
-    """Fields and curves of a comparison's further views.
+class ArrowTab:
+    """Fields of arrows side by side, all with one scale of colours.
 
     Attributes:
-        removed: What the last policy removes of the error that the one before it leaves ``(F, 3)``, m; None where there
-            is one policy.
-        effects: The error field that each effect has alone ``(F, 3)``, m; `geometry` is the true against the nominal
-            geometry.
-        attitude: Attitude errors over the field ``(F, 3)``, rotation vectors, rad: of the first policy, of the last,
-            and the part that no joint motion removes (key `FLOOR`); empty where attitudes are unknown.
-        day: A day in the field; None without reaches, or for an arm of which no drift is known.
+        name: What they are of.
+        legend: Key of the colour scale.
+        meaning: What the colours say.
+        unit: Of what the arrows stand for, mm or deg.
+        top: Upper end of the colour scale, in that unit.
+        fields: For each entity its title, arrows as drawn ``(F, 3)``, m, and what they stand for ``(F, 3)``.
     """
 
-    removed: Array | None
-    effects: Mapping[str, Array]
-    attitude: Mapping[str, Array]
-    day: Day | None
+    name: str
+    legend: str
+    meaning: str
+    unit: str
+    top: float
+    fields: Mapping[str, tuple[str, Array, Array]]
 
 
-def details_of(comparison: Comparison) -> Details:
-    """Compute all of it."""
-    policies = comparison.policies
-    removed = policies[-2].field_errors - policies[-1].field_errors if len(policies) > 1 else None
-    return Details(removed, effect_fields(comparison), attitude_fields(comparison), day_of(comparison))
+def arrow_tabs(comparison: Comparison, gain: float) -> list[ArrowTab]:
+    """The errors of each policy with what the last one removes, of each effect alone, and of attitudes if known."""
+    policies, top = comparison.policies, summary.colour_scale_mm(comparison)
+    errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
+    if len(policies) > 1:
+        before, last = policies[-2:]
+        removed = before.field_errors - last.field_errors
+        errors["world/field/removed/vectors"] = f"{before.label} minus {last.label}", "", removed
+    effects = effect_fields(comparison)
+    single = {f"world/effect/{name}": (name.replace("_", " "), "", field) for name, field in effects.items()}
+    meaning = f"Colour: position error, 0 to {top:.2f} mm"
+    tabs = []
+    for name, fields in ((f"Error fields, arrows ×{gain:g}", errors), ("Effects, each alone", single)):
+        if not fields:
+            continue
+        shown = {}
+        for entity, (label, arrows, field) in fields.items():
+            mean = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1)).mean
+            shown[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{gain:g}", gain * field, 1e3 * field
+        tabs.append(ArrowTab(name, "position", meaning, "mm", top, shown))
+    attitude = attitude_fields(comparison)
+    return [*tabs, _attitude_tab(comparison, attitude)] if attitude else tabs
+
+
+def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> ArrowTab:
+    labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
+    labels[FLOOR] = "No joint motion removes"
+    top = summary.attitude_scale_deg(attitude)
+    length = summary.round_step(comparison.grid.step / top)  # m per degree, so that neighbours rarely overlap
+    shown = {}
+    for key, field in attitude.items():
+        mean = summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
+        title, degrees = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree", np.degrees(field)
+        shown[f"world/attitude/{key}"] = title, length * degrees, degrees
+    meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
+    return ArrowTab("Attitude", "attitude", meaning, "deg", top, shown)
 
 
 def effect_fields(comparison: Comparison) -> dict[str, Array]:
@@ -163,18 +186,16 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 
 
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
-    """Attitude errors of the first and the last policy, and the floor under the last one; see `Details`."""
+    """Attitude errors over the field ``(F, 3)``, rotation vectors, rad, by key; empty where attitudes are unknown.
+
+    Of the first policy, of the last, and the part of its errors that no joint motion removes (`FLOOR`).
+    """
     first, last = comparison.policies[0], comparison.policies[-1]
     if first.field_attitude is None or last.field_attitude is None:
         return {}
     error = np.concatenate([last.field_errors, last.field_attitude], axis=1)
     floor = noncompensable_error(comparison.plant.geometry, comparison.grid.joints, error)[..., 3:]
     return {first.key: first.field_attitude, last.key: last.field_attitude, FLOOR: floor}
-
-
-def attitude_length(comparison: Comparison, fields: Mapping[str, Array]) -> float:
-    """Length of an attitude error of 1 deg as drawn, m: round, and such that neighbouring arrows rarely overlap."""
-    return summary.round_step(comparison.grid.step / summary.attitude_scale_deg(fields))
 
 
 # A day in the field: the arm warms up, the machine tilts and sinks, and the morning's calibration knows of neither.

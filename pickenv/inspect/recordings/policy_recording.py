@@ -132,23 +132,17 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     low, high = _box(episodes)
     step, count = _step(low, high), len(episodes.policies)
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
-    eye = (
-        middle
-        + (0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))) * entities.EYE
-    )
-    subject = (
-        "Tool and fruit"
-        if episodes.nominal is None
-        else f"Believed arm (wire), true arm's deviation ×{entities.GAIN:g}"
-    )
+    distance = 0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))
+    eye = middle + distance * entities.EYE
+    subject = "Tool and fruit"
+    if episodes.nominal is not None:
+        subject = f"Believed arm (wire), true arm's deviation ×{entities.GAIN:g}"
     side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{subject}; last episode")
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
+    target = entities.target_view(episodes.largest_mm, episodes.tolerance_mm)
     first = rrb.Horizontal(
         rrb.Vertical(side, verdict),
-        rrb.Vertical(
-            entities.distance_plot("Distance to the fruit"),
-            entities.target_view(episodes.largest_mm, episodes.tolerance_mm),
-        ),
+        rrb.Vertical(entities.distance_plot("Distance to the fruit"), target),
         name="Who is better",
     )
     tabs: list[Any] = [first]

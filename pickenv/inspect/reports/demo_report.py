@@ -311,9 +311,8 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     gain = field_gain(comparison.grid.step, top)
     points = comparison.grid.points[rows]
     scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
-    axes = _axes(points, spacing) | {
-        "camera": {"eye": dict(zip("xyz", _numbers(EYE_DISTANCE * eye_direction(comparison)), strict=True))}
-    }
+    eye = _numbers(EYE_DISTANCE * eye_direction(comparison))
+    axes = _axes(points, spacing) | {"camera": {"eye": dict(zip("xyz", eye, strict=True))}}
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 80}, "showlegend": False}
     for i, policy in enumerate(comparison.policies, start=1):
