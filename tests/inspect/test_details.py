@@ -93,7 +93,7 @@ def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison) -> None
     for policy in comparison.policies:
         expected = still.tool_pose(policy.ends.joint_command).position - comparison.fruit
         error = 1e3 * np.linalg.norm(expected, axis=-1)
-        np.testing.assert_allclose(day.errors_mm[policy.key], np.broadcast_to(error, day.errors_mm[policy.key].shape))
+        np.testing.assert_allclose(day.lines[policy.key][1], np.broadcast_to(error, day.lines[policy.key][1].shape))
 
 
 def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(
@@ -105,8 +105,8 @@ def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(
     raw = comparison.policies[0]
     settled = 1e3 * np.linalg.norm(plant.tool_pose(raw.ends.joint_command).position - comparison.fruit, axis=-1)
     assert day.hours[-1] == 2000.0
-    np.testing.assert_allclose(day.errors_mm["raw"][-1], settled, rtol=1e-6)
-    assert day.errors_mm["raw"][0].mean() < day.errors_mm["raw"][-1].mean()
+    np.testing.assert_allclose(day.lines["raw"][1][-1], settled, rtol=1e-6)
+    assert day.lines["raw"][1][0].mean() < day.lines["raw"][1][-1].mean()
 
 
 def test_joints_at_points_are_near_and_leave_nanometres(comparison: Comparison) -> None:
@@ -125,37 +125,36 @@ def firm(comparison: Comparison) -> Comparison:
 def test_a_filter_learns_the_arm_that_a_policy_left(comparison: Comparison) -> None:
     raw = replace(firm(comparison), policies=comparison.policies[:1])
     day = day_of(raw)
-    unseen = np.isclose(day.adapted_mm[0][:, None], day.errors_mm["raw"][0]).any(axis=1)
+    unseen = np.isclose(day.lines["adapted"][1][0][:, None], day.lines["raw"][1][0]).any(axis=1)
     assert unseen.all()  # the first pick of the day is the policy's own
     half = len(day.hours) // 2
-    assert day.adapted_mm[half:].mean() < 0.5 * day.errors_mm["raw"][half:].mean()
+    assert day.lines["adapted"][1][half:].mean() < 0.5 * day.lines["raw"][1][half:].mean()
 
 
 def test_where_nothing_drifts_a_filter_costs_less_than_its_cameras_noise(comparison: Comparison) -> None:
     day = day_of(firm(comparison))
-    last = day.errors_mm[comparison.policies[-1].key]
-    assert last.mean() < day.adapted_mm.mean() < last.mean() + 0.5 * 1e3 * CAMERA_STD
+    last = day.lines[comparison.policies[-1].key][1]
+    assert last.mean() < day.lines["adapted"][1].mean() < last.mean() + 0.5 * 1e3 * CAMERA_STD
 
 
 def test_too_few_reaches_have_no_filter(cut_short: Callable[..., RecordedPolicy], comparison: Comparison) -> None:
     few = tuple(cut_short(policy, 9) for policy in comparison.policies)
-    assert day_of(replace(comparison, policies=few)).adapted_mm is None
+    assert day_of(replace(comparison, policies=few)).lines.keys() == {policy.key for policy in few}
 
 
 def test_the_days_words_hold_its_means(comparison: Comparison) -> None:
     labels = {policy.key: policy.label for policy in comparison.policies}
     day = day_of(orchard(comparison))
-    words = day.explanation(labels)
+    words = day.explanation()
     for key, label in labels.items():
-        assert f"| {label} | {day.errors_mm[key].mean():.2f} |" in words
-    assert f"| LS + BPNN, adapted | {day.adapted_mm.mean():.2f} |" in words
-    worse = replace(day, errors_mm={**day.errors_mm, "ls_bpnn": day.errors_mm["raw"] + 1.0})
-    better = replace(day, errors_mm={**day.errors_mm, "ls_bpnn": day.errors_mm["raw"] - 0.25})
-    assert "LS + BPNN ends no better than raw" in worse.explanation(labels)
-    assert "LS + BPNN ends 0.25 mm better than raw" in better.explanation(labels)
-    assert "ends" not in replace(day, errors_mm={"raw": day.errors_mm["raw"]}, adapted_mm=None).explanation(
-        {"raw": "raw"}
-    )
+        assert f"| {label} | {day.lines[key][1].mean():.2f} |" in words
+    assert f"| LS + BPNN, adapted | {day.lines['adapted'][1].mean():.2f} |" in words
+    raw = day.lines["raw"][1]
+    worse = replace(day, lines={**day.lines, "ls_bpnn": ("LS + BPNN", raw + 1.0)})
+    better = replace(day, lines={**day.lines, "ls_bpnn": ("LS + BPNN", raw - 0.25)})
+    assert "LS + BPNN ends no better than raw" in worse.explanation()
+    assert "LS + BPNN ends 0.25 mm better than raw" in better.explanation()
+    assert "ends" not in replace(day, lines={"raw": ("raw", raw)}).explanation()
 
 
 def test_only_the_same_arm_borrows_the_orchards_drift(comparison: Comparison) -> None:
@@ -235,9 +234,7 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
         )
     for key, said in (("attitude", "deg"), ("uncertainty", "mm")):
         assert orchard_reading.values(f"/legend/{key}/ticks", "Points2D:labels")[-1].endswith(f" {said}")
-    labels = {policy.key: policy.label for policy in comparison.policies}
-    lines = day.lines(labels)
-    for (key, (label, errors)), colour in zip(lines.items(), policy_colours(list(lines)), strict=True):
+    for (key, (label, errors)), colour in zip(day.lines.items(), policy_colours(list(day.lines)), strict=True):
         assert len(errors) == len(day.hours) == 100
         ordered = np.sort(errors, axis=1)
         place = 0.95 * (errors.shape[1] - 1)
@@ -250,7 +247,7 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
             orchard_reading.holds(entity, scalars=values, names=[f"{label}, {name}"], colors=[colour], widths=[width])
             times = orchard_reading.times(entity, "hours")
             np.testing.assert_allclose(times, 3.6e12 * day.hours, rtol=1e-9)
-    orchard_reading.holds("/about_the_day", text=[day.explanation(labels)], media_type=["text/markdown"])
+    orchard_reading.holds("/about_the_day", text=[day.explanation()], media_type=["text/markdown"])
 
 
 def test_two_policies_have_a_difference_and_unknown_attitudes_no_field(without_day: Comparison) -> None:

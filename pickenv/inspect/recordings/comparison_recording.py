@@ -18,8 +18,8 @@ from rerun.encodings import TensorDimensionIndexSelection
 
 from pickenv.arm import drawn_parts, nominal_points, true_points
 from pickenv.base import InputError
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, lane, policy_key
-from pickenv.inspect.recordings.details import DAY_WORDS, ArrowTab, Day, arrow_tabs, day_of, send_details
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_key
+from pickenv.inspect.recordings.details import ADAPTED, DAY_WORDS, ArrowTab, Day, arrow_tabs, day_of, send_details
 from pickenv.inspect.recordings.scribe import (
     Scribe,
     f32,
@@ -107,16 +107,8 @@ def _send(scribe: Scribe, comparison: Comparison, arrows: Sequence[ArrowTab], da
 def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
     size, corner = comparison.grid.size, comparison.grid.corner
-    scribe.still(
-        "world/axes",
-        rr.Arrows3D(
-            origins=[corner] * 3,
-            vectors=np.diag(size),
-            colors=[WHITE] * 3,
-            labels=[f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)],
-            radii=rr.Radius.ui_points(1.5),
-        ),
-    )
+    labels = [f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)]
+    scribe.axes("world/axes", corner, size, labels, 1.5)
     scribe.still(
         "world/workspace",
         rr.Boxes3D(
@@ -195,14 +187,7 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None
     )
     scribe.still("world/capture", ball)
     scribe.capture(comparison.tolerance_mm)
-    axes = rr.Arrows3D(
-        origins=np.zeros((3, 3)),
-        vectors=comparison.tolerance_mm * np.eye(3),
-        colors=[WHITE] * 3,
-        labels=["x", "y", "z"],
-        radii=rr.Radius.ui_points(1.0),
-    )
-    scribe.still("target/axes", axes)
+    scribe.axes("target/axes", np.zeros(3), [comparison.tolerance_mm] * 3, list("xyz"), 1.0)
     scribe.along("world/capture", rr.Ellipsoids3D.columns(centers=f32(comparison.fruit)))
 
 
@@ -386,7 +371,8 @@ def _uncertainty(comparison: Comparison) -> Any:
 
 
 def _day(day: Day) -> Any:
-    largest = max(float(np.percentile(errors, 95, axis=1).max()) for errors in day.errors_mm.values())
+    errors = [errors for key, (_, errors) in day.lines.items() if key != ADAPTED]
+    largest = max(float(np.percentile(line, 95, axis=1).max()) for line in errors)
     plot = view_of(
         rrb.TimeSeriesView,
         "day",

@@ -48,7 +48,7 @@ def send_details(scribe: Scribe, comparison: Comparison, tabs: Sequence[ArrowTab
     if comparison.field_uncertainty is not None:
         _send_uncertainty(scribe, comparison, comparison.field_uncertainty)
     if day is not None:
-        _send_day(scribe, comparison, day)
+        _send_day(scribe, day)
     if scribe.times:
         commands = comparison.policies[0].ends.joint_command
         _send_urdf(scribe, "urdf_nominal", comparison.nominal, commands, GREY, "majorwireframe")
@@ -68,19 +68,17 @@ def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array
     scribe.colour_bar("legend/uncertainty", top, "mm")
 
 
-def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
+def _send_day(scribe: Scribe, day: Day) -> None:
     """Mean and 95th percentile over all fruit at every time of the day, and why they are so."""
     times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day.hours)]
     hours = Scribe(scribe.stream, times)
-    labels = {policy.key: policy.label for policy in comparison.policies}
-    lines = day.lines(labels)
-    for (key, (label, errors)), colour in zip(lines.items(), policy_colours(list(lines)), strict=True):
+    for (key, (label, errors)), colour in zip(day.lines.items(), policy_colours(list(day.lines)), strict=True):
         for name, values, width in (
             ("mean", errors.mean(axis=1), 2.2),
             ("p95", np.percentile(errors, 95, axis=1), 1.0),
         ):
             hours.curve(f"day/{name}_mm/{key}", f"{label}, {name}", colour, values, width)
-    scribe.document(DAY_WORDS, day.explanation(labels))
+    scribe.document(DAY_WORDS, day.explanation())
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
@@ -230,44 +228,37 @@ class Day:
     Attributes:
         plant: Name of the preset whose drift it is.
         hours: Time of each reach since the machine was switched on ``(R,)``.
-        errors_mm: By policy, position error of every reach at every time ``(R times, R reaches)``.
-        adapted_mm: The same of the last policy's commands with a filter on top ``(R times, M machines)``, each of
-            which begins with another reach; None where the reaches are too few.
+        lines: Label and position errors, mm, of each line by key: of each policy, of every reach at every time ``(R
+            times, R reaches)``; and as `ADAPTED`, unless the reaches are too few, of the last policy's commands with a
+            filter on top ``(R times, M machines)``, each of which begins with another reach.
     """
 
     plant: str
     hours: Array
-    errors_mm: Mapping[str, Array]
-    adapted_mm: Array | None = None
+    lines: Mapping[str, tuple[str, Array]]
 
-    def lines(self, labels: Mapping[str, str]) -> dict[str, tuple[str, Array]]:
-        """Label and errors ``(R times, any)`` of each line that is drawn, by key, given the policies' labels."""
-        lines = {key: (labels[key], errors) for key, errors in self.errors_mm.items()}
-        if self.adapted_mm is not None:
-            lines[ADAPTED] = (f"{list(labels.values())[-1]}, adapted", self.adapted_mm)
-        return lines
-
-    def explanation(self, labels: Mapping[str, str]) -> str:
+    def explanation(self) -> str:
         """Explanation of what happens here, in Markdown, with the mean errors of the day."""
-        lines = self.lines(labels)
-        rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in lines.values()]
-        first, last = (list(self.errors_mm)[i] for i in (0, -1))
-        before, after = (float(lines[key][1].mean()) for key in (first, last))
+        rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in self.lines.values()]
+        policies = [line for key, line in self.lines.items() if key != ADAPTED]
+        (first, first_mm), (last, last_mm) = policies[0], policies[-1]
+        before, after = float(first_mm.mean()), float(last_mm.mean())
         parts = [
             f"# {self.hours[-1]:g} hours without a new calibration",
             "The arm was calibrated cold and on firm ground. Then it warms up, and the machine tilts and sinks as in "
             f"`{self.plant}`. Each policy repeats the commands that it gave in the morning, without looking.",
             "\n".join(["| policy | mean of the day (mm) |", "|---|---|", *rows]),
         ]
-        if first != last:
+        if len(policies) > 1:
             worth = "no better than" if after >= before else f"{before - after:.2f} mm better than"
             parts.append(
-                f"{labels[last]} ends {worth} {labels[first]}: the drift was in nobody's data, and it is larger than "
+                f"{last} ends {worth} {first}: the drift was in nobody's data, and it is larger than "
                 "the errors that a calibration takes away."
             )
-        if self.adapted_mm is not None:
+        if ADAPTED in self.lines:
+            label, adapted_mm = self.lines[ADAPTED]
             parts.append(
-                f"**{lines[ADAPTED][0]}**: the same commands on {self.adapted_mm.shape[1]} machines with a Kalman "
+                f"**{label}**: the same commands on {adapted_mm.shape[1]} machines with a Kalman "
                 f"filter. It looks at the tool once per pick ({1e3 * CAMERA_STD:g} mm per axis) and corrects the next "
                 "pick: in the field a calibration has to go on."
             )
@@ -295,7 +286,7 @@ def day_of(comparison: Comparison) -> Day | None:
     if plant is None or not count:
         return None
     dt = 3600.0 * DAY_HOURS / count
-    errors, machines = {}, np.arange(count)
+    lines, machines = {}, np.arange(count)
     for policy in comparison.policies:
         rows, commands = np.empty((count, count)), policy.ends.joint_command
         state = plant.initial_state(np, split_joints(plant.geometry.joints, commands))
@@ -303,9 +294,10 @@ def day_of(comparison: Comparison) -> Day | None:
             turn = (machines + k) % count
             state, tool = _driven(plant, state, commands[turn], dt)
             rows[k, turn] = 1e3 * np.linalg.norm(tool - comparison.fruit[turn], axis=-1)
-        errors[policy.key] = rows
-    adapted = _adapted(comparison, plant, dt) if count >= FEWEST_LOOKS else None
-    return Day(plant.name, (machines + 1.0) * DAY_HOURS / count, errors, adapted)
+        lines[policy.key] = policy.label, rows
+    if count >= FEWEST_LOOKS:
+        lines[ADAPTED] = f"{comparison.policies[-1].label}, adapted", _adapted(comparison, plant, dt)
+    return Day(plant.name, (machines + 1.0) * DAY_HOURS / count, lines)
 
 
 def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:

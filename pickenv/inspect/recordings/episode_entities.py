@@ -225,12 +225,8 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
         labels = [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
         _name_curves(scribe, f"metrics/{unit}/{lane(key)}", rows, labels, colour)
     if "is_success" in info:
-        states = rr.StateConfiguration(
-            values=["yes", "no"],
-            labels=[f"{scene.label}: success", f"{scene.label}: not yet"],
-            colors=[(*colour, 255), (*STEEL, 255)],
-        )
-        scribe.still(f"outcome/{lane(key)}", states)
+        looks = {"yes": (f"{scene.label}: success", colour), "no": (f"{scene.label}: not yet", STEEL)}
+        scribe.lane(f"outcome/{lane(key)}", looks, [])
 
 
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:

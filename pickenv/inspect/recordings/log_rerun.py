@@ -119,12 +119,9 @@ class _Recorder:
 
     def _write(self, path: Path) -> None:
         """The whole recording anew: what stood there stays until the new one is complete."""
-
-        def send(stream: rr.RecordingStream) -> None:
-            self._send(stream, [0] * len(self.logs))
-
         assert self._scene is not None
-        write_recording(path, self._identity, entities.episode_blueprint(self._scene, self._rows()), send)
+        blueprint = entities.episode_blueprint(self._scene, self._rows())
+        write_recording(path, self._identity, blueprint, lambda stream: self._send(stream, [0] * len(self.logs)))
         self._in_file = self._recorded
 
     def _show(self) -> None:
