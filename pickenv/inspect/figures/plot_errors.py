@@ -299,18 +299,20 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
     return figure
 
 
-def error_per_pose(errors_mm: Mapping[str, ArrayLike]) -> Figure:
+def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position error", unit: str = "mm") -> Figure:
     """Error at each test pose on a logarithmic axis, a mark per pose and method: before and after calibration.
 
     Args:
-        errors_mm: For each method, by label, its errors ``(N,)``, mm.
+        errors: For each method, by label, its errors ``(N,)``, in ``unit``.
+        quantity: What the errors are.
+        unit: Their unit.
     """
-    series = style.finite_series(errors_mm)
-    with style.new_panel(style.WIDTH, 2.9, "test pose (number)", "position error (mm)", legend=2) as (figure, axes):
+    series = style.finite_series(errors)
+    with style.new_panel(style.WIDTH, 2.9, "test pose (number)", f"{quantity} ({unit})", legend=2) as (figure, axes):
         style.headline(axes, _better(series))
         for label, values, colour in style.coloured(series):
             number = np.arange(1, len(values) + 1)
-            name = f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
+            name = f"{label}: mean {values.mean():.2f} {unit}, max {values.max():.2f} {unit}"
             axes.plot(number, values, "o", color=colour, label=name, markersize=3.0)
         longest = max(len(values) for values in series.values())
         axes.set(xlim=(0.5, longest + 0.5), yscale="log")

@@ -43,14 +43,14 @@ def legend(figure: Figure) -> list[str]:
 
 
 def test_error_per_pose() -> None:
-    figure = plot_errors.error_per_pose(ERRORS)
+    figure = plot_errors.error_per_pose(ERRORS, quantity="attitude error", unit="deg")
     (axes,) = figure.axes
     assert figure.get_size_inches() == pytest.approx([7.2, 2.9])
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("test pose (number)", "position error (mm)")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("test pose (number)", "attitude error (deg)")
     better = int((ERRORS["LS + BPNN"] < ERRORS["raw"]).sum())
     assert words(axes) == f"LS + BPNN errs less than raw at {better} of 40 poses"
     for line, (label, values) in zip(axes.get_lines(), ERRORS.items(), strict=True):
-        assert line.get_label() == f"{label}: mean {values.mean():.2f} mm, max {values.max():.2f} mm"
+        assert line.get_label() == f"{label}: mean {values.mean():.2f} deg, max {values.max():.2f} deg"
         np.testing.assert_allclose(line.get_xydata(), np.stack([range(1, 41), values], axis=1))
         assert (line.get_marker(), line.get_linestyle()) == ("o", "None")
     assert axes.get_xlim() == (0.5, 40.5) and axes.get_yscale() == "log"
