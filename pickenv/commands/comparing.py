@@ -103,8 +103,7 @@ def compare(
 def _print_comparison(episodes: RecordedEpisodes) -> None:
     from pickenv.inspect.runs import comparison_summary
 
-    rows = [comparison_summary.row_cells(row) for row in comparison_summary.policy_rows(episodes)]
-    lines = [comparison_summary.difference_cells(line) for line in comparison_summary.policy_differences(episodes)]
+    rows, lines = comparison_summary.policy_cells(episodes), comparison_summary.difference_cells(episodes)
     title = f"{len(episodes.seeds)} episodes of {episodes.env_id}, the same for all; gripper {episodes.gripper}"
     print_table(title, comparison_summary.HEADS, rows, words=("policy",), caption=comparison_summary.INTERVALS)
     if lines:

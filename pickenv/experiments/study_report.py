@@ -26,7 +26,7 @@ from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summ
 from pickenv.inspect import Comparison, RecordedPolicy, Run, write_drawings
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import PageTable, Part, Section, html_of
-from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
+from pickenv.inspect.runs.number_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.recorded_episodes import ended, field_grid, reaches_of
 from pickenv.inspect.runs.run_folder import TakePicture
 

@@ -60,7 +60,6 @@ from .reports.report_page import (
     page_of as page_of,
     plain_report as plain_report,
 )
-from .reports.report_words import between as between, estimated as estimated, percent as percent
 from .runs.calibration_trace import CalibrationTrace as CalibrationTrace, trace_of as trace_of
 from .runs.harvest_trace import (
     HarvestTrace as HarvestTrace,
@@ -75,6 +74,7 @@ from .runs.matters import (
     matters as matters,
     pick_changes as pick_changes,
 )
+from .runs.number_words import between as between, estimated as estimated, percent as percent
 from .runs.recorded_episodes import (
     Comparison as Comparison,
     FieldGrid as FieldGrid,

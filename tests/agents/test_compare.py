@@ -126,8 +126,8 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
         for batch in [chunk.to_record_batch()]
     )
     content = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
-    cells = [cell for row in content["rows"] for cell in comparison_summary.row_cells(row)]
-    cells += [cell for line in content["differences"] for cell in comparison_summary.difference_cells(line)]
+    cells = [cell for row in comparison_summary.policy_cells(found.episodes) for cell in row]
+    cells += [cell for line in comparison_summary.difference_cells(found.episodes) for cell in line]
     for cell in [*cells, content["headline"], content["explanation"]]:
         assert cell in terminal and cell in page and cell in words, cell
     between = content["matters"]

@@ -46,7 +46,7 @@ from pickenv.inspect import (
     pick_changes,
 )
 from pickenv.inspect.reports import calibration_report, demo_report, report_page
-from pickenv.inspect.reports.report_words import parameter_words
+from pickenv.inspect.runs.number_words import parameter_words
 from pickenv.inspect.runs.run_folder import MATTERS_FILE
 
 

@@ -28,9 +28,9 @@ from pickenv.inspect.reports.report_page import (
     axis_table,
     html_of,
 )
-from pickenv.inspect.reports.report_words import named_values, parameter_words
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, views_of
 from pickenv.inspect.runs.matters import matters, pick_changes
+from pickenv.inspect.runs.number_words import named_values, parameter_words
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}

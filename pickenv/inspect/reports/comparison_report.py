@@ -41,22 +41,21 @@ def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """The page of a comparison's run folder."""
     episodes = load_part(run, RecordedEpisodes)
-    rows, lines = summary.policy_rows(episodes), summary.policy_differences(episodes)
-    enough = any(row["ci95_mm"] is not None for row in rows)
+    enough = any(row["ci95_mm"] is not None for row in summary.policy_rows(episodes))
     intervals = summary.INTERVALS if enough else summary.NO_INTERVAL
     tables = [
         PageTable(
             f"Miss where the gripper closed, attitude at the end, and fruit picked by {episodes.gripper}; {intervals}",
             summary.HEADS,
-            [summary.row_cells(row) for row in rows],
+            summary.policy_cells(episodes),
         )
     ]
-    if lines:
+    if lines := summary.difference_cells(episodes):
         tables.append(
             PageTable(
                 "Fruit by fruit, the later policy minus the earlier one; of shares picked Newcombe's paired interval",
                 summary.DIFFERENCES,
-                [summary.difference_cells(line) for line in lines],
+                lines,
             )
         )
     if changed := summary.change_table(episodes):

@@ -8,7 +8,7 @@ from typing import Any
 from pickenv.inspect.figures import plot_estimates
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.reports.report_words import estimated
+from pickenv.inspect.runs.number_words import estimated
 from pickenv.inspect.runs.run_folder import CONDITIONS, Run, TakePicture, load_result
 
 SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}

@@ -21,10 +21,10 @@ from pickenv.inspect.figures.plot_calibration import joint_ranges
 from pickenv.inspect.figures.plot_errors import field_gain, thinned
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
-from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
 from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
+from pickenv.inspect.runs.number_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, load_part, load_result
 from pickenv.inspect.runs.saved import eye_direction

@@ -11,8 +11,8 @@ from pickenv.harvester.machine import dense_workspace
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
+from pickenv.inspect.runs.number_words import estimated, percent
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
 MEASURES = {

@@ -20,6 +20,7 @@ from pickenv.base import clustered_share_interval, mean_interval, paired_share_i
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
 from pickenv.inspect.runs.matters import PickChange, change_cells, matters, pick_changes
+from pickenv.inspect.runs.number_words import estimated
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import misalignment
 
@@ -99,28 +100,34 @@ def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]
     }
 
 
-def row_cells(row: Mapping[str, Any]) -> list[str]:
-    """Cells of a row, under `HEADS`."""
+def policy_cells(episodes: RecordedEpisodes) -> list[list[str]]:
+    """Cells of `policy_rows`, under `HEADS`."""
     return [
-        row["policy"],
-        said(row["mean_mm"], row["ci95_mm"], 3),
-        said(row["median_mm"], None, 3),
-        said(row["p95_mm"], None, 3),
-        said(row["attitude_deg"], row["attitude_ci95_deg"], 3),
-        f"{row['picked']} of {row['tried']}",
-        said(row["share_picked"], row["share_ci95"], 0, 100.0),
+        [
+            row["policy"],
+            said(row["mean_mm"], row["ci95_mm"], 3),
+            said(row["median_mm"], None, 3),
+            said(row["p95_mm"], None, 3),
+            said(row["attitude_deg"], row["attitude_ci95_deg"], 3),
+            f"{row['picked']} of {row['tried']}",
+            said(row["share_picked"], row["share_ci95"], 0, 100.0),
+        ]
+        for row in policy_rows(episodes)
     ]
 
 
-def difference_cells(line: Mapping[str, Any]) -> list[str]:
-    """Cells of a difference, under `DIFFERENCES`."""
+def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
+    """Cells of `policy_differences`, under `DIFFERENCES`."""
     return [
-        line["from"],
-        line["to"],
-        said(line["difference_mm"], line["ci95_mm"], 3, sign="+"),
-        said(line["attitude_deg"], line["attitude_ci95_deg"], 3, sign="+"),
-        said(line["share_picked"], line["share_ci95"], 0, 100.0, sign="+"),
-        f"{line['nearer']} of {line['pairs']}",
+        [
+            line["from"],
+            line["to"],
+            said(line["difference_mm"], line["ci95_mm"], 3, sign="+"),
+            said(line["attitude_deg"], line["attitude_ci95_deg"], 3, sign="+"),
+            said(line["share_picked"], line["share_ci95"], 0, 100.0, sign="+"),
+            f"{line['nearer']} of {line['pairs']}",
+        ]
+        for line in policy_differences(episodes)
     ]
 
 
@@ -128,15 +135,8 @@ def said(value: float | None, ends: Sequence[float] | None, digits: int, scale: 
     """A number with its interval: 0.49 (0.42 to 0.57); a dash where it is not known."""
     if value is None:
         return "–"
-    words = f"{_plain(scale * value, digits):{sign}.{digits}f}"
-    if ends is None:
-        return words
-    return f"{words} ({' to '.join(f'{_plain(scale * end, digits):{sign}.{digits}f}' for end in ends)})"
-
-
-def _plain(value: float, digits: int) -> float:
-    """The number as it is written, without a minus before a zero."""
-    return round(value, digits) + 0.0
+    low, high = (None, None) if ends is None else (scale * end for end in ends)
+    return estimated(scale * value, low, high, digits, sign=sign)
 
 
 def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, str, dict[str, Any] | None]:
@@ -250,11 +250,9 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
 def comparison_markdown(episodes: RecordedEpisodes) -> str:
     """The verdict and both tables, for the recording."""
     lines = [f"## {outcome_sentence(episodes)}", "", explanation(episodes), ""]
-    lines += _table(HEADS, [row_cells(row) for row in policy_rows(episodes)])
-    differences = policy_differences(episodes)
-    if differences:
-        lines += ["", "Fruit by fruit, later minus earlier policy:", ""]
-        lines += _table(DIFFERENCES, [difference_cells(line) for line in differences])
+    lines += _table(HEADS, policy_cells(episodes))
+    if differences := difference_cells(episodes):
+        lines += ["", "Fruit by fruit, later minus earlier policy:", "", *_table(DIFFERENCES, differences)]
     return "\n".join([*lines, "", f"{len(episodes.seeds)} episodes of {episodes.env_id}, simulated; {INTERVALS}."])
 
 
