@@ -91,9 +91,9 @@ def error_fields(comparison: Comparison) -> Figure:
             axes.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), aspect="equal")
             axes.set_axis_off()
             axes.set_title(policy.label, fontsize=12, weight="bold", pad=15.0)
-            numbers = summary.error_spread(summary.field_mm(policy))
-            means[policy.label] = numbers.mean
-            text = f"mean {numbers.mean:.2f} mm, max {numbers.largest:.2f} mm"
+            mean, *_, largest = summary.error_spread(summary.field_mm(policy))
+            means[policy.label] = mean
+            text = f"mean {mean:.2f} mm, max {largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)
         title = f"Mean error across the workspace: {style.change(means, 'mm')}; wanted (dot) to true position ×{gain:g}"

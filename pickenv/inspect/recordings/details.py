@@ -147,7 +147,7 @@ def arrow_tabs(comparison: Comparison, gain: float) -> list[ArrowTab]:
             continue
         shown = {}
         for entity, (label, arrows, field) in fields.items():
-            mean = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1)).mean
+            mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
             shown[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{gain:g}", gain * field, 1e3 * field
         tabs.append(ArrowTab(name, "position", meaning, "mm", top, shown))
     attitude = attitude_fields(comparison)
@@ -161,7 +161,7 @@ def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> Arro
     length = summary.round_step(comparison.grid.step / top)  # m per degree, so that neighbours rarely overlap
     shown = {}
     for key, field in attitude.items():
-        mean = summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
+        mean, *_ = summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1)))
         title, degrees = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree", np.degrees(field)
         shown[f"world/attitude/{key}"] = title, length * degrees, degrees
     meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"

@@ -93,14 +93,13 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
 
 def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
     """Each policy's error field, and what the last one removes of the first one's, beside one another."""
-    scribe, top, gain = Scribe(stream), field_top_mm(comparison), _arrow_gain(comparison)
+    scribe, (top, gain, step) = Scribe(stream), _field_scale(comparison)
+    centre, radius = shown_box(comparison)
+    above = [centre + np.array([0.0, 0.0, 0.8 * radius])]
     for number, (name, title, errors) in enumerate(_fields(comparison)):
-        scribe.still(f"fields/{name}", rr.Transform3D(translation=number * _field_step(comparison)))
-        centre, radius = shown_box(comparison)
-        above = [centre + np.array([0.0, 0.0, 0.8 * radius])]
-        scribe.still(
-            f"fields/{name}/name", rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
-        )
+        scribe.still(f"fields/{name}", rr.Transform3D(translation=number * step))
+        words = rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
+        scribe.still(f"fields/{name}/name", words)
         scribe.arrows(f"fields/{name}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
     scribe.colour_bar("legend/position", top, "mm")
 
@@ -109,8 +108,8 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
     """Entity name, title and errors ``(F, 3)``, m, of every field."""
     fields = []
     for policy in comparison.policies:
-        title = f"{policy.label}: {error_spread(field_mm(policy)).mean:.3f} mm"
-        fields.append((lane(policy.key), title, policy.field_errors))
+        mean, *_ = error_spread(field_mm(policy))
+        fields.append((lane(policy.key), f"{policy.label}: {mean:.3f} mm", policy.field_errors))
     first, last = comparison.policies[0], comparison.policies[-1]
     if first is not last:
         removed = first.field_errors - last.field_errors
@@ -118,14 +117,10 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
     return fields
 
 
-def field_top_mm(comparison: Comparison) -> float:
-    """Upper end of the one colour scale of all policies' fields, mm."""
-    return max(scale_end(field_mm(policy)) for policy in comparison.policies)
-
-
-def _arrow_gain(comparison: Comparison) -> float:
-    """Factor by which the fields' arrows are drawn longer than true size."""
-    return field_gain(comparison.grid.step, field_top_mm(comparison))
+def _field_scale(comparison: Comparison) -> tuple[float, float, Array]:
+    """The scale of all fields: upper end of colours, mm; gain of the arrows; from one field to the next ``(3,)``, m."""
+    top = max(scale_end(field_mm(policy)) for policy in comparison.policies)
+    return top, field_gain(comparison.grid.step, top), APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
 
 
 def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
@@ -137,7 +132,9 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     subject = "Tool and fruit"
     if episodes.nominal is not None:
         subject = f"Believed arm (wire), true arm's deviation ×{entities.GAIN:g}"
-    side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{subject}; last episode")
+    # The arm at true size stands in the enlarged one and would hide it.
+    hidden = [f"- /side/{lane(policy.key)}/arm/true/**" for policy in episodes.policies]
+    side = seen_from(eye, middle, "/side", ["+ /side/**", *hidden], f"{subject}; last episode")
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
     target = entities.target_view(episodes.largest_mm, episodes.tolerance_mm)
     first = rrb.Horizontal(
@@ -154,26 +151,14 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     return entities.at_the_end(rrb.Tabs(*tabs, active_tab=0))
 
 
-def _without_true(episodes: RecordedEpisodes) -> list[str]:
-    """The arm at true size stands in the enlarged one and would hide it."""
-    return [f"- /side/{lane(policy.key)}/arm/true/**" for policy in episodes.policies]
-
-
 def _field_tab(comparison: Comparison) -> Any:
     centre, radius = shown_box(comparison)
-    step, count = _field_step(comparison), len(_fields(comparison))
+    (top, gain, step), count = _field_scale(comparison), len(_fields(comparison))
     middle = centre + (count - 1) / 2.0 * step
     eye = middle + (radius + 0.25 * (count - 1) * float(np.linalg.norm(step))) * entities.EYE
-    gain = _arrow_gain(comparison)
-    view = seen_from(
-        eye, middle, "/fields", ["+ /fields/**"], f"Final misses by goal, one eye for all, arrows ×{gain:g}"
-    )
-    meaning = f"Colour: miss, 0 to {field_top_mm(comparison):.2f} mm"
-    return with_colour_bar([view], "position", meaning, f"Where, arrows ×{gain:g}")
-
-
-def _field_step(comparison: Comparison) -> Array:
-    return APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
+    name = f"Final misses by goal, one eye for all, arrows ×{gain:g}"
+    view = seen_from(eye, middle, "/fields", ["+ /fields/**"], name)
+    return with_colour_bar([view], "position", f"Colour: miss, 0 to {top:.2f} mm", f"Where, arrows ×{gain:g}")
 
 
 def _box(episodes: RecordedEpisodes) -> tuple[Array, Array]:

@@ -321,8 +321,8 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
         end["marker"]["showscale"] = i == 1
         data += [shaft | {"scene": scene}, end | {"scene": scene, "name": policy.label}]
         layout[scene] = axes
-        numbers = error_spread(field_mm(policy))
-        title = f"<b>{escape(policy.label)}</b>, ×{gain:g}: mean {numbers.mean:.2f}, max {numbers.largest:.2f} mm"
+        mean, *_, largest = error_spread(field_mm(policy))
+        title = f"<b>{escape(policy.label)}</b>, ×{gain:g}: mean {mean:.2f}, max {largest:.2f} mm"
         layout["annotations"].append({"text": title})
     return {"data": data, "layout": layout}
 

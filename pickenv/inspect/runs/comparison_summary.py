@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -287,27 +286,13 @@ BINS = 24
 """Of a histogram of reach errors, about."""
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Mean, root mean square, 95th percentile and maximum of some errors, in the errors' unit."""
-
-    mean: float
-    rms: float
-    p95: float
-    largest: float
-
-
-def error_spread(values: ArrayLike) -> Spread:
-    """The `Spread` of ``values`` ``(...)``; all of it is nan when there are none."""
+def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
+    """Mean, root mean square, 95th percentile and maximum of errors ``(...)``; nan where there are none."""
     values = np.asarray(values, dtype=float).ravel()
     if not values.size:
-        return Spread(math.nan, math.nan, math.nan, math.nan)
-    return Spread(
-        mean=float(values.mean()),
-        rms=float(np.sqrt(np.mean(values**2))),
-        p95=float(np.percentile(values, 95)),
-        largest=float(values.max()),
-    )
+        return math.nan, math.nan, math.nan, math.nan
+    rms = float(np.sqrt(np.mean(values**2)))
+    return float(values.mean()), rms, float(np.percentile(values, 95)), float(values.max())
 
 
 def field_mm(policy: RecordedPolicy) -> Array:
@@ -419,17 +404,17 @@ def _better(comparison: Comparison) -> str:
 
 def _reach_cells(policy: RecordedPolicy) -> list[str]:
     ends = policy.ends
-    reach, field, attitude = map(error_spread, (ends.position_error_mm, field_mm(policy), ends.attitude_error_deg))
+    mean, *others = error_spread(ends.position_error_mm)
+    attitude, *_ = error_spread(ends.attitude_error_deg)
     return [
         f"{100.0 * float(np.mean(ends.success)):.0f} %",
-        f"{reach.mean:.2f} mm",
-        *(f"{value:.2f}" for value in (reach.rms, reach.p95, reach.largest)),
-        f"{attitude.mean:.3f}°",
-        f"{field.mean:.2f} mm",
-        f"{field.rms:.2f}",
+        f"{mean:.2f} mm",
+        *(f"{value:.2f}" for value in others),
+        f"{attitude:.3f}°",
+        *_field_cells(policy)[:2],
     ]
 
 
 def _field_cells(policy: RecordedPolicy) -> list[str]:
-    field = error_spread(field_mm(policy))
-    return [f"{field.mean:.2f} mm", *(f"{value:.2f}" for value in (field.rms, field.p95, field.largest))]
+    mean, *others = error_spread(field_mm(policy))
+    return [f"{mean:.2f} mm", *(f"{value:.2f}" for value in others)]
