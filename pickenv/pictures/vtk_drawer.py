@@ -35,7 +35,8 @@ class VtkDrawer:
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = size
         self.renderer: Any = vtkRenderer()
-        self.window: Any = off_screen_window()
+        # It needs no screen: EGL's on Linux, which draws on the processor where there is no adapter.
+        self.window: Any = getattr(vtkRenderingOpenGL2, "vtkEGLRenderWindow", vtkRenderWindow)()
         self.window.SetOffScreenRendering(1)
         self.window.SetMultiSamples(0)
         self.window.SetSize(*size)
@@ -130,11 +131,6 @@ class _Body:
         self.data.GetPointData().SetScalars(_NUMPY.numpy_to_vtk(np.ascontiguousarray(triangles.colour), deep=1))
         self.data.Modified()
         self.actor.SetVisibility(count > 0)
-
-
-def off_screen_window() -> Any:
-    """A window that needs no screen: EGL's on Linux, which draws on the processor where there is no adapter."""
-    return getattr(vtkRenderingOpenGL2, "vtkEGLRenderWindow", vtkRenderWindow)()
 
 
 def _some(part: Mesh, opaque: bool) -> Mesh:

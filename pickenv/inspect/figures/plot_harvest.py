@@ -101,22 +101,17 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
     """Picks per hour against the number of arms, with 95 % intervals, for each density of fruit."""
     _something(throughput)
     with style.new_panel(style.COLUMN, 2.9, "arms (number)", "picks per hour (1/h)", legend=1) as (figure, axes):
-        style.headline(axes, _throughput_words(throughput))
+        label, measures = list(throughput.items())[-1]  # the growth of the last density's with the arms
+        ends = [f"{measures[n].value:.0f}/h with {n}" for n in dict.fromkeys((min(measures), max(measures)))]
+        style.headline(axes, f"{label}: {', '.join(ends)} arm{'s' * (max(measures) > 1)}")
         for i, (label, measures) in enumerate(throughput.items()):
             arms = list(measures)
             values = np.array([measures[n].value for n in arms])
-            ends = np.abs(np.array([[measures[n].low, measures[n].high] for n in arms], dtype=float).T - values)
-            axes.errorbar(arms, values, ends, marker="o", markersize=4, capsize=2.5, color=_colour(i), label=label)
+            bars = np.abs(np.array([[measures[n].low, measures[n].high] for n in arms], dtype=float).T - values)
+            axes.errorbar(arms, values, bars, marker="o", markersize=4, capsize=2.5, color=_colour(i), label=label)
         axes.set_xticks(arms)
         axes.set_ylim(bottom=0.0)
     return figure
-
-
-def _throughput_words(throughput: Mapping[str, Mapping[int, Measure]]) -> str:
-    """The growth of the last density's picks per hour with the arms."""
-    label, measures = list(throughput.items())[-1]
-    ends = [f"{measures[n].value:.0f}/h with {n}" for n in dict.fromkeys((min(measures), max(measures)))]
-    return f"{label}: {', '.join(ends)} arm{'s' * (max(measures) > 1)}"
 
 
 def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]] = ()) -> Figure:

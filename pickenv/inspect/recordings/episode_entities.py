@@ -200,12 +200,6 @@ WIDTHS = (1.8, 1.2, 0.8, 0.5)
 """Of a policy's several numbers with one unit, in turn; points."""
 
 
-def curve_name(scene: Scene, rows: Sequence[Row]) -> str:
-    """Name of a policy's curves: its own, and the mean distance from the fruit at the ends of its episodes."""
-    ends = distances_mm(last_rows(rows))
-    return scene.label if ends is None else f"{scene.label}: {ends.mean():.3f} mm"
-
-
 def decades(distance_mm: Array) -> Array:
     """Logarithms to base 10 of distances: 0 is a millimetre, 1 a centimetre."""
     return np.asarray(np.log10(np.maximum(distance_mm, NEAREST_MM)))
@@ -216,8 +210,10 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
     scribe, info = Scribe(stream), rows[0].info
     (colour,) = policy_colours([scene.policy])
     _send_bodies_looks(scribe, scene, key, rows, colour, root)
-    if distances_mm(rows[:1]) is not None:
-        _name_curves(scribe, f"distance/{lane(key)}", rows, [curve_name(scene, rows)], colour)
+    ends = distances_mm(last_rows(rows))
+    if ends is not None:
+        name = f"{scene.label}: {ends.mean():.3f} mm"
+        _name_curves(scribe, f"distance/{lane(key)}", rows, [name], colour)
         if scene.tolerance_mm is not None:
             name = f"gripper's tolerance, {scene.tolerance_mm:g} mm"
             scribe.still("distance/tolerance", rr.SeriesLines(names=[name], colors=[RED], widths=[WIDTHS[0]]))
@@ -405,7 +401,9 @@ def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:
         name = f"Believed arm (wire), true arm with its deviation ×{GAIN:g}; miss (red)"
         views.append(seen_from(eye, middle, "/world", [*arms, *fruit], name))
     elif has_fruit(info):
-        middle, radius = _ball_around(rows)
+        points = np.concatenate([column(rows, "tool_position"), column(rows, "fruit_position")])
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, radius = (low + high) / 2.0, max(float(np.linalg.norm(high - low)) / 2.0, 1e-3)
         name = "Tool, fruit, and between them the miss (red)"
         views.append(seen_from(middle + 2.0 * radius * EYE, middle, "/world", ["+ /world/**"], name))
     if has_fruit(info):
@@ -421,10 +419,3 @@ def target_view(largest_mm: float, tolerance_mm: float | None) -> Any:
     region = "" if tolerance_mm is None else f"; capture region, {tolerance_mm:g} mm (red)"
     name = f"True tool seen from the fruit, mm{region}"
     return seen_from(span * EYE, np.zeros(3), "/target", ["+ /target/**"], name, ground=False)
-
-
-def _ball_around(rows: Sequence[Row]) -> tuple[Array, float]:
-    """Centre ``(3,)`` and radius, m, of a ball that holds all tools and fruit."""
-    points = np.concatenate([column(rows, "tool_position"), column(rows, "fruit_position")])
-    low, high = points.min(axis=0), points.max(axis=0)
-    return (low + high) / 2.0, max(float(np.linalg.norm(high - low)) / 2.0, 1e-3)

@@ -7,6 +7,7 @@ from pickenv.inspect.figures.plot_errors import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs import comparison_summary as summary
+from pickenv.inspect.runs.matters import PickChange, change_cells
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
@@ -58,10 +59,13 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
                 lines,
             )
         )
-    if changed := summary.change_table(episodes):
+    if changed := summary.policy_changes(episodes):
+        taken = f"taken, {changed['from']} (%)", f"{changed['to']} (%)"
         tables.append(
             PageTable(
-                "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)", *changed
+                "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)",
+                ("gripper", "fruit seen to, per axis (mm)", *taken, "change (points of %)"),
+                [change_cells(PickChange(**change)) for change in changed["changes"]],
             )
         )
     verdict = PageVerdict("note", summary.outcome_sentence(episodes), summary.explanation(episodes))

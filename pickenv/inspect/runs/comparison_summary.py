@@ -18,7 +18,7 @@ from pickenv.arm import Array
 from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
-from pickenv.inspect.runs.matters import PickChange, change_cells, matters, pick_changes
+from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
 from pickenv.inspect.runs.number_words import estimated
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import misalignment
@@ -203,15 +203,6 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
         return {}
     changes = [vars(change) for change in _changes(episodes, rival, best["policy"])]
     return {"from": rival, "to": best["policy"], "changes": changes}
-
-
-def change_table(episodes: RecordedEpisodes) -> tuple[tuple[str, ...], list[tuple[str, ...]]] | None:
-    """Heads and rows of `policy_changes`; None where there are none."""
-    changes = policy_changes(episodes)
-    if not changes:
-        return None
-    heads = ("gripper", "fruit seen to, per axis (mm)", f"taken, {changes['from']} (%)", f"{changes['to']} (%)")
-    return (*heads, "change (points of %)"), [change_cells(PickChange(**change)) for change in changes["changes"]]
 
 
 def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChange]:
