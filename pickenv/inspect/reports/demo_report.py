@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, noncompensable_error
 from pickenv.base import InputError, mean_interval, share_interval
 from pickenv.calibration import Calibration
-from pickenv.calibration.assessment.metrics import LEAST_ROWS, ErrorStatistics, error_statistics
+from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures.plot_calibration import joint_ranges
@@ -24,7 +24,7 @@ from pickenv.inspect.reports import report_page
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
 from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
-from pickenv.inspect.runs.number_words import between, estimated, named_values, percent
+from pickenv.inspect.runs.number_words import between, named_values, percent, said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, load_part, load_result
 from pickenv.inspect.runs.saved import eye_direction
@@ -136,10 +136,11 @@ def demo_verdict(
     lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
     worth = " ".join(matters(name, changes) for name, changes in changed.items())
+    mean = said(after.mean, after.mean_ci95, 2)
     return report_page.PageVerdict(
         tone,
         headline,
-        f"{removed} {worth}\nWhat remains is {_mean(after)} mm in the mean and at most {after.max:.2f} mm. {picked} of "
+        f"{removed} {worth}\nWhat remains is {mean} mm in the mean and at most {after.max:.2f} mm. {picked} of "
         f"{total} simulated reaches end within {comparison.tolerance_mm:g} mm of the fruit (95 % interval "
         f"{100 * least:.0f} to {100 * most:.0f} %, required are {100 * REQUIRED_SHARE:.0f} %), "
         f"{within(comparison, first)} without calibration. {OF_ONE}",
@@ -176,11 +177,6 @@ def _expected(chances: Array) -> str:
     return percent(float(chances.mean()), *share_interval(float(chances.sum()), len(chances)))
 
 
-def _mean(statistics: ErrorStatistics, digits: int = 2) -> str:
-    low, high = statistics.mean_ci95 or (None, None)
-    return estimated(statistics.mean, low, high, digits)
-
-
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
     first, last = (error_statistics(comparison.policies[i].ends.position_error_mm) for i in (0, -1))
     held_out = [error_statistics(values) for values in norms_mm(trace.errors).values()]
@@ -203,8 +199,9 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
         position, attitude = map(error_statistics, (ends.position_error_mm, ends.attitude_error_deg))
         shares = [_share(comparison, policy), *(_expected(taken[policy.label][name]) for name in grippers)]
         cells = [share.replace(" %", "") for share in shares]
-        cells += [_mean(position, 3), *(f"{value:.3f}" for value in (position.rms, position.p95, position.max))]
-        cells += [_mean(attitude, 3)]
+        cells.append(said(position.mean, position.mean_ci95, 3))
+        cells += [f"{value:.3f}" for value in (position.rms, position.p95, position.max)]
+        cells.append(said(attitude.mean, attitude.mean_ci95, 3))
         rows.append([policy.label, *cells])
     some = "in brackets 95 % intervals over fruit" if len(comparison.fruit) >= LEAST_ROWS else NO_INTERVAL
     caption = f"Final errors of the reaches; {some}. {OF_ONE}"

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.runs.number_words import estimated
+from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.run_folder import ISO9283, Run, TakePicture, load_result
 
 CONTROLLERS = ("raw", "calibrated")
@@ -52,7 +51,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         (
             f"{name} {pose['name']}",
             f"{pose['accuracy_mm']:.3f}",
-            _repeated(pose),
+            said(pose["repeatability_mm"], pose["repeatability_ci95_mm"], 3),
             f"{pose['accuracy_deg']:.4f}",
             f"{max(pose['repeatability_deg']):.4f}",
             f"{test['variation_mm'][pose['name']]:.3f}" if pose["name"] in test["variation_mm"] else "–",
@@ -68,11 +67,3 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     )
     table = PageTable("Accuracy and repeatability of this one arm at each test pose", heads, rows)
     return plain_report(run, "Accuracy by ISO 9283", subtitle, verdict, (table,), drawings(run))
-
-
-def _repeated(pose: Mapping[str, Any]) -> str:
-    """RP of a pose with its interval, where there are cycles enough for one, mm."""
-    ends = pose["repeatability_ci95_mm"]
-    return (
-        f"{pose['repeatability_mm']:.3f}" if ends is None else estimated(pose["repeatability_mm"], ends[0], ends[1], 3)
-    )

@@ -19,7 +19,7 @@ from pickenv.base import clustered_share_interval, mean_interval, paired_share_i
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
 from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
-from pickenv.inspect.runs.number_words import estimated
+from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import misalignment
 
@@ -128,14 +128,6 @@ def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
         ]
         for line in policy_differences(episodes)
     ]
-
-
-def said(value: float | None, ends: Sequence[float] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """A number with its interval: 0.49 (0.42 to 0.57); a dash where it is not known."""
-    if value is None:
-        return "–"
-    low, high = (None, None) if ends is None else (scale * end for end in ends)
-    return estimated(scale * value, low, high, digits, sign=sign)
 
 
 def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, str, dict[str, Any] | None]:

@@ -39,6 +39,16 @@ def estimated(value: float, low: float | None, high: float | None, digits: int, 
     return text if low is None and high is None else f"{text} ({between(low, high, digits, sign)})"
 
 
+def said(
+    value: float | None, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = ""
+) -> str:
+    """`estimated` of a number and both ends of its interval, times ``scale``; a dash where it is not known."""
+    if value is None:
+        return "–"
+    low, high = (None if end is None else scale * end for end in ends or (None, None))
+    return estimated(scale * value, low, high, digits, sign=sign)
+
+
 def _plain(value: float, digits: int) -> float:
     """The number as it is written, without a minus before a zero."""
     return round(value, digits) + 0.0
