@@ -135,7 +135,7 @@ def headless_viewer() -> Iterator[Any]:
     options = ["--headless", "--hide-welcome-screen", "--window-size", WINDOW, "--bind", "127.0.0.1"]
     with tempfile.TemporaryDirectory() as folder:
         process = subprocess.Popen(
-            [sys.executable, "-m", "rerun_cli", *options, "--port", str(port)],
+            [*live.rerun_program(), *options, "--port", str(port)],
             env=viewer_environment()
             | {"RERUN_APP_ONLY": "true", "XDG_RUNTIME_DIR": folder},  # it neither asks nor leaves files
             stdout=subprocess.DEVNULL,

@@ -74,12 +74,12 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
 
 def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> None:
     scribe = Scribe(stream)
-    low, high = _box(episodes)
+    low, high, step = _box(episodes)
     for number, (policy, colour) in enumerate(zip(episodes.policies, episodes.colours, strict=True)):
         rows = rows_of(policy, arm=episodes.nominal is not None)
         scene = entities.Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
         root = f"side/{lane(policy.key)}"
-        scribe.still(root, rr.Transform3D(translation=number * _step(low, high)))
+        scribe.still(root, rr.Transform3D(translation=number * step))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
         scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=NAME_SIZE))
         name = rr.Points3D([above], labels=[policy.label], colors=[WHITE], radii=0.0, show_labels=True)
@@ -124,8 +124,7 @@ def _field_scale(comparison: Comparison) -> tuple[float, float, Array]:
 
 
 def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
-    low, high = _box(episodes)
-    step, count = _step(low, high), len(episodes.policies)
+    (low, high, step), count = _box(episodes), len(episodes.policies)
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
     distance = 0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))
     eye = middle + distance * entities.EYE
@@ -161,14 +160,11 @@ def _field_tab(comparison: Comparison) -> Any:
     return with_colour_bar([view], "position", f"Colour: miss, 0 to {top:.2f} mm", f"Where, arrows ×{gain:g}")
 
 
-def _box(episodes: RecordedEpisodes) -> tuple[Array, Array]:
-    """Corners ``(3,)`` of a box around all tools and fruit, and the arm's base, m."""
+def _box(episodes: RecordedEpisodes) -> tuple[Array, Array, Array]:
+    """Corners ``(3,)`` of a box around all tools and fruit, and the arm's base, m; from one policy to the next."""
     points = [values.reshape(-1, 3) for p in episodes.policies for values in (p.tool_position, p.fruit_position)]
     if episodes.nominal is not None:
         points.append(episodes.nominal.base.position[None])
     every = np.concatenate(points)
-    return every.min(axis=0), every.max(axis=0)
-
-
-def _step(low: Array, high: Array) -> Array:
-    return np.asarray(APART * float(np.linalg.norm((high - low)[:2])) * SIDEWAYS)
+    low, high = every.min(axis=0), every.max(axis=0)
+    return low, high, APART * float(np.linalg.norm((high - low)[:2])) * SIDEWAYS
