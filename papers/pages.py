@@ -12,8 +12,8 @@ from typing import Any
 
 from pickenv.base import versions, write_text
 from pickenv.commands.showing import print_table
-from pickenv.inspect.reports.report_page import Page, PageTable, PageVerdict, Part, Section, html_of
-from pickenv.inspect.reports.report_words import named_values
+from pickenv.inspect.reports.report_page import PageTable, PageVerdict, Part, Section, html_of
+from pickenv.inspect.runs.number_words import named_values
 
 REPRODUCED, NOT, FITTED = "reproduced", "not reproduced", "fitted"
 KINDS = ("tables", "equations", "claims", "figures", "experiments")
@@ -91,4 +91,4 @@ def write_page(
     """Write the page of a paper: the headline with its notes, the sections, and how to make it again."""
     verdict = PageVerdict("note", headline(result), "\n".join(notes))
     facts = {**made_by, "Versions": named_values(versions())}
-    return write_text(path, html_of(Page(title, lead, verdict, sections, facts, contents=True)))
+    return write_text(path, html_of(title, lead, verdict, sections, facts, contents=True))

@@ -67,7 +67,7 @@ def demo(
 def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
     from pickenv.calibration.assessment.metrics import LEAST_ROWS
     from pickenv.inspect.colours import policy_label
-    from pickenv.inspect.reports.report_words import between, percent
+    from pickenv.inspect.runs.number_words import between, percent
 
     identifiability = summary["identifiability"]
     heads = (
@@ -105,7 +105,7 @@ def _print_demo(summary: dict[str, Any], written: list[Path]) -> None:
 
 
 def _print_gains(blocked: dict[str, Any]) -> None:
-    from pickenv.inspect.reports.report_words import between
+    from pickenv.inspect.runs.number_words import between
 
     rows = []
     for kind in ("simulated", "measured"):

@@ -153,7 +153,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         designs = dict(zip((settings.plant, FIELD), of_gains, strict=True))
         gains = blocked_gains(designs, joints, progress=report)
     comparison = _comparison(settings, plant, result, compensators, reaches)
-    lateral = [misses.lateral_mm for misses in gripped(comparison).values()]
+    lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     cases = {plant.name: pick_changes(lateral[0], lateral[-1])}
     cases[OTHER] = _other_case(settings, np.random.default_rng(of_case))
     test_errors = {key: _errors(plant, test.joints, compensator) for key, compensator in compensators.items()}

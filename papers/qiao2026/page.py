@@ -14,7 +14,7 @@ from pickenv.arm import Array
 from pickenv.inspect.figures import plot_calibration, plot_errors
 from pickenv.inspect.figures.run_drawings import Drawing
 from pickenv.inspect.reports.report_page import PageTable, Section
-from pickenv.inspect.reports.report_words import between, estimated
+from pickenv.inspect.runs.number_words import between, estimated
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 NOTES = (

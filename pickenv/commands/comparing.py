@@ -103,8 +103,7 @@ def compare(
 def _print_comparison(episodes: RecordedEpisodes) -> None:
     from pickenv.inspect.runs import comparison_summary
 
-    rows = [comparison_summary.row_cells(row) for row in comparison_summary.policy_rows(episodes)]
-    lines = [comparison_summary.difference_cells(line) for line in comparison_summary.policy_differences(episodes)]
+    rows, lines = comparison_summary.policy_cells(episodes), comparison_summary.difference_cells(episodes)
     title = f"{len(episodes.seeds)} episodes of {episodes.env_id}, the same for all; gripper {episodes.gripper}"
     print_table(title, comparison_summary.HEADS, rows, words=("policy",), caption=comparison_summary.INTERVALS)
     if lines:
@@ -136,9 +135,6 @@ def film(
     plain = why_plain()
     if plain is not None:
         print(plain)
-    last = movie.plan.frames[-1]
-    counted = ", ".join(f"{stated.label} picks {stated.picked} of {stated.tried}" for stated in last.stated)
-    size = f"{movie.path.stat().st_size / 1e6:.1f} MB"
-    print(
-        f"{movie.path}: {len(movie.plan.frames)} frames, {size}; {counted}; {movie.plan.speed:.1f} x as fast as the arm"
-    )
+    counted = ", ".join(f"{stated.label} picks {stated.picked} of {stated.tried}" for stated in movie.stated(-1))
+    size = f"{out.stat().st_size / 1e6:.1f} MB"
+    print(f"{out}: {len(movie.frames)} frames, {size}; {counted}; {movie.speed:.1f} x as fast as the arm")

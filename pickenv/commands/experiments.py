@@ -168,7 +168,7 @@ def study(
 def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
     """The yields, what their differences come from, and where the rest stands; 80 characters wide."""
     from pickenv.experiments.study_findings import study_verdict
-    from pickenv.inspect.reports.report_words import between
+    from pickenv.inspect.runs.number_words import between
 
     rows = summary["yield"]
     errors = {
@@ -212,7 +212,7 @@ def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
 
 def _print_components(summary: dict[str, Any]) -> None:
     """What the differences between arms come from, in a table for each setting."""
-    from pickenv.inspect.reports.report_words import estimated
+    from pickenv.inspect.runs.number_words import estimated
 
     def cell(row: dict[str, Any], key: str) -> str:
         low, high = (None if row[end] is None else 100 * row[end] for end in (f"{key}_low", f"{key}_high"))

@@ -32,7 +32,7 @@ from pickenv.inspect.figures import style
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn
 from pickenv.inspect.figures.style import alike, headline
 from pickenv.inspect.reports.report_page import PageVerdict
-from pickenv.inspect.reports.report_words import percent
+from pickenv.inspect.runs.number_words import percent
 
 DENSE = tuple(float(p) for p in np.linspace(0.01, 0.99, 99))
 """Probabilities of the distributions that are drawn."""

@@ -25,8 +25,8 @@ from pickenv.experiments.study import LS, OK, RAW, StudyConfig, arm_commands, ca
 from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summary, study_of, write_sobol
 from pickenv.inspect import Comparison, RecordedPolicy, Run, write_drawings
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
-from pickenv.inspect.reports.report_page import Page, PageTable, Pair, Part, Section, html_of
-from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
+from pickenv.inspect.reports.report_page import PageTable, Part, Section, html_of
+from pickenv.inspect.runs.number_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.recorded_episodes import ended, field_grid, reaches_of
 from pickenv.inspect.runs.run_folder import TakePicture
 
@@ -96,28 +96,26 @@ def study_page(folder: str | Path, findings: study_findings.Findings) -> str:
     summary, config = read_summary(folder), findings.protocol.config
     drawings = [d for d in study_findings.study_drawings(findings) if isinstance(d, Drawing)]
 
-    def figures(start: str) -> list[Drawing]:
-        return [drawing for drawing in drawings if drawing.name.startswith(start)]
+    def figures(start: str) -> tuple[Drawing, ...]:
+        return tuple(drawing for drawing in drawings if drawing.name.startswith(start))
 
-    yields = (Pair(figures("yield_")), _yield_table(findings), _failures(findings))
-    errors = (Pair(figures("error_")), _error_table(findings), *_placements(findings, figures("placement_")))
+    yields = (figures("yield_"), _yield_table(findings), _failures(findings))
+    errors = (figures("error_"), _error_table(findings), *_placements(findings, figures("placement_")))
     shares = (*figures("sensitivity_"), *_sensitivity_tables(findings), *_sobol_tables(folder, findings))
     return html_of(
-        Page(
-            f"Tolerance study of {findings.protocol.design.name}",
-            f"{config.arms} simulated arms in each of {len(findings.yields)} settings, {config.fruit} fruit each, seed "
-            f"{config.seed}; nothing here was measured",
-            study_findings.study_verdict(config, findings.yields),
-            (
-                Section("Yields", yields, YIELD_OF),
-                Section("Errors", errors),
-                Section("Where the differences come from", _component_tables(summary), COMPONENTS),
-                Section("Which tolerance matters", shares, SHARES),
-            ),
-            _origin(Path(folder), config, summary),
-            _tiles(config, summary),
-            contents=True,
-        )
+        f"Tolerance study of {findings.protocol.design.name}",
+        f"{config.arms} simulated arms in each of {len(findings.yields)} settings, {config.fruit} fruit each, seed "
+        f"{config.seed}; nothing here was measured",
+        study_findings.study_verdict(config, findings.yields),
+        (
+            Section("Yields", yields, YIELD_OF),
+            Section("Errors", errors),
+            Section("Where the differences come from", _component_tables(summary), COMPONENTS),
+            Section("Which tolerance matters", shares, SHARES),
+        ),
+        _origin(Path(folder), config, summary),
+        _tiles(config, summary),
+        contents=True,
     )
 
 
@@ -199,7 +197,7 @@ def _index_table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> Pag
     return PageTable(caption, heads, cells)
 
 
-def _placements(findings: study_findings.Findings, figures: Sequence[Drawing]) -> tuple[Part, ...]:
+def _placements(findings: study_findings.Findings, figures: tuple[Drawing, ...]) -> tuple[Part, ...]:
     rows = [
         (findings.label(setting), f"{p.error_mm:.2f}", percent(p.percentile, *p.interval), f"{p.arms}")
         for setting, p in findings.placements.items()
@@ -208,7 +206,7 @@ def _placements(findings: study_findings.Findings, figures: Sequence[Drawing]) -
     heads = ("setting", "its mean error (mm)", "arms with a smaller error", "arms")
     name = findings.protocol.design.name
     caption = f"The true arm of {name} itself, compared with each arm at that arm's own fruit and poses"
-    return (Pair(figures), PageTable(caption, heads, rows)) if rows else ()
+    return (figures, PageTable(caption, heads, rows)) if rows else ()
 
 
 def _sensitivity_tables(findings: study_findings.Findings) -> list[Part]:

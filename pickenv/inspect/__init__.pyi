@@ -51,13 +51,8 @@ from .reports.calibration_report import (
     write_calibration_report as write_calibration_report,
 )
 from .reports.report_page import (
-    Bar as Bar,
-    Folded as Folded,
-    Interactive as Interactive,
-    Page as Page,
     PageTable as PageTable,
     PageVerdict as PageVerdict,
-    Pair as Pair,
     Picture as Picture,
     Section as Section,
     drawings_of as drawings_of,
@@ -65,7 +60,6 @@ from .reports.report_page import (
     page_of as page_of,
     plain_report as plain_report,
 )
-from .reports.report_words import between as between, estimated as estimated, percent as percent
 from .runs.calibration_trace import CalibrationTrace as CalibrationTrace, trace_of as trace_of
 from .runs.harvest_trace import (
     HarvestTrace as HarvestTrace,
@@ -80,6 +74,7 @@ from .runs.matters import (
     matters as matters,
     pick_changes as pick_changes,
 )
+from .runs.number_words import between as between, estimated as estimated, percent as percent
 from .runs.recorded_episodes import (
     Comparison as Comparison,
     FieldGrid as FieldGrid,

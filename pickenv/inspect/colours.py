@@ -139,8 +139,5 @@ def viridis_map() -> ListedColormap:
 @cache
 def _viridis_table() -> NDArray[np.uint8]:
     """The polynomial at `TABLE` fractions: finer than 8 bits can show, and quick for large fields."""
-    t = np.linspace(0.0, 1.0, TABLE)[:, None]
-    colour = np.zeros((TABLE, 3))
-    for coefficients in _VIRIDIS[::-1]:
-        colour = colour * t + coefficients
+    colour = np.polynomial.polynomial.polyval(np.linspace(0.0, 1.0, TABLE), _VIRIDIS).T
     return np.asarray(np.round(np.clip(colour, 0.0, 1.0) * 255.0), dtype=np.uint8)

@@ -6,8 +6,8 @@ Units: m.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,22 +17,6 @@ from pickenv.pictures.stage import Balls, Colours, Mesh, Rgb, Rods, rgba
 
 AROUND, ARCS = 14, 4
 """Corners around a rod, and steps from its rim to its pole: as few as look round in a picture of 480 x 360 px."""
-
-
-class Triangles(NamedTuple):
-    """Corners with normals and colours, and the triangles between them.
-
-    Attributes:
-        corners: ``(V, 3)``, m.
-        normals: ``(V, 3)``.
-        colour: ``(V, 4)``, 0 to 255.
-        triangles: ``(T, 3)``.
-    """
-
-    corners: Array
-    normals: Array
-    colour: Colours
-    triangles: NDArray[np.intp]
 
 
 @lru_cache(maxsize=1)
@@ -56,7 +40,7 @@ def _template() -> tuple[Array, NDArray[np.bool_], NDArray[np.intp]]:
     return corners, far, np.concatenate(faces)
 
 
-def rod_triangles(rods: Rods) -> Triangles:
+def rod_triangles(rods: Rods) -> Mesh:
     """Rods as triangles, all of one template."""
     corners, far, faces = _template()
     along = rods.end - rods.start
@@ -69,21 +53,21 @@ def rod_triangles(rods: Rods) -> Triangles:
     return _joined(ends + normals * rods.radius[:, None, None], normals, rods.colour, faces)
 
 
-def ball_triangles(balls: Balls) -> Triangles:
+def ball_triangles(balls: Balls) -> Mesh:
     """Balls as triangles, all of one template."""
     corners, _, faces = _template()
     normals = np.broadcast_to(corners, (len(balls.centre), *corners.shape))
     return _joined(balls.centre[:, None] + normals * balls.radius[:, None, None], normals, balls.colour, faces)
 
 
-def _joined(corners: Array, normals: Array, colour: Colours, faces: NDArray[np.intp]) -> Triangles:
+def _joined(corners: Array, normals: Array, colour: Colours, faces: NDArray[np.intp]) -> Mesh:
     """N copies of a template, (N, V, 3), as one set of triangles."""
     count, corners_each = corners.shape[:2]
     shifted = (faces + corners_each * np.arange(count)[:, None, None]).reshape(-1, 3)
-    return Triangles(corners.reshape(-1, 3), normals.reshape(-1, 3), np.repeat(colour, corners_each, axis=0), shifted)
+    return Mesh(corners.reshape(-1, 3), shifted, np.repeat(colour, corners_each, axis=0), normals.reshape(-1, 3))
 
 
-def mesh_triangles(surface: Mesh) -> Triangles:
+def mesh_triangles(surface: Mesh) -> Mesh:
     """A surface with the normals of its corners: the mean of those of the triangles around each, by area."""
     a, b, c = (surface.corners[surface.triangles[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
@@ -91,17 +75,19 @@ def mesh_triangles(surface: Mesh) -> Triangles:
     for k in range(3):
         np.add.at(normals, surface.triangles[:, k], face)
     normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
-    return Triangles(surface.corners, normals, surface.colour, surface.triangles)
+    return replace(surface, normals=normals)
 
 
-def all_triangles(parts: Sequence[Triangles]) -> Triangles:
+def all_triangles(parts: Sequence[Mesh]) -> Mesh:
     """Several sets of triangles as one."""
     if not parts:
-        return Triangles(np.empty((0, 3)), np.empty((0, 3)), np.empty((0, 4), np.uint8), np.empty((0, 3), np.intp))
+        return Mesh(np.empty((0, 3)), np.empty((0, 3), np.intp), np.empty((0, 4), np.uint8))
     first = np.cumsum([0, *(len(part.corners) for part in parts[:-1])])
     triangles = [part.triangles + shift for part, shift in zip(parts, first, strict=True)]
-    corners, normals, colour = (np.concatenate([part[k] for part in parts]) for k in range(3))
-    return Triangles(corners, normals, colour.astype(np.uint8), np.concatenate(triangles))
+    corners, colour, normals = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("corners", "colour", "normals")
+    )
+    return Mesh(corners, np.concatenate(triangles), colour.astype(np.uint8), normals)
 
 
 def ring_around(axis: Array, count: int) -> Array:

@@ -63,11 +63,13 @@ class Mesh:
         corners: ``(V, 3)``, m.
         triangles: Numbers of corners ``(T, 3)``.
         colour: Of each corner, red, green, blue and opacity ``(V, 4)``, 0 to 255.
+        normals: Of each corner ``(V, 3)``; none ``(0, 3)`` until they are worked out.
     """
 
     corners: Array
     triangles: NDArray[np.intp]
     colour: Colours
+    normals: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,8 +68,7 @@ def row_of_trees(
     start = [[x, middle, ground] for x in trunks] + [[bottom[0] - 0.1, middle, z] for z in levels]
     end = [[x + 0.03, middle, top[2] + 0.12] for x in trunks] + [[top[0] + 0.1, middle, z + 0.02] for z in levels]
     radius = np.repeat([0.024, 0.011], [len(trunks), len(levels)])
-    wood = rod_triangles(Rods(np.array(start), np.array(end), radius, rgba(BARK, len(start))))
-    branches = Mesh(wood.corners, wood.triangles, wood.colour)
+    branches = rod_triangles(Rods(np.array(start), np.array(end), radius, rgba(BARK, len(start))))
     places = sample_leaves(bottom, top, leaf_area_per_volume, load_look("red_apples"), rng)
     return (branches, _leaves(places, rng)) if len(places) else (branches,)
 

@@ -6,6 +6,7 @@ less than to move many bodies one by one.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from vtkmodules.vtkCommonCore import vtkPoints, vtkUnsignedCharArray
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
 
-from pickenv.pictures.solids import Triangles, all_triangles, ball_triangles, mesh_triangles, rod_triangles
+from pickenv.pictures.solids import all_triangles, ball_triangles, mesh_triangles, rod_triangles
 from pickenv.pictures.stage import Eye, Mesh, Pixels, Stage, backdrop
 
 _NUMPY: Any = numpy_support  # it carries no annotations
@@ -34,7 +35,8 @@ class VtkDrawer:
     def __init__(self, size: tuple[int, int]) -> None:
         self.size = size
         self.renderer: Any = vtkRenderer()
-        self.window: Any = off_screen_window()
+        # It needs no screen: EGL's on Linux, which draws on the processor where there is no adapter.
+        self.window: Any = getattr(vtkRenderingOpenGL2, "vtkEGLRenderWindow", vtkRenderWindow)()
         self.window.SetOffScreenRendering(1)
         self.window.SetMultiSamples(0)
         self.window.SetSize(*size)
@@ -111,7 +113,7 @@ class _Body:
         if not opaque:
             look.BackfaceCullingOn()
 
-    def show(self, triangles: Triangles) -> None:
+    def show(self, triangles: Mesh) -> None:
         """Take these triangles in place of those before."""
         corners, normals = (
             _NUMPY.numpy_to_vtk(np.ascontiguousarray(vectors, np.float32), deep=1)
@@ -131,15 +133,10 @@ class _Body:
         self.actor.SetVisibility(count > 0)
 
 
-def off_screen_window() -> Any:
-    """A window that needs no screen: EGL's on Linux, which draws on the processor where there is no adapter."""
-    return getattr(vtkRenderingOpenGL2, "vtkEGLRenderWindow", vtkRenderWindow)()
-
-
-def _some(part: Triangles, opaque: bool) -> Triangles:
+def _some(part: Mesh, opaque: bool) -> Mesh:
     """The opaque triangles of a set, or the others."""
     mask = (part.colour[part.triangles[:, 0], 3] == 255) == opaque
-    return part if mask.all() else part._replace(triangles=part.triangles[mask])
+    return part if mask.all() else replace(part, triangles=part.triangles[mask])
 
 
 if __name__ == "__main__":  # try it out: where VTK cannot draw, it ends the program

@@ -17,7 +17,7 @@ from gymnasium import spaces
 import pickenv
 from pickenv.agents import PolicyComparison, foreign_policy
 from pickenv.agents.evaluation.compare import write_comparison
-from pickenv.arm import forward, load_plant, pose_error
+from pickenv.arm import forward, load_plant, nominal_points, pose_error, true_points
 from pickenv.base import InputError, mean_interval, paired_share_interval, share_interval
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.inspect import Comparison, RecordedEpisodes, load_part, read_run
@@ -25,7 +25,6 @@ from pickenv.inspect.colours import lane, policy_colours, policy_rank
 from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.matters import pick_share
 from pickenv.inspect.runs.recorded_episodes import missing_positions
-from pickenv.inspect.runs.saved import nominal_points, true_points
 from pickenv.orchard import load_gripper
 
 EPISODES = 12
@@ -127,8 +126,8 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
         for batch in [chunk.to_record_batch()]
     )
     content = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
-    cells = [cell for row in content["rows"] for cell in comparison_summary.row_cells(row)]
-    cells += [cell for line in content["differences"] for cell in comparison_summary.difference_cells(line)]
+    cells = [cell for row in comparison_summary.policy_cells(found.episodes) for cell in row]
+    cells += [cell for line in comparison_summary.difference_cells(found.episodes) for cell in line]
     for cell in [*cells, content["headline"], content["explanation"]]:
         assert cell in terminal and cell in page and cell in words, cell
     between = content["matters"]

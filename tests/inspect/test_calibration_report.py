@@ -22,8 +22,8 @@ from pickenv.calibration import (
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure, unit_of
 from pickenv.calibration.identification.least_squares import is_angle
-from pickenv.inspect import Bar, calibration_page, write_calibration_report
-from pickenv.inspect.reports.report_words import parameter_words
+from pickenv.inspect import PageTable, PageVerdict, Section, calibration_page, html_of, write_calibration_report
+from pickenv.inspect.runs.number_words import parameter_words
 
 VOID = {"meta"}
 
@@ -220,10 +220,13 @@ def test_units_of_parameters():
 
 @pytest.mark.parametrize(("value", "sigma"), [(5.0, 1.0), (-0.5, 0.25), (1.0, 40.0), (0.0, 0.0)])
 def test_a_bar_goes_from_zero_to_its_value_and_stays_in_its_cell(value, sigma):
-    bar = Bar(value, sigma, 2.0)
-    low, end, high = bar.at(-2.0), bar.at(), bar.at(2.0)
-    assert 4.0 <= low <= end <= high <= 116.0
-    assert (end - 60.0) / 56.0 == pytest.approx(np.clip(value / 2.0, -1.0, 1.0))
+    table = PageTable("caption", ("name", "drawn"), [("a1", (value, sigma, 2.0))])
+    drawn = html_of("title", "", PageVerdict("note", "", ""), [Section("Bars", [table])], {})
+    left, width = (float(number) for number in re.search(r'x="([\d.]+)" y="3" width="([\d.]+)"', drawn).groups())
+    low, high = (float(number) for number in re.search(r'd="M([\d.]+) 7H([\d.]+)M', drawn).groups())
+    end = left if value < 0.0 else left + width
+    assert 4.0 <= low <= end <= high <= 116.0 and 60.0 in (left, left + width)
+    assert (end - 60.0) / 56.0 == pytest.approx(np.clip(value / 2.0, -1.0, 1.0), abs=1e-3)
 
 
 def test_bars_are_drawn_in_the_cells_of_what_moved(page, evidence):

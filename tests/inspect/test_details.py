@@ -14,12 +14,13 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import effect_shares, forward, joint_jacobian, load_plant, noncompensable_error
 from pickenv.inspect import Comparison, RecordedPolicy, record_comparison
 from pickenv.inspect.colours import GREY, STEEL, policy_colours, viridis
+from pickenv.inspect.recordings import details as details_module
 from pickenv.inspect.recordings.details import (
     CAMERA_STD,
     FLOOR,
+    arrow_tabs,
     attitude_fields,
     day_of,
-    details_of,
     drifting_plant,
     effect_fields,
     joints_at,
@@ -29,6 +30,11 @@ from pickenv.inspect.runs.saved import cut_away
 
 COLORMAP = 6
 """Rerun's number of Viridis."""
+
+
+def removed_field(comparison: Comparison) -> np.ndarray:
+    """What the last policy removes of the error that the one before it leaves, as it is drawn at true size."""
+    return arrow_tabs(comparison, 1.0)[0].fields["world/field/removed/vectors"][1]
 
 
 def orchard(comparison: Comparison) -> Comparison:
@@ -57,6 +63,7 @@ def test_effects_without_a_settled_field_are_left_out(comparison: Comparison) ->
     nothing = replace(comparison.plant.without(("joint_compliance", "boom_bending", "transmission_error")))
     ideal = replace(comparison, plant=replace(nothing, geometry=comparison.nominal))
     assert effect_fields(ideal) == {}
+    assert [tab.name for tab in arrow_tabs(ideal, 20.0)] == ["Error fields, arrows ×20", "Attitude"]
 
 
 def test_the_floor_is_what_no_joint_motion_moves(comparison: Comparison) -> None:
@@ -73,10 +80,11 @@ def test_the_floor_is_what_no_joint_motion_moves(comparison: Comparison) -> None
 
 
 def test_what_is_removed_lies_between_two_policies(comparison: Comparison) -> None:
-    removed = details_of(comparison).removed
+    removed = removed_field(comparison)
     before, last = comparison.policies[-2:]
     np.testing.assert_array_equal(last.field_errors + removed, before.field_errors)
-    assert details_of(replace(comparison, policies=comparison.policies[:1])).removed is None
+    alone = arrow_tabs(replace(comparison, policies=comparison.policies[:1]), 20.0)
+    assert list(alone[0].fields) == ["world/field/raw/vectors"]
 
 
 def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison) -> None:
@@ -85,17 +93,20 @@ def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison) -> None
     for policy in comparison.policies:
         expected = still.tool_pose(policy.ends.joint_command).position - comparison.fruit
         error = 1e3 * np.linalg.norm(expected, axis=-1)
-        np.testing.assert_allclose(day.errors_mm[policy.key], np.broadcast_to(error, day.errors_mm[policy.key].shape))
+        np.testing.assert_allclose(day.lines[policy.key][1], np.broadcast_to(error, day.lines[policy.key][1].shape))
 
 
-def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(comparison: Comparison) -> None:
+def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(
+    comparison: Comparison, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(details_module, "DAY_HOURS", 2000.0)
     plant = load_plant("orchard").without(("settling", "stick_band", "backlash", "servo"))
-    day = day_of(replace(comparison, plant=plant), hours=2000.0)
+    day = day_of(replace(comparison, plant=plant))
     raw = comparison.policies[0]
     settled = 1e3 * np.linalg.norm(plant.tool_pose(raw.ends.joint_command).position - comparison.fruit, axis=-1)
     assert day.hours[-1] == 2000.0
-    np.testing.assert_allclose(day.errors_mm["raw"][-1], settled, rtol=1e-6)
-    assert day.errors_mm["raw"][0].mean() < day.errors_mm["raw"][-1].mean()
+    np.testing.assert_allclose(day.lines["raw"][1][-1], settled, rtol=1e-6)
+    assert day.lines["raw"][1][0].mean() < day.lines["raw"][1][-1].mean()
 
 
 def test_joints_at_points_are_near_and_leave_nanometres(comparison: Comparison) -> None:
@@ -114,37 +125,36 @@ def firm(comparison: Comparison) -> Comparison:
 def test_a_filter_learns_the_arm_that_a_policy_left(comparison: Comparison) -> None:
     raw = replace(firm(comparison), policies=comparison.policies[:1])
     day = day_of(raw)
-    unseen = np.isclose(day.adapted_mm[0][:, None], day.errors_mm["raw"][0]).any(axis=1)
+    unseen = np.isclose(day.lines["adapted"][1][0][:, None], day.lines["raw"][1][0]).any(axis=1)
     assert unseen.all()  # the first pick of the day is the policy's own
     half = len(day.hours) // 2
-    assert day.adapted_mm[half:].mean() < 0.5 * day.errors_mm["raw"][half:].mean()
+    assert day.lines["adapted"][1][half:].mean() < 0.5 * day.lines["raw"][1][half:].mean()
 
 
 def test_where_nothing_drifts_a_filter_costs_less_than_its_cameras_noise(comparison: Comparison) -> None:
     day = day_of(firm(comparison))
-    last = day.errors_mm[comparison.policies[-1].key]
-    assert last.mean() < day.adapted_mm.mean() < last.mean() + 0.5 * 1e3 * CAMERA_STD
+    last = day.lines[comparison.policies[-1].key][1]
+    assert last.mean() < day.lines["adapted"][1].mean() < last.mean() + 0.5 * 1e3 * CAMERA_STD
 
 
 def test_too_few_reaches_have_no_filter(cut_short: Callable[..., RecordedPolicy], comparison: Comparison) -> None:
     few = tuple(cut_short(policy, 9) for policy in comparison.policies)
-    assert day_of(replace(comparison, policies=few)).adapted_mm is None
+    assert day_of(replace(comparison, policies=few)).lines.keys() == {policy.key for policy in few}
 
 
 def test_the_days_words_hold_its_means(comparison: Comparison) -> None:
     labels = {policy.key: policy.label for policy in comparison.policies}
     day = day_of(orchard(comparison))
-    words = day.explanation(labels)
+    words = day.explanation()
     for key, label in labels.items():
-        assert f"| {label} | {day.errors_mm[key].mean():.2f} |" in words
-    assert f"| LS + BPNN, adapted | {day.adapted_mm.mean():.2f} |" in words
-    worse = replace(day, errors_mm={**day.errors_mm, "ls_bpnn": day.errors_mm["raw"] + 1.0})
-    better = replace(day, errors_mm={**day.errors_mm, "ls_bpnn": day.errors_mm["raw"] - 0.25})
-    assert "LS + BPNN ends no better than raw" in worse.explanation(labels)
-    assert "LS + BPNN ends 0.25 mm better than raw" in better.explanation(labels)
-    assert "ends" not in replace(day, errors_mm={"raw": day.errors_mm["raw"]}, adapted_mm=None).explanation(
-        {"raw": "raw"}
-    )
+        assert f"| {label} | {day.lines[key][1].mean():.2f} |" in words
+    assert f"| LS + BPNN, adapted | {day.lines['adapted'][1].mean():.2f} |" in words
+    raw = day.lines["raw"][1]
+    worse = replace(day, lines={**day.lines, "ls_bpnn": ("LS + BPNN", raw + 1.0)})
+    better = replace(day, lines={**day.lines, "ls_bpnn": ("LS + BPNN", raw - 0.25)})
+    assert "LS + BPNN ends no better than raw" in worse.explanation()
+    assert "LS + BPNN ends 0.25 mm better than raw" in better.explanation()
+    assert "ends" not in replace(day, lines={"raw": ("raw", raw)}).explanation()
 
 
 def test_only_the_same_arm_borrows_the_orchards_drift(comparison: Comparison) -> None:
@@ -178,13 +188,14 @@ def without_day(comparison: Comparison) -> Comparison:
 
 
 def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison) -> None:
-    details = details_of(orchard(comparison))
-    assert len(details.effects) > 5
+    shown = orchard(comparison)
+    effects, attitude, day = effect_fields(shown), attitude_fields(shown), day_of(shown)
+    assert len(effects) > 5
     assert orchard_reading.unmatched_rules() == []
-    fields = {f"effect/{name}": field for name, field in details.effects.items()}
+    fields = {f"effect/{name}": field for name, field in effects.items()}
     raw, last = (1e3 * np.linalg.norm(comparison.policies[i].field_errors, axis=1) for i in (0, -1))
     top = np.percentile(raw, 99)
-    for name, field in {**fields, "field/removed/vectors": details.removed}.items():
+    for name, field in {**fields, "field/removed/vectors": removed_field(shown)}.items():
         length = 1e3 * np.linalg.norm(field, axis=1)
         orchard_reading.holds(
             f"/world/{name}",
@@ -195,10 +206,10 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
             colors=viridis(length / top),
             radii=[-1.6],
         )
-    turned = np.degrees(np.linalg.norm(details.attitude["raw"], axis=1))
+    turned = np.degrees(np.linalg.norm(attitude["raw"], axis=1))
     top = np.percentile(turned, 99)
     drawn = next(s for s in (0.01, 0.02, 0.025, 0.05, 0.1, 0.2, 0.25, 0.5, 1, 2, 2.5, 5) if s >= 0.055 / top)
-    for key, field in details.attitude.items():
+    for key, field in attitude.items():
         degrees = np.degrees(field)
         orchard_reading.holds(
             f"/world/attitude/{key}",
@@ -223,10 +234,8 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
         )
     for key, said in (("attitude", "deg"), ("uncertainty", "mm")):
         assert orchard_reading.values(f"/legend/{key}/ticks", "Points2D:labels")[-1].endswith(f" {said}")
-    labels = {policy.key: policy.label for policy in comparison.policies}
-    lines = details.day.lines(labels)
-    for (key, (label, errors)), colour in zip(lines.items(), policy_colours(list(lines)), strict=True):
-        assert len(errors) == len(details.day.hours) == 100
+    for (key, (label, errors)), colour in zip(day.lines.items(), policy_colours(list(day.lines)), strict=True):
+        assert len(errors) == len(day.hours) == 100
         ordered = np.sort(errors, axis=1)
         place = 0.95 * (errors.shape[1] - 1)
         below, above = (ordered[:, int(place) + i] for i in (0, 1))
@@ -237,13 +246,13 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
             entity = f"/day/{name}_mm/{key}"
             orchard_reading.holds(entity, scalars=values, names=[f"{label}, {name}"], colors=[colour], widths=[width])
             times = orchard_reading.times(entity, "hours")
-            np.testing.assert_allclose(times, 3.6e12 * details.day.hours, rtol=1e-9)
-    orchard_reading.holds("/about_the_day", text=[details.day.explanation(labels)], media_type=["text/markdown"])
+            np.testing.assert_allclose(times, 3.6e12 * day.hours, rtol=1e-9)
+    orchard_reading.holds("/about_the_day", text=[day.explanation()], media_type=["text/markdown"])
 
 
 def test_two_policies_have_a_difference_and_unknown_attitudes_no_field(without_day: Comparison) -> None:
     before, last = without_day.policies[:2]
-    removed = details_of(replace(without_day, policies=(before, last))).removed
+    removed = removed_field(replace(without_day, policies=(before, last)))
     np.testing.assert_allclose(removed, before.field_errors - last.field_errors)
     for unknown in ((replace(before, field_attitude=None), last), (before, replace(last, field_attitude=None))):
         assert attitude_fields(replace(without_day, policies=unknown)) == {}

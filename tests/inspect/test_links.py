@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, load_arm, load_plant, shipped_arms, shipped_plants
-from pickenv.inspect.runs.saved import capsules, nominal_points, true_points
+from pickenv.arm import forward, load_arm, load_plant, nominal_points, shipped_arms, shipped_plants, true_points
+from pickenv.inspect.runs.saved import capsules
 
 
 @pytest.mark.parametrize("name", shipped_plants())

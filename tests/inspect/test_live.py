@@ -25,7 +25,7 @@ from pickenv.experiments import PolicySettings, run_policies
 from pickenv.experiments.policy_tables import write_evaluation
 from pickenv.inspect import Comparison, record_comparison, recorded_run, save_part
 from pickenv.inspect.recordings import live
-from pickenv.inspect.recordings.live import Live, open_live
+from pickenv.inspect.recordings.live import open_live
 from pickenv.inspect.recordings.open_recording import check_recording
 
 RERUN = Path(sys.executable).with_name("rerun")
@@ -268,7 +268,7 @@ def test_what_is_served_while_it_grows_is_served_to_this_machine_alone() -> None
     import rerun.blueprint as rrb
 
     port = free_port()
-    stream = open_live(Live(serve=port), "test-served", rrb.Blueprint())
+    stream = open_live("test-served", rrb.Blueprint(), serve=port)
     try:
         listening(port)
         assert not taken_elsewhere(port)

@@ -26,7 +26,7 @@ from pickenv.envs import HarvestEnv, ReachVectorEnv
 from pickenv.inspect import LogRerun, LogRerunVector
 from pickenv.inspect.recordings import live, log_rerun
 from pickenv.inspect.recordings.episode_entities import capped_cubic
-from pickenv.inspect.recordings.live import Live, check_answers
+from pickenv.inspect.recordings.live import check_answers
 
 RERUN = Path(sys.executable).with_name("rerun")
 ROOT = Path(__file__).parents[2]
@@ -403,6 +403,7 @@ def test_the_example_in_the_docstring_works(tmp_path: Path, monkeypatch: pytest.
     assert (tmp_path / "runs" / "recordings" / "episodes-random.rrd").is_file()
 
 
-def test_live_is_nobody_unless_asked_for() -> None:
-    assert not Live()
-    assert Live(spawn=True) and Live(connect="x") and Live(serve=1)
+@pytest.mark.parametrize("viewer", [{"spawn": True}, {"connect": "x"}, {"serve": 1}])
+def test_each_live_viewer_is_somebody_to_show_to(viewer: dict[str, Any]) -> None:
+    """No file is asked for then; a viewer is looked for when the first episode has ended."""
+    LogRerun(gym.make("pickenv/Reach-v0"), **viewer).close()

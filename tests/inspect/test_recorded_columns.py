@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.arm import Array, forward
+from pickenv.arm import Array, drawn_parts, forward, nominal_points, true_points
 from pickenv.base import InputError
 from pickenv.inspect import Comparison, record_comparison
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, lane
 from pickenv.inspect.runs.comparison_summary import summary_markdown
-from pickenv.inspect.runs.saved import drawn_parts, nominal_points, true_points
 
 GAIN = 25.0
 COLOURS = {"raw": (230, 159, 0), "ls": (0, 114, 178), "ls_bpnn": (0, 158, 115)}

@@ -18,12 +18,9 @@ from pickenv.inspect import (
     CalibrationTrace,
     Comparison,
     Drawing,
-    Interactive,
     NotDrawn,
-    Page as ReportPage,
     PageTable,
     PageVerdict,
-    Pair,
     Picture,
     Run,
     Section,
@@ -276,9 +273,9 @@ BLOCKS: dict[str, tuple[Part, int]] = {
     "facts": ({HOSTILE: HOSTILE}, 2),
     "table": (PageTable(HOSTILE, [HOSTILE, HOSTILE], [[HOSTILE, HOSTILE]]), 6),
     "figure": (hostile_drawing(), 3),
-    "interactive figure": (Interactive(hostile_drawing(), {HOSTILE: HOSTILE}, HOSTILE), 5),
+    "interactive figure": (replace(hostile_drawing(), spec={HOSTILE: HOSTILE}, hint=HOSTILE), 5),
     "picture": (Picture(b"webp", HOSTILE), 2),
-    "pair": (Pair((HOSTILE, HOSTILE)), 2),
+    "pair": ((HOSTILE, HOSTILE), 2),
 }
 
 
@@ -294,24 +291,20 @@ def test_names_and_values_are_text_wherever_they_stand_in_a_block(name: str) -> 
 
 def test_names_and_values_are_text_in_every_part_of_a_page() -> None:
     verdict = PageVerdict("good", HOSTILE, HOSTILE, [("note", HOSTILE)])
-    page = html_of(
-        ReportPage(
-            HOSTILE, HOSTILE, verdict, [Section(HOSTILE, ["text"], HOSTILE)], {}, {HOSTILE: HOSTILE}, contents=True
-        )
-    )
+    section = Section(HOSTILE, ["text"], HOSTILE)
+    page = html_of(HOSTILE, HOSTILE, verdict, [section], {}, {HOSTILE: HOSTILE}, contents=True)
     assert "<script" not in page
     assert page.count("&lt;script&gt;") == 2 + 1 + 3 + 2 + 1 + 2  # title, subtitle, verdict, tiles, contents, section
     assert "script" not in {name for name, _ in Page(page).tags}
 
 
 def report(section: Section) -> str:
-    return html_of(ReportPage("title", "", PageVerdict("note", "", ""), [section], {}))
+    return html_of("title", "", PageVerdict("note", "", ""), [section], {})
 
 
 def test_what_is_empty_is_left_out() -> None:
-    page = html_of(
-        ReportPage("t", "", PageVerdict("note", "", ""), [Section("Nothing", ["", None])], {"a": "b"}, contents=True)
-    )
+    nothing = [Section("Nothing", ["", None])]
+    page = html_of("t", "", PageVerdict("note", "", ""), nothing, {"a": "b"}, contents=True)
     assert "Nothing" not in page
     assert Page(page).values("href") == ["#origin"]
 

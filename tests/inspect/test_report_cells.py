@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
+from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -28,41 +29,45 @@ from pickenv.calibration import (
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure
 from pickenv.inspect import (
-    Bar,
     CalibrationTrace,
     Comparison,
-    Folded,
-    Interactive,
-    Page,
-    Pair,
     PickChange,
     Picture,
     RecordedPolicy,
     Run,
+    Section,
     between,
     estimated,
     gripped,
+    html_of,
     load_part,
     matters,
     percent,
     pick_changes,
 )
 from pickenv.inspect.reports import calibration_report, demo_report, report_page
-from pickenv.inspect.reports.report_words import parameter_words
+from pickenv.inspect.runs.number_words import parameter_words
 from pickenv.inspect.runs.run_folder import MATTERS_FILE
 
 
-def built(make: Callable[[], object]) -> Page:
-    """The page that ``make`` would have written as HTML."""
-    pages: list[Page] = []
+def built(make: Callable[[], object]) -> SimpleNamespace:
+    """What ``make`` would have written as HTML: the arguments of `html_of` by name."""
+    pages: list[SimpleNamespace] = []
+
+    def keep(*given: Any, **named: Any) -> str:
+        bound = signature(html_of).bind(*given, **named)
+        bound.apply_defaults()
+        pages.append(SimpleNamespace(**bound.arguments))
+        return ""
+
     with pytest.MonkeyPatch.context() as patch:
         for module in (report_page, calibration_report):
-            patch.setattr(module, "html_of", lambda page: pages.append(page) or "")
+            patch.setattr(module, "html_of", keep)
         make()
     return pages[0]
 
 
-def parts_of(page: Page, title: str) -> list[Any]:
+def parts_of(page: SimpleNamespace, title: str) -> list[Any]:
     (section,) = [section for section in page.sections if section.title == title]
     return [part for part in section.parts if part]
 
@@ -124,7 +129,7 @@ def test_a_demonstrations_page_cell_by_cell(
         [
             p.label,
             share(np.count_nonzero(p.ends.position_error_mm <= 1.0), count),
-            *(share(float(grips[p.label].success[name].sum()), count) for name in ("li_cup", "compliant_hand")),
+            *(share(float(grips[p.label][1][name].sum()), count) for name in ("li_cup", "compliant_hand")),
             whole(p.ends.position_error_mm, 3),
             f"{np.sqrt(np.mean(p.position_error_mm**2)):.3f}",
             f"{np.percentile(p.position_error_mm, 95):.3f}",
@@ -136,7 +141,7 @@ def test_a_demonstrations_page_cell_by_cell(
     nothing = "no interval: fewer than 20 reaches, or all alike"
     some = nothing if few else "in brackets 95 % intervals over fruit"
     assert table.caption == f"Final errors of the reaches; {some}. {demo_report.OF_ONE}"
-    assert [drawing.name for drawing in (*pair.parts, forgiven)] == [
+    assert [drawing.name for drawing in (*pair, forgiven)] == [
         "position_error_by_policy", "reach_errors_cumulative", "success_against_misalignment",
     ]  # fmt: skip
     (cases,) = parts_of(page, "Does it matter?")
@@ -152,9 +157,9 @@ def test_a_demonstrations_page_cell_by_cell(
         for part in [noncompensable_error(shown.plant.geometry, trace.sets["test"], e)]
     ]
     assert floors.endswith(f"the part that no motion of 6 joints removes on this arm: {'; '.join(wanted)}.")
-    assert len(axes.rows) == 6 and isinstance(per_pose, Interactive)
+    assert len(axes.rows) == 6 and per_pose.spec
     (field,) = parts_of(page, "Where the tool misses")
-    assert field.drawing.name == "error_fields" and "Drag to turn" in field.hint
+    assert field.name == "error_fields" and "Drag to turn" in field.hint
     dropped = [name for name, kept in zip(trace.names, trace.kept, strict=True) if not kept]
     text, *_, both = parts_of(page, "How the calibration was found")
     condition = trace.singular_values.max() / trace.singular_values.min()
@@ -163,9 +168,7 @@ def test_a_demonstrations_page_cell_by_cell(
         f"(condition number {condition:.1f}). These stay at their nominal values, because others absorb them: "
         f"{', '.join(dropped) or 'none'}."
     )
-    assert (
-        both.parts[0] is None and both.parts[1].name == "joint_ranges" and "“identification”" in both.parts[1].caption
-    )
+    assert both[0] is None and both[1].name == "joint_ranges" and "“identification”" in both[1].caption
     assert parts_of(page, "The recording") == []
     effects = "joint compliance, boom bending, transmission error"
     assert page.origin["Simulated true arm"].startswith("qiao2026: ")
@@ -182,7 +185,7 @@ def test_a_demonstrations_page_cell_by_cell(
     assert matters("orchard", CHANGES) in text
     assert f"{np.count_nonzero(raw <= 1.0)} without calibration." in text
     assert f"What remains is {whole(last, 2)} mm in the mean and at most {last.max():.2f} mm." in text
-    lateral = [grip.lateral_mm for grip in grips.values()]
+    lateral = [lateral_mm for lateral_mm, _ in grips.values()]
     own = demo_report.demo_verdict(shown)
     assert (
         matters("qiao2026", pick_changes(lateral[0], lateral[-1])) in own.text and own.headline == page.verdict.headline
@@ -298,7 +301,7 @@ def test_a_calibrations_page_cell_by_cell(kind: str, results: dict[str, Result])
 def test_what_moved_is_told_with_its_bar(results: dict[str, Result]) -> None:
     r = results["poses"]
     expected, *rest = parts_of(built(lambda: calibration_report.calibration_page(r)), "What moved")
-    tables = [part.parts[0] if isinstance(part, Folded) else part for part in rest]
+    tables = [part.parts[0] if isinstance(part, Section) else part for part in rest]
     rows = {row["name"]: row for row in r.parameters()}
     limits: dict[str, float] = {}
     for name, row in rows.items():
@@ -315,7 +318,7 @@ def test_what_moved_is_told_with_its_bar(results: dict[str, Result]) -> None:
         for name, _, said, bar, told in table.rows:
             row = rows[name]
             assert said == f"{figure(row['change'])} ± {figure(row['std'])} {row['unit']}"
-            assert bar == Bar(row["change"], row["std"], pytest.approx(limits[row["unit"]]))
+            assert bar == (row["change"], row["std"], pytest.approx(limits[row["unit"]]))
             assert told == f"{100 * row['narrowed']:.0f} %"
     assert expected == f"{r.prior_text[:1].upper()}{r.prior_text[1:]}."
 
@@ -334,10 +337,10 @@ def test_bars_have_a_scale_of_their_unit_or_of_their_own(
     rows = [dict(zip(("name", "unit", "change", "std", "narrowed"), row, strict=True)) for row in told]
     monkeypatch.setattr(Result, "parameters", lambda self: rows)
     _, *parts = parts_of(built(lambda: calibration_report.calibration_page(r)), "What moved")
-    tables = [part.parts[0] if isinstance(part, Folded) else part for part in parts]
+    tables = [part.parts[0] if isinstance(part, Section) else part for part in parts]
     assert {row[0]: row[3] for table in tables for row in table.rows} == {
-        "base_x": Bar(0.0, 0.25, 1.0), "base_y": Bar(-3.0, 0.25, 3.0), "d2": Bar(0.0, 0.5, 1.0),
-        "a1": Bar(0.5, 0.0, 1.25), "a2": Bar(-0.25, 0.5, 1.25),
+        "base_x": (0.0, 0.25, 1.0), "base_y": (-3.0, 0.25, 3.0), "d2": (0.0, 0.5, 1.0),
+        "a1": (0.5, 0.0, 1.25), "a2": (-0.25, 0.5, 1.25),
     }  # fmt: skip
     assert [len(table.rows) for table in tables] == [1, 4]
     cells = {row[0]: row[4] for table in tables for row in table.rows}
@@ -367,19 +370,19 @@ def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: py
     assert regions.rows == r.quality.workspace.block().rows and len(regions.rows) == 2
     seen = r.quality.observability
     told = [seen[name] for name in ("condition", "o1", "o2", "o3", "o4", "o5")]
-    indices, _ = tables.parts
+    indices, _ = tables
     assert [row[1] for row in indices.rows] == [figure(value) for value in told]
     pairs = [("a1", "d2", 0.987 - 0.01 * i) for i in range(12)]
     many = replace(r, quality=replace(r.quality, pairs=pairs))
     *_, tables = parts_of(built(lambda: calibration_report.calibration_page(many)), "Were the poses good?")
-    assert tables.parts[1].rows == [("a1, d2", f"{0.987 - 0.01 * i:+.3f}") for i in range(8)]
+    assert tables[1].rows == [("a1, d2", f"{0.987 - 0.01 * i:+.3f}") for i in range(8)]
     none = replace(r, quality=replace(r.quality, pairs=[], workspace=None))
     first, tables = parts_of(built(lambda: calibration_report.calibration_page(none)), "Were the poses good?")
-    assert isinstance(first, Pair) and tables.parts[1] is None
-    assert ranges.parts[0].name == "joint_ranges" and "Where the 60 fitted poses lie" in ranges.parts[0].caption
+    assert isinstance(first, tuple) and tables[1] is None
+    assert ranges[0].name == "joint_ranges" and "Where the 60 fitted poses lie" in ranges[0].caption
     given: list[Any] = []
     monkeypatch.setattr(calibration_report, "uncertainty_map", lambda *arrays: given.extend(arrays))
-    ranges.parts[1].draw()
+    ranges[1].draw()
     away, height, spread = given
     model, geometry = r.fit.calibration.model, r.fit.identification.geometry
     joints = random_joints(geometry, 6000, np.random.default_rng(0))
@@ -392,7 +395,7 @@ def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: py
     assert np.all(spread < whole_error)
     unknown = replace(r, uncertainty=replace(r.uncertainty, covariance=np.full_like(r.uncertainty.covariance, np.nan)))
     _, ranges, _ = parts_of(built(lambda: calibration_report.calibration_page(unknown)), "Were the poses good?")
-    assert ranges.parts[1] is None
+    assert ranges[1] is None
 
 
 def test_intervals_may_be_open_or_missing() -> None:

@@ -23,7 +23,7 @@ from pickenv.inspect import (
     trace_of,
 )
 from pickenv.inspect.runs import saved
-from pickenv.inspect.runs.run_folder import added_to, faults_of, load_iso9283
+from pickenv.inspect.runs.run_folder import added_to, faults_of, load_result
 
 
 def assert_same(one, other):
@@ -243,12 +243,12 @@ def test_a_result_from_another_run_is_refused(tmp_path: Path) -> None:
         with recorded_run(tmp_path / name, "iso9283", "pickenv iso9283", 0) as run:
             result = {"raw": {"poses": count}, "settings": {}, "plant": "", "standard": ""}
             write_text(run.folder / "iso9283.json", json.dumps(result))
-    assert load_iso9283(read_run(tmp_path / "a"))["raw"]["poses"] == 30
+    assert load_result(read_run(tmp_path / "a"), "iso9283.json")["raw"]["poses"] == 30
     (tmp_path / "a" / "iso9283.json").write_bytes((tmp_path / "b" / "iso9283.json").read_bytes())
     with pytest.raises(
         InputError, match=r"iso9283\.json is not what the run wrote, it was edited or exchanged; `pickenv"
     ):
-        load_iso9283(read_run(tmp_path / "a"))
+        load_result(read_run(tmp_path / "a"), "iso9283.json")
 
 
 def test_a_comparison_from_another_run_is_refused(folder: Path, comparison: Comparison) -> None:

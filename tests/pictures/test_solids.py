@@ -159,7 +159,8 @@ def test_a_rod_has_as_many_corners_as_it_says_and_parts_are_put_together_in_orde
             np.testing.assert_array_equal(whole[first:last], own)
     assert len(made.corners) == 114 * 4 and len(made.triangles) == 224 * 4
     nothing = all_triangles([])
-    assert [part.shape for part in nothing] == [(0, 3), (0, 3), (0, 4), (0, 3)]
+    parts = (nothing.corners, nothing.normals, nothing.colour, nothing.triangles)
+    assert [part.shape for part in parts] == [(0, 3), (0, 3), (0, 4), (0, 3)]
 
 
 def test_squares_of_the_ground_lie_on_round_places_and_change_colour_like_a_chessboard():

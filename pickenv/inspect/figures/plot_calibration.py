@@ -18,12 +18,14 @@ from pickenv.arm import Array, Geometry
 from pickenv.base import InputError
 from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis_map
 from pickenv.inspect.figures import style
-from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, finite_series, new_figure, plain_decades, rgb
 
 NAME_ROOM = 0.15
 """Inches along the axis that an upright name of a parameter takes."""
 NUMBER_ROOM = 0.22
 """Inches along the axis that a number of up to three digits takes."""
+CELLS_ALONG = 26
+"""Cells of a map of uncertainty along its longer side."""
+NO_GRID: dict[str, Any] = {"axes.grid": False}
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
@@ -36,9 +38,9 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
     curves = {"position residual, RMS (mm)": residual_rms_mm}
     if attitude_rms_deg is not None:
         curves["attitude residual, RMS (deg)"] = attitude_rms_deg
-    series, (blue,) = finite_series(curves), rgb(policy_colours(["ls"]))
+    series, (blue,) = style.finite_series(curves), style.rgb(policy_colours(["ls"]))
     rms = next(iter(series.values()))
-    with new_figure(COLUMN if len(series) == 1 else WIDTH, 2.6) as figure:
+    with style.new_figure(style.COLUMN if len(series) == 1 else style.WIDTH, 2.6) as figure:
         panels: Any = figure.subplots(1, len(series), squeeze=False)[0]
         for axes, (label, values) in zip(panels, series.items(), strict=True):
             axes.semilogy(values, "o-", color=blue, markersize=4.0)
@@ -48,7 +50,7 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
             axes.set(xlabel="iteration (number)", ylabel=label)
             axes.margins(y=0.12)
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-            plain_decades(axes.yaxis)
+            style.plain_decades(axes.yaxis)
         first, last = (style.short(float(rms[i])) for i in (0, -1))
         count = len(rms) - 1
         style.headline(panels[0], f"Least squares: {first} to {last} mm in {count} iteration{'s' * (count != 1)}")
@@ -61,13 +63,12 @@ def network_convergence(loss: ArrayLike) -> Figure:
     Args:
         loss: Mean squared error ``(E,)`` on normalised targets, without unit.
     """
-    (values,) = finite_series({"training": loss}).values()
-    with new_figure(COLUMN, 2.9) as figure:
-        axes = figure.add_subplot(xlabel="epoch (number)", ylabel="loss, MSE of normalised targets (–)")
+    (values,) = style.finite_series({"training": loss}).values()
+    with style.new_panel(style.COLUMN, 2.9, "epoch (number)", "loss, MSE of normalised targets (–)") as (figure, axes):
         ends = " to ".join(style.short(float(values[i])) for i in (0, -1))
         style.headline(axes, f"Training loss: {ends} in {len(values)} epochs")
-        axes.semilogy(values, color=rgb(policy_colours(["ls_bpnn"]))[0], label="training")
-        plain_decades(axes.yaxis)
+        axes.semilogy(values, color=style.rgb(policy_colours(["ls_bpnn"]))[0], label="training")
+        style.plain_decades(axes.yaxis)
         axes.legend()
     return figure
 
@@ -87,19 +88,19 @@ def parameter_spectrum(
         names: Parameter names in the same order, for a diagonal of R; none for singular values.
         threshold: Value below which one is dropped; drawn when given.
     """
-    values, kept = finite_series({"magnitudes": magnitudes})["magnitudes"], np.asarray(kept, dtype=bool)
+    values, kept = style.finite_series({"magnitudes": magnitudes})["magnitudes"], np.asarray(kept, dtype=bool)
     if kept.shape != values.shape or (names is not None and len(names) != len(values)):
         raise InputError(f"there are {len(values)} magnitudes; give as many kept flags and names")
     floor = max(float(values.max()), 1e-300) * 1e-18
     heights, place = np.maximum(values, floor), np.arange(len(values))
     bottom = heights.min() / 3.0
-    blue, red = rgb([*policy_colours(["ls"]), RED])
+    blue, red = style.rgb([*policy_colours(["ls"]), RED])
     diagonal = names is not None
-    room = WIDTH - 0.9
+    room = style.WIDTH - 0.9
     labels = style.spaced(names or [str(i + 1) for i in place], NAME_ROOM if diagonal else NUMBER_ROOM, room)
-    with new_figure(WIDTH, 2.6 + 0.065 * max(map(len, ("8 points", *labels)))) as figure:
-        axes = figure.add_subplot(ylabel=f"{'|R_ii|' if diagonal else 'singular value'} (scaled, –)")
-        axes.set_xlabel("parameter" if diagonal else "singular value (number)")
+    x, y = ("parameter", "|R_ii|") if diagonal else ("singular value (number)", "singular value")
+    height = 2.6 + 0.065 * max(map(len, ("8 points", *labels)))
+    with style.new_panel(style.WIDTH, height, x, f"{y} (scaled, –)", legend=3) as (figure, axes):
         condition = float(values[kept].max() / values[kept].min()) if kept.any() else np.inf
         count = f"{int(kept.sum())} of {len(values)} parameters kept"
         style.headline(axes, f"Identifiability: {count if diagonal else f'condition number {condition:.3g}'}")
@@ -109,7 +110,7 @@ def parameter_spectrum(
                 label = f"{label} ({int(rows.sum())})"
                 axes.plot(place[rows], heights[rows], marker, color=colour, label=label, markersize=5)
         if threshold is not None:
-            axes.axhline(threshold, color=SOFT, linestyle="--", linewidth=1.2, label=f"threshold {threshold:.2g}")
+            axes.axhline(threshold, color=style.SOFT, linestyle="--", linewidth=1.2, label=f"threshold {threshold:.2g}")
         axes.set(yscale="log", xlim=(-0.7, len(values) - 0.3), ylim=(bottom, heights.max() * 3.0))
         axes.grid(axis="x", visible=False)
         axes.set_xticks(place, labels, rotation=90 if diagonal else 0, fontsize=8)
@@ -117,9 +118,8 @@ def parameter_spectrum(
             if "" in labels:
                 axes.set_xlabel(f"parameter ({len(labels) - labels.count('')} of {len(labels)} are named)")
             for tick, keep in zip(axes.get_xticklabels(), kept, strict=True):
-                tick.set_color(INK if keep else red)
-        plain_decades(axes.yaxis)
-        figure.legend(loc="outside lower center", ncols=3)
+                tick.set_color(style.INK if keep else red)
+        style.plain_decades(axes.yaxis)
     return figure
 
 
@@ -132,12 +132,12 @@ def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
     """
     lower, upper, units = _limits(geometry)
     share = 100.0 * (np.asarray(joints, dtype=float) - geometry.lower) / (geometry.upper - geometry.lower)
-    (blue,) = rgb(policy_colours(["ls"]))
-    with new_figure(COLUMN * 1.2, 0.6 + 0.28 * geometry.joints, **{"axes.grid": False}) as figure:
-        axes = figure.add_subplot(xlabel="place within the limits (%)", xlim=(-2.0, 102.0))
+    (blue,) = style.rgb(policy_colours(["ls"]))
+    size = style.COLUMN * 1.2, 0.6 + 0.28 * geometry.joints
+    with style.new_panel(*size, "place within the limits (%)", "", **NO_GRID) as (figure, axes):
         for row in range(geometry.joints):
             place = np.repeat(np.unique(np.round(np.clip(share[:, row], -2.0, 102.0), 1)), 3)  # a gap after each mark
-            axes.plot([0.0, 100.0], [row, row], color=RULE, linewidth=1.0, zorder=1.0)
+            axes.plot([0.0, 100.0], [row, row], color=style.RULE, linewidth=1.0, zorder=1.0)
             mark = np.tile([row - 0.3, row + 0.3, np.nan], len(place) // 3)
             axes.plot(place, mark, color=blue, linewidth=0.7, alpha=0.6)
         spans = np.ptp(share, axis=0)
@@ -145,35 +145,32 @@ def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
         ends = zip(geometry.joint_names, lower, upper, units, strict=True)
         labels = [f"{name}  {low:.0f} to {high:.0f} {unit}".replace("-", "−") for name, low, high, unit in ends]
         axes.set_yticks(range(geometry.joints), labels)
-        axes.set_ylim(geometry.joints - 0.5, -0.5)
+        axes.set(xlim=(-2.0, 102.0), ylim=(geometry.joints - 0.5, -0.5))
         axes.tick_params(axis="y", length=0.0)
         axes.spines["left"].set_visible(False)
     return figure
 
 
-def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike, cells: int = 26) -> Figure:
+def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike) -> Figure:
     """Mean predicted uncertainty in square cells of the plane through the base's axis, Viridis.
 
     Args:
         distance_mm: Distance from the base of each pose ``(N,)``, mm.
         height_mm: Height above it ``(N,)``, mm.
         uncertainty_mm: Standard uncertainty ``(N,)``, mm.
-        cells: Cells along the longer side.
     """
     series = {"distance": distance_mm, "height": height_mm, "uncertainty": uncertainty_mm}
-    x, y, values = finite_series(series).values()
-    step = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9) / cells
+    x, y, values = style.finite_series(series).values()
+    step = max(float(np.ptp(x)), float(np.ptp(y)), 1e-9) / CELLS_ALONG
     edges = [v.min() + step * np.arange(int(np.ptp(v) // step) + 2) for v in (x, y)]
     count, total = (np.histogram2d(x, y, edges, weights=weights)[0].T for weights in (None, values))
     mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-    with new_figure(COLUMN, 3.0, **{"axes.grid": False}) as figure:
-        axes = figure.add_subplot(xlabel="distance from base (mm)", ylabel="height (mm)")
+    with style.new_panel(style.COLUMN, 3.0, "distance from base (mm)", "height (mm)", **NO_GRID) as (figure, axes):
         middle, most = (style.short(float(v)) for v in (np.median(values), values.max()))
         style.headline(axes, f"Median {middle}, largest {most} mm")
         extent = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])
         picture = axes.imshow(mean, origin="lower", extent=extent, cmap=viridis_map(), interpolation="none")
-        bar = figure.colorbar(picture, ax=axes, label="standard uncertainty (mm)")
-        bar.outline.set_visible(False)
+        style.colour_bar(figure, picture, axes, label="standard uncertainty (mm)")
     return figure
 
 
@@ -192,8 +189,8 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
     shares = 100.0 * (upper - lower) / (most - least)
     rim = np.where(upper > lower, 0.05 * (upper - lower), 0.01 * (most - least))
     lower, upper = lower - rim, upper + rim
-    colours = rgb([OTHERS[0], OTHERS[1], OTHERS[3]])  # sets are not policies
-    with new_figure(WIDTH, WIDTH * 0.95, **{"font.size": 7.5, "axes.grid": False}) as figure:
+    colours = style.rgb([OTHERS[0], OTHERS[1], OTHERS[3]])  # sets are not policies
+    with style.new_figure(style.WIDTH, style.WIDTH * 0.95, **{"font.size": 7.5, "axes.grid": False}) as figure:
         grid: Any = figure.subplots(n, n, squeeze=False)
         for row, column in np.ndindex(n, n):
             axes = grid[row, column]

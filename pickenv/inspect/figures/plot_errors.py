@@ -23,23 +23,14 @@ from matplotlib.quiver import Quiver
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from pickenv.arm import Array
+from pickenv.arm import Array, nominal_points
 from pickenv.base import InputError
 from pickenv.inspect.colours import RED, viridis, viridis_map
 from pickenv.inspect.figures import style
+from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.calibration_trace import ViewErrors
-from pickenv.inspect.runs.comparison_summary import (
-    GAIN,
-    SCALE_PERCENTILE,
-    colour_scale_mm,
-    error_spread,
-    field_mm,
-    round_step,
-    scale_end,
-    ticks,
-)
 from pickenv.inspect.runs.recorded_episodes import Comparison
-from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
+from pickenv.inspect.runs.saved import eye_direction, shown_box
 
 PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.5
 """Inches; the latter is the height of the titles and the colour bar."""
@@ -48,6 +39,9 @@ MOST_ARROWS = 400
 
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "headwidth": 3.5, "minlength": 0.0}
 """Arrows that are vectors in the units of the axes."""
+
+SLICES = 3
+"""Slices of a field at most, evenly taken from those of its grid."""
 
 LONGEST = 0.1
 """Length of the longest arrow, as a share of the picture's width."""
@@ -65,28 +59,24 @@ BOXES: dict[str, Any] = {
     "whiskerprops": {"color": style.SOFT},
     "capprops": {"color": style.SOFT},
 }
+GROUPS = 8
+"""Groups of poses at most whose mean error is drawn against what it may depend on."""
 WIDEST = 16
 """Characters of a label beside others, above which what is added by + stands on lines of its own."""
 
 
-def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure:
+def error_fields(comparison: Comparison) -> Figure:
     """Error fields side by side: arrows from the wanted to the true tool position, coloured by their true length.
 
-    Args:
-        comparison: What to show.
-        gain: How much longer than true size errors are drawn; `field_gain` when left out.
-
     Raises:
-        InputError: If there is no policy or no field point, or if the gain is not above zero.
+        InputError: If there is no policy or no field point.
     """
     policies = comparison.policies
     if not policies or not len(comparison.grid.points):
         raise InputError("there is no error field to draw; give at least one policy and one field point")
-    if gain is not None and not gain > 0.0:
-        raise InputError(f"the gain is {gain}; give a number above zero")
     rows, _ = thinned(comparison)
-    top = colour_scale_mm(comparison)
-    gain = gain or field_gain(comparison.grid.step, top)
+    top = summary.colour_scale_mm(comparison)
+    gain = field_gain(comparison.grid.step, top)
     view = _View(comparison)
     width, height = view.high - view.low
     height = min(0.93 * PANEL_WIDTH * height / width, PANEL_WIDTH)
@@ -101,14 +91,14 @@ def error_fields(comparison: Comparison, *, gain: float | None = None) -> Figure
             axes.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), aspect="equal")
             axes.set_axis_off()
             axes.set_title(policy.label, fontsize=12, weight="bold", pad=15.0)
-            numbers = error_spread(field_mm(policy))
-            means[policy.label] = numbers.mean
-            text = f"mean {numbers.mean:.2f} mm, max {numbers.largest:.2f} mm"
+            mean, *_, largest = summary.error_spread(summary.field_mm(policy))
+            means[policy.label] = mean
+            text = f"mean {mean:.2f} mm, max {largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)
         title = f"Mean error across the workspace: {style.change(means, 'mm')}; wanted (dot) to true position ×{gain:g}"
         figure.suptitle(title, fontsize=10)
-        colour_bar(figure, panels, top, policies[0].label)
+        field_colour_bar(figure, panels, top, policies[0].label)
     return figure
 
 
@@ -133,8 +123,8 @@ def field_gain(step: float, top_mm: float) -> float:
         step: Cell size of the field, m.
         top_mm: Upper end of the colour scale, mm.
     """
-    cells = GAIN * top_mm * 1e-3 / step
-    return GAIN if 0.25 <= cells <= 1.5 else round_down(1.1 * step / (top_mm * 1e-3))
+    cells = summary.GAIN * top_mm * 1e-3 / step
+    return summary.GAIN if 0.25 <= cells <= 1.5 else round_down(1.1 * step / (top_mm * 1e-3))
 
 
 def round_down(value: float) -> float:
@@ -245,32 +235,26 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
         axes.plot(*np.stack([a, b]).T, color=style.RULE, linewidth=thickness, solid_capstyle="round", zorder=1.5)
 
 
-def colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
+def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
     """The one scale of all panels, Viridis from 0 to ``top`` mm, below them; ``first`` is whose errors set its end."""
     scale = ScalarMappable(Normalize(0.0, top), viridis_map())
-    bar = figure.colorbar(
-        scale, ax=list(np.ravel(panels)), location="bottom", aspect=60, shrink=0.8, pad=0.02, extend="max"
-    )
-    bar.set_ticks(ticks(top))
-    end = f"the colour saturates above {top:.3g} mm, the {SCALE_PERCENTILE:g}th percentile of {first}"
+    look: dict[str, Any] = {"location": "bottom", "aspect": 60, "shrink": 0.8, "pad": 0.02, "extend": "max"}
+    bar = style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
+    bar.set_ticks(summary.ticks(top))
+    end = f"the colour saturates above {top:.3g} mm, the {summary.SCALE_PERCENTILE:g}th percentile of {first}"
     bar.set_label(f"position error (mm); {end}", color=style.INK)
-    bar.outline.set_visible(False)
 
 
-def error_slices(
-    points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: float, axis: int | None = None, slices: int = 3
-) -> Figure:
+def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: float) -> Figure:
     """Quiver plot of position errors over slices of a regular grid: a row per method, one colour scale and one gain.
 
-    Arrows show the two components within the slice; their colour is the whole length of the error.
+    Arrows show the two components within the slice; their colour is the whole length of the error. Slices are taken
+    across the axis along which the first method's errors are smallest, so that the arrows show most of them.
 
     Args:
         points: Wanted tool positions on the grid ``(F, 3)``, m.
         errors: For each method, by label, true minus wanted position ``(F, 3)``, m.
         step: Distance of neighbouring grid points, m.
-        axis: The slices are taken across this axis: 0 for x, 1 for y, 2 for z; when left out, across the one along
-            which the first method's errors are smallest, so that the arrows show most of them.
-        slices: Slices at most, evenly taken from those of the grid.
 
     Raises:
         InputError: If there is nothing to draw or a shape does not fit.
@@ -280,14 +264,14 @@ def error_slices(
     if not len(points) or not fields or any(field.shape != points.shape for field in fields.values()):
         raise InputError("an error field needs points (F, 3) and errors (F, 3) for each method; give at least one")
     first = next(iter(fields.values()))
-    axis = int(np.argmin(np.mean(first**2, axis=0))) if axis is None else axis
+    axis = int(np.argmin(np.mean(first**2, axis=0)))
     layer = np.rint((points[:, axis] - points[:, axis].min()) / step).astype(int)
     layers = np.unique(layer)
-    if len(layers) > slices:
-        layers = layers[np.rint(np.linspace(0, len(layers) - 1, slices + 2)[1:-1]).astype(int)]
+    if len(layers) > SLICES:
+        layers = layers[np.rint(np.linspace(0, len(layers) - 1, SLICES + 2)[1:-1]).astype(int)]
     across, up = plane = [i for i in range(3) if i != axis]
     lengths = {label: np.linalg.norm(field, axis=1) * 1e3 for label, field in fields.items()}
-    top = scale_end(np.linalg.norm(first, axis=1) * 1e3)
+    top = summary.scale_end(np.linalg.norm(first, axis=1) * 1e3)
     gain = field_gain(step, top)
     low, high = points.min(axis=0) - step, points.max(axis=0) + step
     height = (style.WIDTH - 0.9) / len(layers) * (high[up] - low[up]) / (high[across] - low[across])
@@ -308,7 +292,7 @@ def error_slices(
                     axes.set_xlabel(f"{'xyz'[across]} (m)")
                 if column == 0:
                     axes.set_ylabel(f"{label}\n{'xyz'[up]} (m)")
-        colour_bar(figure, panels, top, next(iter(fields)))
+        field_colour_bar(figure, panels, top, next(iter(fields)))
         rows = np.isin(layer, layers)
         means = style.change({label: float(mm[rows].mean()) for label, mm in lengths.items()}, "mm")
         figure.suptitle(f"Mean error in slices: {means}; arrows ×{gain:g}", fontweight="bold", fontsize=9.0)
@@ -324,8 +308,7 @@ def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position
         unit: Their unit.
     """
     series = style.finite_series(errors)
-    with style.new_figure(style.WIDTH, 2.9) as figure:
-        axes = figure.add_subplot(xlabel="test pose (number)", ylabel=f"{quantity} ({unit})")
+    with style.new_panel(style.WIDTH, 2.9, "test pose (number)", f"{quantity} ({unit})", legend=2) as (figure, axes):
         style.headline(axes, _better(series))
         for label, values, colour in style.coloured(series):
             number = np.arange(1, len(values) + 1)
@@ -334,7 +317,6 @@ def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position
         longest = max(len(values) for values in series.values())
         axes.set(xlim=(0.5, longest + 0.5), yscale="log")
         style.plain_decades(axes.yaxis)
-        figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -356,8 +338,8 @@ def error_by_method(
         counted: What the numbers under the labels count.
     """
     series = style.finite_series(errors)
-    with style.new_figure(max(style.COLUMN, 1.2 + 0.9 * len(series)), 2.9) as figure:
-        axes = figure.add_subplot(ylabel=f"{quantity} ({unit})", xlabel=f"method (number of {counted})")
+    width = max(style.COLUMN, 1.2 + 0.9 * len(series))
+    with style.new_panel(width, 2.9, f"method (number of {counted})", f"{quantity} ({unit})") as (figure, axes):
         means = style.change({label: float(values.mean()) for label, values in series.items()}, unit)
         style.headline(axes, f"Mean {quantity}{' of reaches' * (counted == 'reaches')}: {means}", pad=16.0)
         boxes = axes.boxplot(list(series.values()), widths=0.55, patch_artist=True, showmeans=True, **BOXES)
@@ -385,18 +367,17 @@ def error_histogram(errors_mm: Mapping[str, ArrayLike]) -> Figure:
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
     """
     series = style.finite_series(errors_mm)
-    width = round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
-    with style.new_figure(style.COLUMN, 2.9) as figure:
-        axes = figure.add_subplot(xlabel="position error (mm)", ylabel=f"share of poses in {width:g} mm (%)")
+    width = summary.round_step((max(float(values.max()) for values in series.values()) or 1.0) / 40)
+    share = f"share of poses in {width:g} mm (%)"
+    with style.new_panel(style.COLUMN, 2.9, "position error (mm)", share, legend=2) as (figure, axes):
         style.headline(axes, f"Median: {style.change({n: float(np.median(v)) for n, v in series.items()}, 'mm')}")
         for label, values, colour in style.coloured(series):
             edges = width * np.arange(int(values.max() / width) + 2)
-            share = np.full(len(values), 100.0 / len(values))
+            weights = np.full(len(values), 100.0 / len(values))
             look: dict[str, Any] = {"color": (*colour, 0.35), "edgecolor": colour, "histtype": "stepfilled"}
-            axes.hist(values, edges.tolist(), weights=share, **look)
+            axes.hist(values, edges.tolist(), weights=weights, **look)
             axes.plot([], [], color=colour, linewidth=5.0, alpha=0.7, label=label)
         axes.set_xlim(left=0.0)
-        figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -418,8 +399,8 @@ def error_cumulative(
         counted: What the shares are of.
     """
     series = style.finite_series(errors)
-    with style.new_figure(style.COLUMN, 2.9) as figure:
-        axes = figure.add_subplot(xlabel=f"{quantity} ({unit})", ylabel=f"{counted} within it (%)")
+    words = f"{quantity} ({unit})", f"{counted} within it (%)"
+    with style.new_panel(style.COLUMN, 2.9, *words, legend=2) as (figure, axes):
         if tolerance is None:
             ends = {name: float(np.percentile(v, 95)) for name, v in series.items()}
             style.headline(axes, f"95 of 100 {counted} within: {style.change(ends, unit)}")
@@ -434,18 +415,10 @@ def error_cumulative(
         if tolerance is not None:
             label = f"tolerance {tolerance:g} {unit}"
             axes.axvline(tolerance, color=style.rgb([RED])[0], linestyle="--", linewidth=1.2, label=label)
-        figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
-def error_against(
-    cause: ArrayLike,
-    errors_mm: Mapping[str, ArrayLike],
-    *,
-    name: str,
-    unit: str,
-    groups: int = 8,
-) -> Figure:
+def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name: str, unit: str) -> Figure:
     """Position error against what it may depend on: extension, payload, temperature; a mark per pose, and their mean.
 
     Args:
@@ -453,7 +426,6 @@ def error_against(
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
         name: What the quantity is, for the axis.
         unit: Its unit.
-        groups: Means are taken over so many groups of equal size, or over each value where there are fewer values.
 
     Raises:
         InputError: If a series has another length than ``cause``.
@@ -463,9 +435,8 @@ def error_against(
     for label, values in series.items():
         if len(values) != len(x):
             raise InputError(f"series '{label}' has {len(values)} errors for {len(x)} values of {name}; give as many")
-    parts = _groups(x, groups)
-    with style.new_figure(style.COLUMN, 2.9) as figure:
-        axes = figure.add_subplot(xlabel=f"{name} ({unit})", ylabel="position error (mm)")
+    parts = _groups(x)
+    with style.new_panel(style.COLUMN, 2.9, f"{name} ({unit})", "position error (mm)", legend=2) as (figure, axes):
         last, values = list(series.items())[-1]
         ends = [(values[part].mean(), x[part].mean()) for part in (parts[0], parts[-1])]
         text = ", ".join(f"{style.short(mean)} mm at {style.short(place)} {unit}" for mean, place in ends)
@@ -476,7 +447,6 @@ def error_against(
             means = np.array([[x[part].mean(), values[part].mean()] for part in parts])
             axes.plot(*means.T, "o-", color=colour, markersize=4.0, label=label)
         axes.set_ylim(bottom=0.0)
-        figure.legend(loc="outside lower center", ncols=2)
     return figure
 
 
@@ -488,12 +458,12 @@ def _better(series: Mapping[str, Array]) -> str:
     return f"{last} errs less than {first} at {int((after < before).sum())} of {len(after)} poses"
 
 
-def _groups(x: Array, most: int) -> list[NDArray[np.intp]]:
-    """Rows that lie together in ``x``: one group per value, or ``most`` of equal size where there are more values."""
+def _groups(x: Array) -> list[NDArray[np.intp]]:
+    """Rows that lie together in ``x``: one group per value, or `GROUPS` of equal size where there are more values."""
     values = np.unique(x)
-    if len(values) <= most:
+    if len(values) <= GROUPS:
         return [np.flatnonzero(x == value) for value in values]
-    return np.array_split(np.argsort(x, kind="stable"), most)
+    return np.array_split(np.argsort(x, kind="stable"), GROUPS)
 
 
 def corner_errors(views: Sequence[ViewErrors]) -> Figure:
@@ -505,12 +475,12 @@ def corner_errors(views: Sequence[ViewErrors]) -> Figure:
     size = _size(views)
     places, errors = np.concatenate([v.found for v in views]), np.concatenate([v.errors for v in views])
     together, (gain, top) = ViewErrors("all", places, errors, size), _scale(views)
-    with style.new_figure(style.WIDTH, style.WIDTH * 0.72 * size[1] / size[0] + 0.6) as figure:
-        axes = figure.add_subplot(xlabel="u (px)", ylabel="v (px)")
+    height = style.WIDTH * 0.72 * size[1] / size[0] + 0.6
+    with style.new_panel(style.WIDTH, height, "u (px)", "v (px)") as (figure, axes):
         arrows = _draw(axes, together, gain, top)
         corners = f"{len(errors)} corners of {len(views)} views"
         axes.set_title(f"{together.rms:.3g} px RMS over {corners}, errors drawn ×{gain:g}")
-        figure.colorbar(arrows, ax=axes, label="error (px)").outline.set_visible(False)
+        style.colour_bar(figure, arrows, axes, label="error (px)")
     return figure
 
 
@@ -542,8 +512,7 @@ def view_errors(views: Sequence[ViewErrors]) -> Figure:
             last.tick_params(labelbottom=True)
         ends = " to ".join(dict.fromkeys(f"{view.rms:.3g}" for view in (worst[0], worst[-1])))
         figure.suptitle(f"The worst views: {ends} px RMS; errors drawn ×{gain:g}", fontsize=9.0)
-        bar = figure.colorbar(arrows, ax=panels, label="error (px)", location="bottom", shrink=0.5, aspect=40.0)
-        bar.outline.set_visible(False)
+        style.colour_bar(figure, arrows, panels, label="error (px)", location="bottom", shrink=0.5, aspect=40.0)
     return figure
 
 

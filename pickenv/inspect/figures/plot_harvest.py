@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike
 from pickenv.base import InputError
 from pickenv.harvester import Measure
 from pickenv.inspect import colours
-from pickenv.inspect.figures.style import COLUMN, INK, RULE, SOFT, WIDTH, change, coloured, headline, new_figure, rgb
+from pickenv.inspect.figures import style
 from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
 
-(RED,) = rgb([colours.RED])
+(RED,) = style.rgb([colours.RED])
 
 
 def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
@@ -29,10 +29,10 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
         arms: Number of arms.
     """
     _something(trees)
-    with new_figure(WIDTH, 0.6 + (0.55 + 0.22 * (arms + 1)) * len(trees)) as figure:
+    with style.new_figure(style.WIDTH, 0.6 + (0.55 + 0.22 * (arms + 1)) * len(trees)) as figure:
         panels: Any = figure.subplots(len(trees), 1, sharex=True, squeeze=False)[:, 0]
         for axes, (name, tree) in zip(panels, trees.items(), strict=True):
-            axes.barh([arms] * len(tree.stands), np.diff(tree.stands)[:, 0], 0.7, tree.stands[:, 0], color=SOFT)
+            axes.barh([arms] * len(tree.stands), np.diff(tree.stands)[:, 0], 0.7, tree.stands[:, 0], color=style.SOFT)
             for arm in range(arms):
                 for got in (True, False):
                     mine = (tree.arm == arm) & (tree.got == got)
@@ -43,7 +43,8 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
             begin = (tree.start - tree.held)[waited]
             axes.barh(tree.arm[waited], tree.held[waited], 0.18, begin, color=RED)
             axes.set_yticks(range(arms + 1), [*(f"arm {i + 1}" for i in range(arms)), "master stands"])
-            headline(axes, f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} fruit in {tree.seconds:.0f} s")
+            count = f"{int(tree.collected.sum())} of {len(tree.fruit)} fruit"
+            style.headline(axes, f"{name}: {count} in {tree.seconds:.0f} s")
             axes.grid(axis="y", visible=False)
         panels[-1].set_xlim(left=0.0)
         panels[-1].set_xlabel("time on one tree (s); hollow: the cup came back empty, red: held back by a neighbour")
@@ -53,17 +54,17 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
 def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
     """The tree's side with its fruit by the arm that collected it, and the zones; a panel per strategy."""
     _something(trees)
-    with new_figure(WIDTH, 3.2, **{"axes.grid": False}) as figure:
+    with style.new_figure(style.WIDTH, 3.2, **{"axes.grid": False}) as figure:
         panels: Any = figure.subplots(1, len(trees), sharey=True, squeeze=False)[0]
         arms = max(int(tree.by_arm.max(initial=-1)) for tree in trees.values()) + 1
         for axes, (name, tree) in zip(panels, trees.items(), strict=True):
             for zone in tree.zones:
-                _box(axes, *zone, color=RULE, linewidth=0.8, zorder=0)
+                _box(axes, *zone, color=style.RULE, linewidth=0.8, zorder=0)
             for arm in range(arms):
                 mine = tree.collected & (tree.by_arm == arm)
                 axes.scatter(*tree.fruit[mine][:, (0, 2)].T, s=18, color=_colour(arm))
             axes.scatter(*tree.fruit[~tree.collected][:, (0, 2)].T, s=16, marker="x", color=RED, linewidths=1.0)
-            headline(axes, f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} collected")
+            style.headline(axes, f"{name}: {int(tree.collected.sum())} of {len(tree.fruit)} collected")
             axes.set(xlabel="x along the row (m)", aspect="equal")
             axes.invert_xaxis()
         panels[0].set_ylabel("z above the base (m)")
@@ -82,44 +83,35 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
     _something(funnels)
     stages = list(next(iter(funnels.values())))
     width = 0.84 / len(funnels)
-    with new_figure(WIDTH, 3.0) as figure:
-        axes = figure.add_subplot(ylabel="share of fruit present (%)")
+    with style.new_panel(style.WIDTH, 3.0, "", "share of fruit present (%)", legend=3) as (figure, axes):
         counts = {name: np.array([numbers[stage] for stage in stages]) for name, numbers in funnels.items()}
         shares = {name: 100.0 * numbers / max(numbers[0], 1) for name, numbers in counts.items()}
         ends = {name: float(share[-1]) for name, share in shares.items()}
-        headline(axes, f"Of the fruit {stages[0]}, {stages[-1]}: {change(ends, '%')}")
-        for i, (name, share, colour) in enumerate(coloured(shares)):
+        style.headline(axes, f"Of the fruit {stages[0]}, {stages[-1]}: {style.change(ends, '%')}")
+        for i, (name, share, colour) in enumerate(style.coloured(shares)):
             place = np.arange(len(stages)) + width * (i - (len(funnels) - 1) / 2.0)
             axes.bar(place, share, 0.92 * width, color=colour, label=f"{name}: {share[-1]:.1f} %")
         axes.set_xticks(range(len(stages)), stages)
         axes.set_ylim(0.0, 101.0)
         axes.grid(axis="x", visible=False)
-        figure.legend(loc="outside lower center", ncols=3)
     return figure
 
 
 def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figure:
     """Picks per hour against the number of arms, with 95 % intervals, for each density of fruit."""
     _something(throughput)
-    with new_figure(COLUMN, 2.9) as figure:
-        axes = figure.add_subplot(xlabel="arms (number)", ylabel="picks per hour (1/h)")
-        headline(axes, _throughput_words(throughput))
+    with style.new_panel(style.COLUMN, 2.9, "arms (number)", "picks per hour (1/h)", legend=1) as (figure, axes):
+        label, measures = list(throughput.items())[-1]  # the growth of the last density's with the arms
+        ends = [f"{measures[n].value:.0f}/h with {n}" for n in dict.fromkeys((min(measures), max(measures)))]
+        style.headline(axes, f"{label}: {', '.join(ends)} arm{'s' * (max(measures) > 1)}")
         for i, (label, measures) in enumerate(throughput.items()):
             arms = list(measures)
             values = np.array([measures[n].value for n in arms])
-            ends = np.abs(np.array([[measures[n].low, measures[n].high] for n in arms], dtype=float).T - values)
-            axes.errorbar(arms, values, ends, marker="o", markersize=4, capsize=2.5, color=_colour(i), label=label)
+            bars = np.abs(np.array([[measures[n].low, measures[n].high] for n in arms], dtype=float).T - values)
+            axes.errorbar(arms, values, bars, marker="o", markersize=4, capsize=2.5, color=_colour(i), label=label)
         axes.set_xticks(arms)
         axes.set_ylim(bottom=0.0)
-        figure.legend(loc="outside lower center")
     return figure
-
-
-def _throughput_words(throughput: Mapping[str, Mapping[int, Measure]]) -> str:
-    """The growth of the last density's picks per hour with the arms."""
-    label, measures = list(throughput.items())[-1]
-    ends = [f"{measures[n].value:.0f}/h with {n}" for n in dict.fromkeys((min(measures), max(measures)))]
-    return f"{label}: {', '.join(ends)} arm{'s' * (max(measures) > 1)}"
 
 
 def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]] = ()) -> Figure:
@@ -132,7 +124,7 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]]
     cloud = np.asarray(cloud, dtype=float)
     if cloud.ndim != 3 or not len(cloud):
         raise InputError("a workspace cloud needs points (N, arms, 3); give at least one")
-    with new_figure(WIDTH, 3.4) as figure:
+    with style.new_figure(style.WIDTH, 3.4) as figure:
         panels: Any = figure.subplots(1, 2)
         for axes, (a, b) in zip(panels, ((0, 1), (0, 2)), strict=True):
             for arm in range(cloud.shape[1]):
@@ -142,8 +134,8 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]]
                 _box(axes, *box[a], *box[b], color=RED, linestyle="--", linewidth=1.2)
             axes.set(xlabel=f"{'xyz'[a]} (m)", ylabel=f"{'xyz'[b]} (m)", aspect="equal")
         wide, deep, high = np.ptp(cloud.reshape(-1, 3), axis=0)
-        headline(panels[0], f"From above: {wide:.2f} by {deep:.2f} m")
-        headline(panels[1], f"From the side: {wide:.2f} by {high:.2f} m")
+        style.headline(panels[0], f"From above: {wide:.2f} by {deep:.2f} m")
+        style.headline(panels[1], f"From the side: {wide:.2f} by {high:.2f} m")
         handles = _arm_marks(panels[0], cloud.shape[1])
         if boxes:
             handles += panels[0].plot([], [], color=RED, linestyle="--", label="dense region of the paper")
@@ -156,8 +148,8 @@ def joint_displacements(curves: JointCurves) -> Figure:
     parts: dict[str, list[str]] = {}
     for name in curves.moved:
         parts.setdefault(name.rpartition(" ")[0], []).append(name)
-    shades = {part: INK if i == 0 else _colour(i - 1) for i, part in enumerate(parts)}
-    with new_figure(WIDTH, 3.2) as figure:
+    shades = {part: style.INK if i == 0 else _colour(i - 1) for i, part in enumerate(parts)}
+    with style.new_figure(style.WIDTH, 3.2) as figure:
         slides, turns = figure.subplots(1, 2)
         for part, names in parts.items():
             for name, line in zip(names, ("-", "--", ":", "-."), strict=False):
@@ -166,14 +158,15 @@ def joint_displacements(curves: JointCurves) -> Figure:
                 axes.plot(curves.time, curves.moved[name] * scale, color=shades[part], linestyle=line, label=name)
         for axes, kind, unit in ((slides, "Sliding", "mm"), (turns, "Turning", "deg")):
             most = max((float(np.ptp(np.asarray(line.get_ydata()))) for line in axes.get_lines()), default=0.0)
-            headline(axes, f"{kind} joints: up to {most:.0f} {unit}" if axes.lines else f"No {kind.lower()} joint")
+            moved = f"{kind} joints: up to {most:.0f} {unit}" if axes.lines else f"No {kind.lower()} joint"
+            style.headline(axes, moved)
             axes.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
         figure.legend(loc="outside lower center", ncols=6, fontsize=7.0)
     return figure
 
 
 def _colour(arm: int) -> tuple[float, float, float]:
-    return rgb([colours.arm_colour(arm)])[0]
+    return style.rgb([colours.arm_colour(arm)])[0]
 
 
 def _arm_marks(axes: Any, arms: int) -> list[Any]:

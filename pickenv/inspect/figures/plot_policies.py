@@ -17,13 +17,7 @@ from numpy.typing import ArrayLike
 from pickenv.base import InputError
 from pickenv.inspect.colours import GREY, RED, policy_colours
 from pickenv.inspect.figures import style
-from pickenv.inspect.runs.comparison_summary import (
-    SCALE_PERCENTILE,
-    cell_means,
-    episode_misses,
-    field_mm,
-    outcome_sentence,
-)
+from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 
 SMALLEST = 1e-3
@@ -34,40 +28,36 @@ HEIGHTS = 3
 
 def distance_over_time(episodes: RecordedEpisodes) -> Figure:
     """Distance between tool and fruit in every episode, on a logarithmic axis, with what the gripper forgives."""
-    with style.new_figure(style.WIDTH, 3.2) as figure:
-        axes = figure.add_subplot(xlabel="time in the episode (s)", ylabel="distance to the fruit (mm)", yscale="log")
-        for policy, colour in zip(episodes.policies, _episode_colours(episodes), strict=True):
+    words = "time in the episode (s)", "distance to the fruit (mm)"
+    with style.new_panel(style.WIDTH, 3.2, *words, legend=len(episodes.policies) + 1) as (figure, axes):
+        axes.set_yscale("log")
+        for policy, colour in zip(episodes.policies, style.rgb(episodes.colours), strict=True):
             for distance, moments in zip(policy.position_error_mm, policy.moments, strict=True):
                 distance = np.maximum(distance[:moments], SMALLEST)
                 axes.plot(episodes.period * np.arange(moments), distance, color=colour, linewidth=0.7, alpha=0.7)
             axes.plot([], [], color=colour, linewidth=3.0, label=policy.label)
-        _title_and_tolerance(axes, episodes, outcome_sentence(episodes))
+        _title_and_tolerance(axes, episodes, summary.outcome_sentence(episodes))
     return figure
 
 
-def _episode_colours(episodes: RecordedEpisodes) -> list[tuple[float, float, float]]:
-    return style.rgb(policy_colours([policy.key for policy in episodes.policies]))
-
-
 def _title_and_tolerance(axes: Any, episodes: RecordedEpisodes, title: str) -> None:
-    """Set a panel's title and legend, and draw what the gripper forgives as a line."""
+    """Set a panel's title, and draw what the gripper forgives as a line."""
     label = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
     axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=label)
     axes.set_title(title)
     style.plain_decades(axes.yaxis)
-    axes.figure.legend(loc="outside lower center", ncols=len(episodes.policies) + 1)
 
 
 def misses_by_fruit(episodes: RecordedEpisodes) -> Figure:
     """The miss at each fruit with every policy, fruit in the order of the first policy's miss."""
     first, last = episodes.policies[0], episodes.policies[-1]
-    order = np.argsort(episode_misses(first))
-    nearer = int(np.sum(episode_misses(last) < episode_misses(first)))
-    with style.new_figure(style.WIDTH, 2.8) as figure:
-        axes = figure.add_subplot(ylabel="miss (mm)", yscale="log")
-        axes.set_xlabel(f"fruit, by the miss of {first.label} (number)")
-        for policy, colour in zip(episodes.policies, _episode_colours(episodes), strict=True):
-            misses = np.maximum(episode_misses(policy)[order], SMALLEST)
+    order = np.argsort(summary.episode_misses(first))
+    nearer = int(np.sum(summary.episode_misses(last) < summary.episode_misses(first)))
+    words = f"fruit, by the miss of {first.label} (number)", "miss (mm)"
+    with style.new_panel(style.WIDTH, 2.8, *words, legend=len(episodes.policies) + 1) as (figure, axes):
+        axes.set_yscale("log")
+        for policy, colour in zip(episodes.policies, style.rgb(episodes.colours), strict=True):
+            misses = np.maximum(summary.episode_misses(policy)[order], SMALLEST)
             axes.plot(np.arange(1, len(order) + 1), misses, "o", color=colour, markersize=4, label=policy.label)
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         title = f"{last.label} misses less than {first.label} at {nearer} of {len(order)} fruit"
@@ -78,8 +68,8 @@ def misses_by_fruit(episodes: RecordedEpisodes) -> Figure:
 def difference_map(comparison: Comparison) -> Figure:
     """Map of the places where the last policy misses less than the first: layers of the workspace seen from above."""
     first, last = comparison.policies[0], comparison.policies[-1]
-    change, points = field_mm(last) - field_mm(first), comparison.grid.points
-    top = float(np.percentile(np.abs(change), SCALE_PERCENTILE)) or 1.0
+    change, points = summary.field_mm(last) - summary.field_mm(first), comparison.grid.points
+    top = float(np.percentile(np.abs(change), summary.SCALE_PERCENTILE)) or 1.0
     worse, better = style.rgb(policy_colours([first.key, last.key]))
     colours = LinearSegmentedColormap.from_list("nearer", [better, (0.82, 0.82, 0.84), worse])
     layers = np.array_split(np.unique(comparison.grid.index[:, 2]), HEIGHTS)
@@ -90,7 +80,7 @@ def difference_map(comparison: Comparison) -> Figure:
     with style.new_figure(style.WIDTH, 2.4) as figure:
         panels: Any = figure.subplots(1, len(rows), squeeze=False, sharex=True, sharey=True)[0]
         for axes, layer in zip(panels, rows, strict=True):
-            cells, mean = cell_means(comparison.grid.index[layer] * np.array([1, 1, 0]), change[layer])
+            cells, mean = summary.cell_means(comparison.grid.index[layer] * np.array([1, 1, 0]), change[layer])
             grid = np.full((width, depth), np.nan)
             grid[cells[:, 0], cells[:, 1]] = mean
             marks = axes.pcolormesh(*edges, grid.T, cmap=colours, norm=TwoSlopeNorm(0.0, -top, top))
@@ -171,8 +161,7 @@ def success_against_misalignment(
         points: For each policy, by gripper, its mean error, mm, and its share of successes with its interval.
     """
     colours = style.shades(points)
-    with style.new_figure(style.WIDTH, 2.8) as figure:
-        axes = figure.add_subplot(xlabel="lateral misalignment (mm)", ylabel="success (%)")
+    with style.new_panel(style.WIDTH, 2.8, "lateral misalignment (mm)", "success (%)", legend=3) as (figure, axes):
         shares = {policy: {g: 100.0 * share for g, (_, (share, _)) in at.items()} for policy, at in points.items()}
         grippers = list(dict.fromkeys(g for at in shares.values() for g in at))
         taken = [f"{g} {style.change({p: at[g] for p, at in shares.items() if g in at}, '%')}" for g in grippers]
@@ -191,7 +180,6 @@ def success_against_misalignment(
             axes.plot([], [], "o", label=f"{policy}: mean error, success", **look)
         farthest = max((error for at in points.values() for error, _ in at.values()), default=0.0)
         axes.set(ylim=(-3.0, 103.0), xlim=(0.0, _seen_to(curves, farthest)))
-        figure.legend(loc="outside lower center", ncols=3)
     return figure
 
 
@@ -224,8 +212,8 @@ def accuracy_against_cycle_time(
     colours = style.shades(dict.fromkeys(compensation for _, compensation in curves))
     shortest = min(map(len, errors))
     times = period * np.arange(1, 1 + max(map(len, errors)))
-    with style.new_figure(style.WIDTH, 3.2) as figure:
-        axes = figure.add_subplot(xlabel="cycle time (s)", ylabel="mean position error (mm)", yscale="log")
+    with style.new_panel(style.WIDTH, 3.2, "cycle time (s)", "mean position error (mm)") as (figure, axes):
+        axes.set_yscale("log")
         first, ends = next(iter(patterns)), {}
         for (policy, compensation), error in zip(curves, errors, strict=True):
             axes.plot(times[: len(error)], error, linestyle=patterns[policy], color=colours[compensation])
@@ -277,8 +265,7 @@ def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Fi
         accuracy_mm: For each controller, AP at those times ``(T,)``.
     """
     series = style.finite_series(accuracy_mm)
-    with style.new_figure(style.COLUMN, 2.6) as figure:
-        axes = figure.add_subplot(xlabel="time since switched on (h)", ylabel="AP at P1 (mm)")
+    with style.new_panel(style.COLUMN, 2.6, "time since switched on (h)", "AP at P1 (mm)") as (figure, axes):
         drifts = {label: float(np.abs(values - values[0]).max()) for label, values in series.items()}
         style.headline(axes, f"Drift of AP at P1: {style.change(drifts, 'mm')}")
         for label, values, colour in style.coloured(series):

@@ -70,11 +70,15 @@ class Drawing:
         name: File name without suffix.
         caption: What it shows, in a sentence.
         draw: Draws it.
+        spec: Plotly's data and layout where it comes alive in a browser; what `draw` draws is for print.
+        hint: What a reader can do with it then.
     """
 
     name: str
     caption: str
     draw: Callable[[], Figure]
+    spec: Mapping[str, Any] | None = None
+    hint: str = ""
 
 
 @dataclass(frozen=True)
@@ -155,10 +159,10 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
 def _success(comparison: Comparison) -> Figure:
     points = {
         label: {
-            name: (float(grips.lateral_mm.mean()), (float(p.mean()), clustered_share_interval(p, 1)))
-            for name, p in grips.success.items()
+            name: (float(lateral_mm.mean()), (float(p.mean()), clustered_share_interval(p, 1)))
+            for name, p in success.items()
         }
-        for label, grips in gripped(comparison).items()
+        for label, (lateral_mm, success) in gripped(comparison).items()
     }
     return plot_policies.success_against_misalignment(gripper_curves(), points)
 

@@ -101,6 +101,33 @@ def new_figure(width: float, height: float, **more: Any) -> Iterator[Figure]:
         yield Figure(figsize=(width, height), layout="constrained")
 
 
+@contextmanager
+def new_panel(
+    width: float, height: float, x: str, y: str, *, legend: int = 0, **more: Any
+) -> Iterator[tuple[Figure, Any]]:
+    """A figure of one panel, and the panel.
+
+    Args:
+        width: Of the figure, inches.
+        height: Of the figure, inches.
+        x: Words on the panel's x axis.
+        y: Words on its y axis.
+        legend: Columns of the legend below the panel; none for 0.
+        more: Settings of matplotlib beside the house's own.
+    """
+    with new_figure(width, height, **more) as figure:
+        yield figure, figure.add_subplot(xlabel=x, ylabel=y)
+        if legend:
+            figure.legend(loc="outside lower center", ncols=legend)
+
+
+def colour_bar(figure: Figure, marks: Any, panels: Any, **look: Any) -> Any:
+    """The scale of coloured ``marks`` beside their panels, without a frame."""
+    bar = figure.colorbar(marks, ax=panels, **look)
+    bar.outline.set_visible(False)
+    return bar
+
+
 def finite_series(curves: Mapping[str, ArrayLike]) -> dict[str, Array]:
     """The curves as finite arrays ``(N,)``; an empty or a non-finite one is refused by name."""
     series = {str(label): np.asarray(values, dtype=float).ravel() for label, values in curves.items()}

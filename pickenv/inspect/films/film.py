@@ -118,43 +118,13 @@ class FilmCaption:
     tried: int
 
 
-@dataclass(frozen=True)
-class FilmFrame:
-    """One frame.
-
-    Attributes:
-        episode: Number of the episode in the run.
-        moment: Number of the moment; a policy whose episode is over stays at its last one.
-        stated: One entry per policy.
-    """
-
-    episode: int
-    moment: int
-    stated: tuple[FilmCaption, ...]
-
-
-@dataclass(frozen=True)
-class FilmPlan:
-    """A film, but for its pictures.
-
-    Attributes:
-        frames: In their order.
-        frames_per_second: How fast they follow one another.
-        speed: How many times as fast as the arms moved.
-        policies: Numbers of the policies in the run, left first.
-        reaching: Whether each episode is for one fruit.
-    """
-
-    frames: tuple[FilmFrame, ...]
-    frames_per_second: int
-    speed: float
-    policies: tuple[int, ...]
-    reaching: bool
-
-
 def plan_film(
-    episodes: RecordedEpisodes, labels: Sequence[str] = (), seconds: float = 12.0, frames_per_second: int = 10
-) -> FilmPlan:
+    episodes: RecordedEpisodes,
+    labels: Sequence[str] = (),
+    seconds: float = 12.0,
+    frames_per_second: int = 10,
+    dark: bool = False,
+) -> Film:
     """Choose the moments of a film: the first episodes of the run, as many as can be followed.
 
     Args:
@@ -162,6 +132,7 @@ def plan_film(
         labels: Policies to show, left first; the first and the last of the run where none are named.
         seconds: Length of the film.
         frames_per_second: Frames of each second.
+        dark: Whether the background is dark.
 
     Raises:
         InputError: If a policy is not in the run, or the length is impossible.
@@ -174,8 +145,8 @@ def plan_film(
     for label in labels:
         if label not in labels_of_run:
             raise InputError(f"there is no policy '{label}' in this run; give one of {', '.join(labels_of_run)}")
-    numbers = tuple(map(labels_of_run.index, labels)) or tuple(dict.fromkeys((0, len(labels_of_run) - 1)))
-    policies = [episodes.policies[number] for number in numbers]
+    numbers = [labels_of_run.index(label) for label in labels] or dict.fromkeys((0, len(labels_of_run) - 1))
+    policies = tuple(episodes.policies[number] for number in numbers)
     reaching = not any((np.diff(policy.picked, axis=1) > 0).sum(axis=1).max() > 1 for policy in policies)
     reaching &= all(np.isfinite(policy.miss_mm).sum(axis=1).max() <= 1 for policy in policies)
     ways = [_way(policies, episode, reaching) for episode in range(len(episodes.seeds))]
@@ -184,12 +155,9 @@ def plan_film(
     last = max(int((total <= count * MOST_MOMENTS).sum()), 1)
     moments = [moment for way in ways[:last] for moment in way]
     picks = np.round(np.linspace(0, len(moments) - 1, count)).astype(int)
-    frames = tuple(
-        FilmFrame(episode, moment, tuple(_caption(policy, episode, moment) for policy in policies))
-        for episode, moment in (moments[index] for index in picks)
-    )
+    frames = tuple(moments[index] for index in picks)
     speed = len(moments) * episodes.period * frames_per_second / count
-    return FilmPlan(frames, frames_per_second, speed, numbers, reaching)
+    return Film(episodes, policies, frames, frames_per_second, speed, reaching, dark)
 
 
 def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> list[tuple[int, int]]:
@@ -247,28 +215,35 @@ def grasp_offset(policy: RecordedPolicy, episode: int, attempt: Attempt) -> Arra
 
 
 @dataclass(frozen=True, eq=False)
-class FilmSet:
-    """The parts that stay the same throughout a film.
+class Film:
+    """A film, but for its pictures.
 
     Attributes:
         episodes: The run's episodes.
-        plan: The film's frames.
+        policies: Those that are shown, left first.
+        frames: Episode and moment of each frame; a policy whose episode is over stays at its last moment.
+        frames_per_second: How fast they follow one another.
+        speed: How many times as fast as the arms moved.
+        reaching: Whether each episode is for one fruit.
         dark: Whether the background is dark.
     """
 
     episodes: RecordedEpisodes
-    plan: FilmPlan
+    policies: tuple[RecordedPolicy, ...]
+    frames: tuple[tuple[int, int], ...]
+    frames_per_second: int
+    speed: float
+    reaching: bool
     dark: bool
+
+    def stated(self, number: int) -> list[FilmCaption]:
+        """The statements of a frame, given its number, one per policy."""
+        return [_caption(policy, *self.frames[number]) for policy in self.policies]
 
     @cached_property
     def shown(self) -> list[int]:
         """Episodes that are shown."""
-        return sorted({frame.episode for frame in self.plan.frames})
-
-    @cached_property
-    def policies(self) -> list[RecordedPolicy]:
-        """The film's policies, left first."""
-        return [self.episodes.policies[number] for number in self.plan.policies]
+        return sorted({episode for episode, _ in self.frames})
 
     @cached_property
     def attempts(self) -> list[list[list[Attempt]]]:
@@ -323,38 +298,37 @@ class FilmSet:
         if self.episodes.nominal is not None:
             x, y, z = (float(value) for value in self.episodes.nominal.base.position)
             parts += (pedestal(x, y, self.ground, z, float(arm_look(self.episodes.nominal).radius[0])),)
-        if not self.plan.reaching:
+        if not self.reaching:
             fruit = np.concatenate(list(self.fruit.values()))
             low, high = fruit.min(axis=0) - AROUND, fruit.max(axis=0) + AROUND
             parts += row_of_trees(tuple(low.tolist()), tuple(high.tolist()), LEAVES, self.ground)
         return parts
 
 
-def film_stage(film_set: FilmSet, frame: FilmFrame, side: int) -> Stage:
+def film_stage(film: Film, number: int, side: int) -> Stage:
     """One half of a frame.
 
     Args:
-        film_set: What stays the same.
-        frame: The frame.
+        film: The film.
+        number: Number of the frame.
         side: Number of the policy among those of the film.
     """
-    policy, caption = film_set.policies[side], frame.stated[side]
+    policy, caption, (episode, moment) = film.policies[side], film.stated(number)[side], film.frames[number]
     (colour,) = policy_colours([policy.key])
-    now = min(frame.moment, int(policy.moments[frame.episode]) - 1)
+    now = min(moment, int(policy.moments[episode]) - 1)
     solids = joined_solids(
-        arm_parts(film_set.episodes, policy, frame.episode, now, colour),
-        _fruit(film_set, side, frame.episode, now, caption.picked),
+        arm_parts(film.episodes, policy, episode, now, colour), _fruit(film, side, episode, now, caption.picked)
     )
     words = (
         Words(policy.label, large=True),
         Words(f"picked {caption.picked} of {caption.tried}"),
         Words(f"{caption.distance_mm:.1f} mm to the fruit", "top right"),
         Words(f"ghost: the arm as believed, deviation × {GAIN}", "bottom left"),
-        *_missed(film_set, side, frame.episode, now),
+        *_missed(film, side, episode, now),
     )
     label = "no grasp yet" if caption.miss_mm is None else f"miss {caption.miss_mm:.1f} mm"
-    dial = Dial(_marks_mm(film_set, side, frame.episode, now), film_set.episodes.tolerance_mm, colour, label)
-    return Stage(film_set.eye, *solids, film_set.still, words, dial, HALF, film_set.dark)
+    dial = Dial(_marks_mm(film, side, episode, now), film.episodes.tolerance_mm, colour, label)
+    return Stage(film.eye, *solids, film.still, words, dial, HALF, film.dark)
 
 
 def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, moment: int, colour: Rgb) -> Solids:
@@ -377,15 +351,15 @@ def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
     return axis if np.isfinite(axis).all() else np.array([0.0, 0.0, 1.0])
 
 
-def _fruit(film_set: FilmSet, side: int, episode: int, now: int, picked: int) -> Solids:
+def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids:
     """Fruit of the episode as this policy has left it, and a crate with what it has picked."""
-    track, places = film_set.policies[side].fruit_position[episode], film_set.fruit[episode].copy()
+    track, places = film.policies[side].fruit_position[episode], film.fruit[episode].copy()
     present, in_cup, missed = np.ones(len(places), dtype=bool), *np.zeros((2, len(places)), dtype=bool)
-    for attempt in film_set.attempts[side][episode]:
-        number = int(np.argmin(np.linalg.norm(film_set.fruit[episode] - track[attempt.begin], axis=1)))
+    for attempt in film.attempts[side][episode]:
+        number = int(np.argmin(np.linalg.norm(film.fruit[episode] - track[attempt.begin], axis=1)))
         if attempt.begin <= now <= attempt.end and (now < attempt.close or attempt.taken):
             places[number], in_cup[number] = track[now], attempt.taken and now >= attempt.close
-        present[number] = not (attempt.taken and now >= attempt.end + film_set.plan.reaching)  # a reach ends in the cup
+        present[number] = not (attempt.taken and now >= attempt.end + film.reaching)  # a reach ends in the cup
         missed[number] = not attempt.taken and now >= attempt.close
     colours = fruit_colours(len(places))
     colours[missed] = MISSED_FRUIT
@@ -394,28 +368,28 @@ def _fruit(film_set: FilmSet, side: int, episode: int, now: int, picked: int) ->
     parts = [
         fruit_solids(places[hanging], FRUIT, colours[hanging]),
         fruit_solids(places[loose], FRUIT, colours[loose], stems=False),
-        crate(film_set.eye, HALF, picked, FRUIT, film_set.ground),
+        crate(film.eye, HALF, picked, FRUIT, film.ground),
     ]
-    if film_set.plan.reaching:
-        parts += [sprig(place, FRUIT) for place in film_set.fruit[episode][:1]]
+    if film.reaching:
+        parts += [sprig(place, FRUIT) for place in film.fruit[episode][:1]]
     return joined_solids(*parts)
 
 
-def _missed(film_set: FilmSet, side: int, episode: int, now: int) -> Iterator[Words]:
+def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
     """The length of each miss, in words at its fruit."""
-    policy = film_set.policies[side]
-    for attempt in film_set.attempts[side][episode]:
+    policy = film.policies[side]
+    for attempt in film.attempts[side][episode]:
         if not attempt.taken and attempt.close <= now:
             place = policy.fruit_position[episode, attempt.begin] - [0.0, 0.0, 0.75 * FRUIT]
-            yield Words(f"missed by {policy.miss_mm[episode, attempt.close]:.1f} mm", place, MISS[film_set.dark])
+            yield Words(f"missed by {policy.miss_mm[episode, attempt.close]:.1f} mm", place, MISS[film.dark])
 
 
-def _marks_mm(film_set: FilmSet, side: int, episode: int, now: int) -> Array:
+def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
     """The tool's places ``(K, 2)``, mm, seen from the fruit, whenever the gripper has closed so far."""
-    policy, attempts = film_set.policies[side], film_set.attempts[side]
+    policy, attempts = film.policies[side], film.attempts[side]
     closed = [(e, a) for e in range(episode) for a in attempts[e]]
     closed += [(episode, a) for a in attempts[episode] if a.close <= now]
-    marks = [seen_along(tool_axis(policy, e, a.close), grasp_offset(policy, e, a), film_set.eye) for e, a in closed]
+    marks = [seen_along(tool_axis(policy, e, a.close), grasp_offset(policy, e, a), film.eye) for e, a in closed]
     return 1e3 * np.reshape(marks, (-1, 2))
 
 
@@ -424,19 +398,6 @@ def seen_along(axis: Array, offset: Array, eye: Eye) -> Array:
     right = np.cross(eye.axes()[2], axis)
     right /= max(float(np.linalg.norm(right)), 1e-9)
     return np.array([offset @ right, offset @ np.cross(axis, right)])
-
-
-@dataclass(frozen=True)
-class Film:
-    """A film that was written.
-
-    Attributes:
-        path: The file.
-        plan: What each of its frames states.
-    """
-
-    path: Path
-    plan: FilmPlan
 
 
 def film(
@@ -460,6 +421,9 @@ def film(
         dark: Whether the background is dark.
         progress: Called with (stage, done, in all).
 
+    Returns:
+        The film, which says what each of its frames states.
+
     Raises:
         InputError: If the run is no comparison, a policy is not in it, or the file's ending is unknown.
         MissingExtra: If what draws or writes films is not installed.
@@ -471,32 +435,29 @@ def film(
     record = read_run(Path(run))
     if record.kind != "comparison":
         raise InputError(f"{run} is a run of kind '{record.kind}'; give the folder of a run of `pickenv compare`")
-    episodes = load_part(record, RecordedEpisodes)
-    plan = plan_film(episodes, policies, seconds, frames_per_second)
+    made = plan_film(load_part(record, RecordedEpisodes), policies, seconds, frames_per_second, dark)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_film(film_pictures(episodes, plan, dark=dark, progress=progress), path, frames_per_second)
-    return Film(path, plan)
+    write_film(film_pictures(made, progress), path, frames_per_second)
+    return made
 
 
-def film_pictures(
-    episodes: RecordedEpisodes, plan: FilmPlan, *, dark: bool = False, progress: Progress | None = None
-) -> Iterator[Pixels]:
+def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixels]:
     """The frames of a film, ``(height, width, 3)``."""
-    film_set = FilmSet(episodes, plan, dark)
-    width = len(plan.policies) * (HALF[0] + GAP) - GAP
+    episodes, sides = film.episodes, range(len(film.policies))
+    width = len(sides) * (HALF[0] + GAP) - GAP
     plant = f", plant {episodes.plant_name}" if episodes.plant_name else ""
     below = strip(
-        f"{episodes.env_id}{plant}, gripper {episodes.gripper}: the same fruit, {plan.speed:.1f} × as fast as the arm",
+        f"{episodes.env_id}{plant}, gripper {episodes.gripper}: the same fruit, {film.speed:.1f} × as fast as the arm",
         (width, STRIP),
-        dark,
+        film.dark,
     )
     gap = np.full((HALF[1], GAP, 3), below[0, 0], dtype=np.uint8)
-    for number, frame in enumerate(plan.frames, start=1):
-        halves = (painted(film_stage(film_set, frame, side)) for side in range(len(plan.policies)))
+    for number in range(len(film.frames)):
+        halves = (painted(film_stage(film, number, side)) for side in sides)
         parts = [part for half in halves for part in (half, gap)][:-1]
         yield np.concatenate([np.concatenate(parts, axis=1), below])
         if progress is not None:
-            progress("frames", number, len(plan.frames))
+            progress("frames", number + 1, len(film.frames))
 
 
 def write_film(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -> None:

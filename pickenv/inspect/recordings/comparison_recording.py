@@ -5,6 +5,7 @@ The main time line is `reach`, the number of the reach; a day in the field has `
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +16,10 @@ from rerun.blueprint.components import ComponentColumnSelector
 from rerun.components import Colormap
 from rerun.encodings import TensorDimensionIndexSelection
 
-from pickenv.arm import Array
+from pickenv.arm import drawn_parts, nominal_points, true_points
 from pickenv.base import InputError
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, Rgb, lane, policy_colours, policy_key
-from pickenv.inspect.recordings.details import DAY_WORDS, FLOOR, Day, Details, attitude_length, details_of, send_details
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_key
+from pickenv.inspect.recordings.details import ADAPTED, DAY_WORDS, ArrowTab, Day, arrow_tabs, day_of, send_details
 from pickenv.inspect.recordings.scribe import (
     Scribe,
     f32,
@@ -33,7 +34,7 @@ from pickenv.inspect.recordings.scribe import (
 )
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
-from pickenv.inspect.runs.saved import cut_away, drawn_parts, eye_direction, nominal_points, shown_box, true_points
+from pickenv.inspect.runs.saved import cut_away, eye_direction, shown_box
 
 TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008
@@ -56,13 +57,13 @@ def record_comparison(comparison: Comparison, path: str | Path, *, gain: float =
             zero, or if the file cannot be written.
     """
     _check(comparison, gain)
-    details = details_of(comparison)
+    arrows, day = arrow_tabs(comparison, gain), day_of(comparison)
     times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
     return write_recording(
         path,
         f"{comparison.plant.name}:seed{comparison.seed}",
-        comparison_blueprint(comparison, details, gain),
-        lambda stream: _send(Scribe(stream, times), comparison, details, gain),
+        comparison_blueprint(comparison, arrows, day, gain),
+        lambda stream: _send(Scribe(stream, times), comparison, arrows, day, gain),
     )
 
 
@@ -81,8 +82,8 @@ def _check(comparison: Comparison, gain: float) -> None:
         raise InputError(f"the gain is {gain}; give a number above zero")
 
 
-def _send(scribe: Scribe, comparison: Comparison, details: Details, gain: float) -> None:
-    plant, top = comparison.plant, summary.colour_scale_mm(comparison)
+def _send(scribe: Scribe, comparison: Comparison, arrows: Sequence[ArrowTab], day: Day | None, gain: float) -> None:
+    plant = comparison.plant
     scribe.properties(
         plant=plant.name,
         arm=plant.arm.name,
@@ -91,36 +92,23 @@ def _send(scribe: Scribe, comparison: Comparison, details: Details, gain: float)
         policies=[policy.key for policy in comparison.policies],
         gain=gain,
         tolerance_mm=comparison.tolerance_mm,
-        colour_scale_mm=top,
+        colour_scale_mm=summary.colour_scale_mm(comparison),
     )
     _send_scene(scribe, comparison, gain)
-    for policy in comparison.policies:
-        _send_field(scribe, comparison, policy, gain)
-        _send_reaches(scribe, comparison, policy, gain)
+    for policy, colour in zip(comparison.policies, comparison.colours, strict=True):
+        _send_field(scribe, comparison, policy)
+        _send_reaches(scribe, comparison, policy, colour, gain)
     _send_tolerance(scribe, comparison, gain)
     _send_histograms(scribe, comparison)
-    scribe.colour_bar("legend/position", top, "mm")
     scribe.document("summary", summary.summary_markdown(comparison, gain))
-    send_details(scribe, comparison, details, gain)
-
-
-def _colours(comparison: Comparison) -> list[Rgb]:
-    return policy_colours([policy.key for policy in comparison.policies])
+    send_details(scribe, comparison, arrows, day)
 
 
 def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
     size, corner = comparison.grid.size, comparison.grid.corner
-    scribe.still(
-        "world/axes",
-        rr.Arrows3D(
-            origins=[corner] * 3,
-            vectors=np.diag(size),
-            colors=[WHITE] * 3,
-            labels=[f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)],
-            radii=rr.Radius.ui_points(1.5),
-        ),
-    )
+    labels = [f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)]
+    scribe.axes("world/axes", corner, size, labels, 1.5)
     scribe.still(
         "world/workspace",
         rr.Boxes3D(
@@ -141,21 +129,17 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     exaggerated = nominal + gain * (true - nominal)
     scribe.arm("world/arm/nominal", nominal, parts, GREY, "majorwireframe")
     scribe.arm("world/arm/true", true, parts, STEEL, "solid")
-    scribe.arm("world/arm/exaggerated", exaggerated, parts, _colours(comparison)[0], "solid", 0.5)
+    scribe.arm("world/arm/exaggerated", exaggerated, parts, comparison.colours[0], "solid", 0.5)
 
 
-def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, gain: float) -> None:
-    """One policy's error field three times: arrows, voxels, and a tensor for slices."""
-    entity, top, magnitude = (
-        f"world/field/{policy.key}",
-        summary.colour_scale_mm(comparison),
-        summary.field_mm(policy),
-    )
-    errors, step = policy.field_errors, comparison.grid.step
-    scribe.arrows(f"{entity}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
+def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) -> None:
+    """One policy's error field as voxels, and as a tensor for slices."""
+    magnitude, step = summary.field_mm(policy), comparison.grid.step
+    top = summary.colour_scale_mm(comparison)
     visible, index = ~cut_away(comparison), comparison.grid.index
     corner = comparison.grid.origin - step / 2.0
-    scribe.voxels(f"{entity}/voxels", *summary.cell_means(index[visible], magnitude[visible]), top, step, corner)
+    cells = summary.cell_means(index[visible], magnitude[visible])
+    scribe.voxels(f"world/field/{policy.key}/voxels", *cells, top, step, corner)
     index, mean = summary.cell_means(index, magnitude)
     grid = np.full(comparison.grid.shape, np.nan, dtype=np.float32)
     grid[tuple(index.T)] = mean
@@ -172,11 +156,10 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, 
     )
 
 
-def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, gain: float) -> None:
+def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb, gain: float) -> None:
     """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
     if not scribe.times:
         return
-    colour = dict(zip((p.key for p in comparison.policies), _colours(comparison), strict=True))[policy.key]
     ends = policy.ends
     miss = ends.tool_position - comparison.fruit
     entity = f"world/miss/{policy.key}"
@@ -204,14 +187,7 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None
     )
     scribe.still("world/capture", ball)
     scribe.capture(comparison.tolerance_mm)
-    axes = rr.Arrows3D(
-        origins=np.zeros((3, 3)),
-        vectors=comparison.tolerance_mm * np.eye(3),
-        colors=[WHITE] * 3,
-        labels=["x", "y", "z"],
-        radii=rr.Radius.ui_points(1.0),
-    )
-    scribe.still("target/axes", axes)
+    scribe.axes("target/axes", np.zeros(3), [comparison.tolerance_mm] * 3, list("xyz"), 1.0)
     scribe.along("world/capture", rr.Ellipsoids3D.columns(centers=f32(comparison.fruit)))
 
 
@@ -219,7 +195,7 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     """Reach errors in bins that all policies share; within a bin the policies' bars stand side by side."""
     edges, count = summary.histogram_edges_mm(comparison), len(comparison.policies)
     width = float(edges[1] - edges[0]) * 0.9 / count
-    for i, (policy, colour) in enumerate(zip(comparison.policies, _colours(comparison), strict=True)):
+    for i, (policy, colour) in enumerate(zip(comparison.policies, comparison.colours, strict=True)):
         numbers, _ = np.histogram(policy.ends.position_error_mm, edges)
         middle = (edges[:-1] + edges[1:]) / 2.0 + (i - (count - 1) / 2.0) * width
         chart = rr.BarChart(
@@ -251,57 +227,52 @@ def ghost(comparison: Comparison) -> list[str]:
 REACHES_PER_SECOND = 2.0
 
 
-def comparison_blueprint(comparison: Comparison, details: Details, gain: float) -> rrb.Blueprint:
+def comparison_blueprint(
+    comparison: Comparison, arrows: Sequence[ArrowTab], day: Day | None, gain: float
+) -> rrb.Blueprint:
     """The layout for ``comparison``, whose errors are drawn ``gain`` times too long.
 
     Args:
         comparison: At least one policy.
-        details: From `details_of`.
+        arrows: From `arrow_tabs`.
+        day: From `day_of`.
         gain: As given to `record_comparison`.
     """
-    policies = comparison.policies
-    top = summary.colour_scale_mm(comparison)
-    has_reaches = len(comparison.fruit) > 0
-    arm = ghost(comparison)
-    fields = [
-        space(comparison, _field_title(policy, gain), [f"+ /world/field/{policy.key}/vectors", *arm])
-        for policy in policies
-    ]
+    policies, has_reaches = comparison.policies, len(comparison.fruit) > 0
     title = "{} | error magnitude, mm, corner cut away"
     voxels = [space(comparison, title.format(p.label), [f"+ /world/field/{p.key}/voxels"]) for p in policies]
     slices = [_slice(comparison, policy) for policy in policies]
-    if details.removed is not None:
-        fields.append(_removed(comparison, details.removed, gain))
-    meaning = f"Colour: position error, 0 to {top:.2f} mm"
+    errors, *reasons = (_arrows(comparison, tab) for tab in arrows)
+    meaning = arrows[0].meaning
     tabs: list[Any] = [
-        with_colour_bar(fields, "position", meaning, f"Error fields, arrows ×{gain:g}"),
+        errors,
         with_colour_bar(voxels, "position", meaning, "Voxels"),
         with_colour_bar(slices, "position", meaning, "Slices"),
     ]
     below = [rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary")]
-    tabs += detail_tabs(comparison, details, gain)
     if has_reaches:
         tabs.insert(1, _picking(comparison, gain))
-        tabs.append(_table(policies))
+        reasons.insert(0, _arms(comparison, gain))
         below = [_reaches(comparison), view_of(rrb.BarChartView, "hist", "Reaches by final position error, mm"), *below]
+    if comparison.field_uncertainty is not None:
+        reasons.append(_uncertainty(comparison))
+    if day is not None:
+        reasons.append(_day(day))
+    if has_reaches:
+        reasons.append(_table(policies))
     content = rrb.Vertical(
-        rrb.Tabs(*tabs, active_tab=0),
+        rrb.Tabs(*tabs, *reasons, active_tab=0),
         rrb.Horizontal(*below, column_shares=[3.0, 2.0, 3.0][-len(below) :]),
         row_shares=[5.6, 4.4],
     )
     return layout(content, "reach" if has_reaches else None, fps=REACHES_PER_SECOND)
 
 
-def _removed(comparison: Comparison, removed: Array, gain: float) -> Any:
-    """View of the error that the last policy takes away from that of the one before; beside the fields themselves."""
-    before, last = comparison.policies[-2:]
-    mean = summary.error_spread(np.linalg.norm(1e3 * removed, axis=-1)).mean
-    title = f"{before.label} minus {last.label} | mean {mean:.2f} mm | ×{gain:g}"
-    return space(comparison, title, ["+ /world/field/removed/vectors", *ghost(comparison)])
-
-
-def _field_title(policy: RecordedPolicy, gain: float) -> str:
-    return f"{policy.label} | mean {summary.error_spread(summary.field_mm(policy)).mean:.2f} mm | arrows ×{gain:g}"
+def _arrows(comparison: Comparison, tab: ArrowTab) -> Any:
+    views = [
+        space(comparison, title, [f"+ /{entity}", *ghost(comparison)]) for entity, (title, *_) in tab.fields.items()
+    ]
+    return with_colour_bar(views, tab.legend, tab.meaning, tab.name)
 
 
 def _picking(comparison: Comparison, gain: float) -> Any:
@@ -312,8 +283,7 @@ def _picking(comparison: Comparison, gain: float) -> Any:
         [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],
         overrides={"/world/arm/true": rrb.EntityBehavior(visible=False)},
     )
-    largest = max(float(policy.ends.position_error_mm.max()) for policy in comparison.policies)
-    distance = 1.7 * max(largest, comparison.tolerance_mm)
+    distance = 1.7 * max(comparison.largest_mm, comparison.tolerance_mm)
     aim = 500.0 * (comparison.policies[0].ends.tool_position - comparison.fruit).mean(axis=0)
     shots = seen_from(
         aim + distance * eye_direction(comparison),
@@ -342,12 +312,11 @@ def _slice(comparison: Comparison, policy: RecordedPolicy) -> Any:
 
 
 def _reaches(comparison: Comparison) -> Any:
-    largest = max(float(policy.ends.position_error_mm.max()) for policy in comparison.policies)
     errors = rrb.TimeSeriesView(
         origin="/metrics",
         contents=["+ /metrics/error_mm/**", "+ /metrics/tolerance_mm"],
         name="Final position error of each reach, mm",
-        axis_y=rrb.ScalarAxis(range=(0.0, 1.4 * max(largest, comparison.tolerance_mm)), zoom_lock=True),
+        axis_y=rrb.ScalarAxis(range=(0.0, 1.4 * max(comparison.largest_mm, comparison.tolerance_mm)), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=True),
     )
     outcome = view_of(rrb.StateTimelineView, "outcome", "Picked or missed (red)")
@@ -375,23 +344,6 @@ def _table(policies: tuple[RecordedPolicy, ...]) -> Any:
     )
 
 
-# Tabs for the reasons behind the errors: arms, effects, attitude, uncertainty, a day in the field.
-
-
-def detail_tabs(comparison: Comparison, details: Details, gain: float) -> list[Any]:
-    """One tab for each part of ``details`` that there is."""
-    tabs = [_effects(comparison, details, gain)]
-    if details.attitude:
-        tabs.append(_attitude(comparison, details))
-    if comparison.field_uncertainty is not None:
-        tabs.append(_uncertainty(comparison))
-    if details.day is not None:
-        tabs.append(_day(details.day))
-    if len(comparison.fruit):
-        tabs.insert(0, _arms(comparison, gain))
-    return tabs
-
-
 def _arms(comparison: Comparison, gain: float) -> Any:
     first = comparison.policies[0].label
     exaggerated = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/fruit", "+ /world/miss/**"]
@@ -403,36 +355,11 @@ def _arms(comparison: Comparison, gain: float) -> Any:
     )
 
 
-def _effects(comparison: Comparison, details: Details, gain: float) -> Any:
-    views = []
-    for name, field in details.effects.items():
-        mean = summary.error_spread(1e3 * np.linalg.norm(field, axis=-1)).mean
-        title = f"{name.replace('_', ' ')} | mean {mean:.2f} mm | ×{gain:g}"
-        views.append(space(comparison, title, [f"+ /world/effect/{name}", *ghost(comparison)]))
-    meaning = f"Colour: position error, 0 to {summary.colour_scale_mm(comparison):.2f} mm"
-    return with_colour_bar(views, "position", meaning, "Effects, each alone")
-
-
-def _attitude(comparison: Comparison, details: Details) -> Any:
-    labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
-    labels[FLOOR] = "No joint motion removes"
-    top, length = summary.attitude_scale_deg(details.attitude), attitude_length(comparison, details.attitude)
-    views = []
-    for key, field in details.attitude.items():
-        mean = summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1))).mean
-        title = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree"
-        views.append(space(comparison, title, [f"+ /world/attitude/{key}", *ghost(comparison)]))
-    meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
-    return with_colour_bar(views, "attitude", meaning, "Attitude")
-
-
 def _uncertainty(comparison: Comparison) -> Any:
     assert comparison.field_uncertainty is not None
     last, predicted = comparison.policies[-1], 1e3 * comparison.field_uncertainty
-    actual, inside = (
-        summary.field_mm(last),
-        100.0 * float(np.mean(summary.field_mm(last) < 2.0 * predicted)),
-    )
+    actual = summary.field_mm(last)
+    inside = 100.0 * float(np.mean(actual < 2.0 * predicted))
     least, most = float(predicted.min()), float(predicted.max())
     titles = {
         "predicted": f"Predicted standard uncertainty u | mean {predicted.mean():.2f} mm, {least:.2f} to {most:.2f} mm",
@@ -444,7 +371,8 @@ def _uncertainty(comparison: Comparison) -> Any:
 
 
 def _day(day: Day) -> Any:
-    largest = max(float(np.percentile(errors, 95, axis=1).max()) for errors in day.errors_mm.values())
+    errors = [errors for key, (_, errors) in day.lines.items() if key != ADAPTED]
+    largest = max(float(np.percentile(line, 95, axis=1).max()) for line in errors)
     plot = view_of(
         rrb.TimeSeriesView,
         "day",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -38,26 +38,17 @@ WORLD = "tf#/"
 """Rerun's name for the frame of the root entity, in which both URDF arms stand."""
 
 
-def send_details(scribe: Scribe, comparison: Comparison, details: Details, gain: float) -> None:
-    """Send ``details`` of ``comparison``, whose errors are drawn ``gain`` times too long."""
-    points, top = comparison.grid.points, summary.colour_scale_mm(comparison)
-    if details.removed is not None:
-        scribe.arrows("world/field/removed/vectors", points, gain * details.removed, 1e3 * details.removed, top)
-    for name, field in details.effects.items():
-        scribe.arrows(f"world/effect/{name}", points, gain * field, 1e3 * field, top)
-    if details.attitude:
-        top, length = (
-            summary.attitude_scale_deg(details.attitude),
-            attitude_length(comparison, details.attitude),
-        )
-        for key, field in details.attitude.items():
-            degrees = np.degrees(field)
-            scribe.arrows(f"world/attitude/{key}", points, length * degrees, degrees, top, "deg")
-        scribe.colour_bar("legend/attitude", top, "deg")
+def send_details(scribe: Scribe, comparison: Comparison, tabs: Sequence[ArrowTab], day: Day | None) -> None:
+    """Send fields of arrows, what a calibration predicts of its errors, the day, and the arms as they are exported."""
+    for tab in tabs:
+        for entity, (_, arrows, values) in tab.fields.items():
+            scribe.arrows(entity, comparison.grid.points, arrows, values, tab.top, tab.unit)
+    for legend, tab in {tab.legend: tab for tab in tabs}.items():
+        scribe.colour_bar(f"legend/{legend}", tab.top, tab.unit)
     if comparison.field_uncertainty is not None:
         _send_uncertainty(scribe, comparison, comparison.field_uncertainty)
-    if details.day is not None:
-        _send_day(scribe, comparison, details.day)
+    if day is not None:
+        _send_day(scribe, day)
     if scribe.times:
         commands = comparison.policies[0].ends.joint_command
         _send_urdf(scribe, "urdf_nominal", comparison.nominal, commands, GREY, "majorwireframe")
@@ -77,19 +68,17 @@ def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array
     scribe.colour_bar("legend/uncertainty", top, "mm")
 
 
-def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
+def _send_day(scribe: Scribe, day: Day) -> None:
     """Mean and 95th percentile over all fruit at every time of the day, and why they are so."""
     times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day.hours)]
     hours = Scribe(scribe.stream, times)
-    labels = {policy.key: policy.label for policy in comparison.policies}
-    lines = day.lines(labels)
-    for (key, (label, errors)), colour in zip(lines.items(), policy_colours(list(lines)), strict=True):
+    for (key, (label, errors)), colour in zip(day.lines.items(), policy_colours(list(day.lines)), strict=True):
         for name, values, width in (
             ("mean", errors.mean(axis=1), 2.2),
             ("p95", np.percentile(errors, 95, axis=1), 1.0),
         ):
             hours.curve(f"day/{name}_mm/{key}", f"{label}, {name}", colour, values, width)
-    scribe.document(DAY_WORDS, day.explanation(labels))
+    scribe.document(DAY_WORDS, day.explanation())
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
@@ -121,30 +110,62 @@ FLOOR = "floor"
 
 
 @dataclass(frozen=True, eq=False)
-class Details:
-    """Fields and curves of a comparison's further views.
+class ArrowTab:
+    """Fields of arrows side by side, all with one scale of colours.
 
     Attributes:
-        removed: What the last policy removes of the error that the one before it leaves ``(F, 3)``, m; None where there
-            is one policy.
-        effects: The error field that each effect has alone ``(F, 3)``, m; `geometry` is the true against the nominal
-            geometry.
-        attitude: Attitude errors over the field ``(F, 3)``, rotation vectors, rad: of the first policy, of the last,
-            and the part that no joint motion removes (key `FLOOR`); empty where attitudes are unknown.
-        day: A day in the field; None without reaches, or for an arm of which no drift is known.
+        name: What they are of.
+        legend: Key of the colour scale.
+        meaning: What the colours say.
+        unit: Of what the arrows stand for, mm or deg.
+        top: Upper end of the colour scale, in that unit.
+        fields: For each entity its title, arrows as drawn ``(F, 3)``, m, and what they stand for ``(F, 3)``.
     """
 
-    removed: Array | None
-    effects: Mapping[str, Array]
-    attitude: Mapping[str, Array]
-    day: Day | None
+    name: str
+    legend: str
+    meaning: str
+    unit: str
+    top: float
+    fields: Mapping[str, tuple[str, Array, Array]]
 
 
-def details_of(comparison: Comparison) -> Details:
-    """Compute all of it."""
-    policies = comparison.policies
-    removed = policies[-2].field_errors - policies[-1].field_errors if len(policies) > 1 else None
-    return Details(removed, effect_fields(comparison), attitude_fields(comparison), day_of(comparison))
+def arrow_tabs(comparison: Comparison, gain: float) -> list[ArrowTab]:
+    """The errors of each policy with what the last one removes, of each effect alone, and of attitudes if known."""
+    policies, top = comparison.policies, summary.colour_scale_mm(comparison)
+    errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
+    if len(policies) > 1:
+        before, last = policies[-2:]
+        removed = before.field_errors - last.field_errors
+        errors["world/field/removed/vectors"] = f"{before.label} minus {last.label}", "", removed
+    effects = effect_fields(comparison)
+    single = {f"world/effect/{name}": (name.replace("_", " "), "", field) for name, field in effects.items()}
+    meaning = f"Colour: position error, 0 to {top:.2f} mm"
+    tabs = []
+    for name, fields in ((f"Error fields, arrows ×{gain:g}", errors), ("Effects, each alone", single)):
+        if not fields:
+            continue
+        shown = {}
+        for entity, (label, arrows, field) in fields.items():
+            mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
+            shown[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{gain:g}", gain * field, 1e3 * field
+        tabs.append(ArrowTab(name, "position", meaning, "mm", top, shown))
+    attitude = attitude_fields(comparison)
+    return [*tabs, _attitude_tab(comparison, attitude)] if attitude else tabs
+
+
+def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> ArrowTab:
+    labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
+    labels[FLOOR] = "No joint motion removes"
+    top = summary.attitude_scale_deg(attitude)
+    length = summary.round_step(comparison.grid.step / top)  # m per degree, so that neighbours rarely overlap
+    shown = {}
+    for key, field in attitude.items():
+        mean, *_ = summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1)))
+        title, degrees = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree", np.degrees(field)
+        shown[f"world/attitude/{key}"] = title, length * degrees, degrees
+    meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
+    return ArrowTab("Attitude", "attitude", meaning, "deg", top, shown)
 
 
 def effect_fields(comparison: Comparison) -> dict[str, Array]:
@@ -163,18 +184,16 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 
 
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
-    """Attitude errors of the first and the last policy, and the floor under the last one; see `Details`."""
+    """Attitude errors over the field ``(F, 3)``, rotation vectors, rad, by key; empty where attitudes are unknown.
+
+    Of the first policy, of the last, and the part of its errors that no joint motion removes (`FLOOR`).
+    """
     first, last = comparison.policies[0], comparison.policies[-1]
     if first.field_attitude is None or last.field_attitude is None:
         return {}
     error = np.concatenate([last.field_errors, last.field_attitude], axis=1)
     floor = noncompensable_error(comparison.plant.geometry, comparison.grid.joints, error)[..., 3:]
     return {first.key: first.field_attitude, last.key: last.field_attitude, FLOOR: floor}
-
-
-def attitude_length(comparison: Comparison, fields: Mapping[str, Array]) -> float:
-    """Length of an attitude error of 1 deg as drawn, m: round, and such that neighbouring arrows rarely overlap."""
-    return summary.round_step(comparison.grid.step / summary.attitude_scale_deg(fields))
 
 
 # A day in the field: the arm warms up, the machine tilts and sinks, and the morning's calibration knows of neither.
@@ -209,44 +228,37 @@ class Day:
     Attributes:
         plant: Name of the preset whose drift it is.
         hours: Time of each reach since the machine was switched on ``(R,)``.
-        errors_mm: By policy, position error of every reach at every time ``(R times, R reaches)``.
-        adapted_mm: The same of the last policy's commands with a filter on top ``(R times, M machines)``, each of
-            which begins with another reach; None where the reaches are too few.
+        lines: Label and position errors, mm, of each line by key: of each policy, of every reach at every time ``(R
+            times, R reaches)``; and as `ADAPTED`, unless the reaches are too few, of the last policy's commands with a
+            filter on top ``(R times, M machines)``, each of which begins with another reach.
     """
 
     plant: str
     hours: Array
-    errors_mm: Mapping[str, Array]
-    adapted_mm: Array | None = None
+    lines: Mapping[str, tuple[str, Array]]
 
-    def lines(self, labels: Mapping[str, str]) -> dict[str, tuple[str, Array]]:
-        """Label and errors ``(R times, any)`` of each line that is drawn, by key, given the policies' labels."""
-        lines = {key: (labels[key], errors) for key, errors in self.errors_mm.items()}
-        if self.adapted_mm is not None:
-            lines[ADAPTED] = (f"{list(labels.values())[-1]}, adapted", self.adapted_mm)
-        return lines
-
-    def explanation(self, labels: Mapping[str, str]) -> str:
+    def explanation(self) -> str:
         """Explanation of what happens here, in Markdown, with the mean errors of the day."""
-        lines = self.lines(labels)
-        rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in lines.values()]
-        first, last = (list(self.errors_mm)[i] for i in (0, -1))
-        before, after = (float(lines[key][1].mean()) for key in (first, last))
+        rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in self.lines.values()]
+        policies = [line for key, line in self.lines.items() if key != ADAPTED]
+        (first, first_mm), (last, last_mm) = policies[0], policies[-1]
+        before, after = float(first_mm.mean()), float(last_mm.mean())
         parts = [
             f"# {self.hours[-1]:g} hours without a new calibration",
             "The arm was calibrated cold and on firm ground. Then it warms up, and the machine tilts and sinks as in "
             f"`{self.plant}`. Each policy repeats the commands that it gave in the morning, without looking.",
             "\n".join(["| policy | mean of the day (mm) |", "|---|---|", *rows]),
         ]
-        if first != last:
+        if len(policies) > 1:
             worth = "no better than" if after >= before else f"{before - after:.2f} mm better than"
             parts.append(
-                f"{labels[last]} ends {worth} {labels[first]}: the drift was in nobody's data, and it is larger than "
+                f"{last} ends {worth} {first}: the drift was in nobody's data, and it is larger than "
                 "the errors that a calibration takes away."
             )
-        if self.adapted_mm is not None:
+        if ADAPTED in self.lines:
+            label, adapted_mm = self.lines[ADAPTED]
             parts.append(
-                f"**{lines[ADAPTED][0]}**: the same commands on {self.adapted_mm.shape[1]} machines with a Kalman "
+                f"**{label}**: the same commands on {adapted_mm.shape[1]} machines with a Kalman "
                 f"filter. It looks at the tool once per pick ({1e3 * CAMERA_STD:g} mm per axis) and corrects the next "
                 "pick: in the field a calibration has to go on."
             )
@@ -264,7 +276,7 @@ def drifting_plant(plant: Plant) -> Plant | None:
     return replace(drifting, name=preset.name, load=plant.load or preset.load)
 
 
-def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:
+def day_of(comparison: Comparison) -> Day | None:
     """Let the drifting plant make the comparison's reaches all day, with the commands that the policies gave.
 
     R machines start together, each with another fruit, and go through all fruit in the same order: so every fruit is
@@ -273,8 +285,8 @@ def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:
     plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
     if plant is None or not count:
         return None
-    dt = 3600.0 * hours / count
-    errors, machines = {}, np.arange(count)
+    dt = 3600.0 * DAY_HOURS / count
+    lines, machines = {}, np.arange(count)
     for policy in comparison.policies:
         rows, commands = np.empty((count, count)), policy.ends.joint_command
         state = plant.initial_state(np, split_joints(plant.geometry.joints, commands))
@@ -282,9 +294,10 @@ def day_of(comparison: Comparison, hours: float = DAY_HOURS) -> Day | None:
             turn = (machines + k) % count
             state, tool = _driven(plant, state, commands[turn], dt)
             rows[k, turn] = 1e3 * np.linalg.norm(tool - comparison.fruit[turn], axis=-1)
-        errors[policy.key] = rows
-    adapted = _adapted(comparison, plant, dt) if count >= FEWEST_LOOKS else None
-    return Day(plant.name, (machines + 1.0) * hours / count, errors, adapted)
+        lines[policy.key] = policy.label, rows
+    if count >= FEWEST_LOOKS:
+        lines[ADAPTED] = f"{comparison.policies[-1].label}, adapted", _adapted(comparison, plant, dt)
+    return Day(plant.name, (machines + 1.0) * DAY_HOURS / count, lines)
 
 
 def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:

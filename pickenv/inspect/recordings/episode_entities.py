@@ -16,13 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Geometry, forward
+from pickenv.arm import Array, Geometry, drawn_parts, forward, nominal_points, true_points
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
 from pickenv.inspect.recordings.scribe import Scribe, f32, layout, reading_columns, seen_from, view_of
 from pickenv.inspect.runs.recorded_episodes import POSITIONS
-from pickenv.inspect.runs.saved import drawn_parts, nominal_points, true_points
 
 Trigger = Callable[[int], bool]
 
@@ -201,12 +200,6 @@ WIDTHS = (1.8, 1.2, 0.8, 0.5)
 """Of a policy's several numbers with one unit, in turn; points."""
 
 
-def curve_name(scene: Scene, rows: Sequence[Row]) -> str:
-    """Name of a policy's curves: its own, and the mean distance from the fruit at the ends of its episodes."""
-    ends = distances_mm(last_rows(rows))
-    return scene.label if ends is None else f"{scene.label}: {ends.mean():.3f} mm"
-
-
 def decades(distance_mm: Array) -> Array:
     """Logarithms to base 10 of distances: 0 is a millimetre, 1 a centimetre."""
     return np.asarray(np.log10(np.maximum(distance_mm, NEAREST_MM)))
@@ -217,8 +210,10 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
     scribe, info = Scribe(stream), rows[0].info
     (colour,) = policy_colours([scene.policy])
     _send_bodies_looks(scribe, scene, key, rows, colour, root)
-    if distances_mm(rows[:1]) is not None:
-        _name_curves(scribe, f"distance/{lane(key)}", rows, [curve_name(scene, rows)], colour)
+    ends = distances_mm(last_rows(rows))
+    if ends is not None:
+        name = f"{scene.label}: {ends.mean():.3f} mm"
+        _name_curves(scribe, f"distance/{lane(key)}", rows, [name], colour)
         if scene.tolerance_mm is not None:
             name = f"gripper's tolerance, {scene.tolerance_mm:g} mm"
             scribe.still("distance/tolerance", rr.SeriesLines(names=[name], colors=[RED], widths=[WIDTHS[0]]))
@@ -226,12 +221,8 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
         labels = [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
         _name_curves(scribe, f"metrics/{unit}/{lane(key)}", rows, labels, colour)
     if "is_success" in info:
-        states = rr.StateConfiguration(
-            values=["yes", "no"],
-            labels=[f"{scene.label}: success", f"{scene.label}: not yet"],
-            colors=[(*colour, 255), (*STEEL, 255)],
-        )
-        scribe.still(f"outcome/{lane(key)}", states)
+        looks = {"yes": (f"{scene.label}: success", colour), "no": (f"{scene.label}: not yet", STEEL)}
+        scribe.lane(f"outcome/{lane(key)}", looks, [])
 
 
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
@@ -261,8 +252,7 @@ def _send_bodies_looks(scribe: Scribe, scene: Scene, key: str, rows: Sequence[Ro
 
 def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], root: str = "world") -> None:
     """Send ``rows`` of one environment as whole columns; an episode that is sent in parts ends with its last part."""
-    moments = np.array([row.moment for row in rows])
-    seconds = scene.period * moments + GAP * np.array([row.order for row in rows])
+    moments, seconds = _strung(scene, rows)
     strung = [rr.TimeColumn("step", sequence=moments), rr.TimeColumn("sim_time", duration=seconds)]
     every = [
         *strung,
@@ -296,11 +286,16 @@ def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence
         _send_numbers(stream, scene, f"metrics/{unit}/{lane(key)}", rows, np.array(values, dtype=float))
 
 
+def _strung(scene: Scene, rows: Sequence[Row]) -> tuple[NDArray[np.int64], Array]:
+    """Moments of rows, and their times, s, ``(T,)``, when all episodes are strung with gaps between them."""
+    moments = np.array([row.moment for row in rows])
+    return moments, scene.period * moments + GAP * np.array([row.order for row in rows])
+
+
 def _send_numbers(stream: rr.RecordingStream, scene: Scene, entity: str, rows: Sequence[Row], values: Array) -> None:
     """Numbers ``(T, k)``: strung with a break before each episode, as each ended, and over one another."""
     first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
-    moments = np.array([row.moment for row in rows])
-    seconds = scene.period * moments + GAP * np.array([row.order for row in rows])
+    moments, seconds = _strung(scene, rows)
     lengths = np.insert(np.full(len(rows), values.shape[1]), first, 0)  # a row without numbers ends a line
     times = [
         rr.TimeColumn("step", sequence=np.insert(moments, first, moments[first])),
@@ -406,7 +401,9 @@ def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:
         name = f"Believed arm (wire), true arm with its deviation ×{GAIN:g}; miss (red)"
         views.append(seen_from(eye, middle, "/world", [*arms, *fruit], name))
     elif has_fruit(info):
-        middle, radius = _ball_around(rows)
+        points = np.concatenate([column(rows, "tool_position"), column(rows, "fruit_position")])
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, radius = (low + high) / 2.0, max(float(np.linalg.norm(high - low)) / 2.0, 1e-3)
         name = "Tool, fruit, and between them the miss (red)"
         views.append(seen_from(middle + 2.0 * radius * EYE, middle, "/world", ["+ /world/**"], name))
     if has_fruit(info):
@@ -422,10 +419,3 @@ def target_view(largest_mm: float, tolerance_mm: float | None) -> Any:
     region = "" if tolerance_mm is None else f"; capture region, {tolerance_mm:g} mm (red)"
     name = f"True tool seen from the fruit, mm{region}"
     return seen_from(span * EYE, np.zeros(3), "/target", ["+ /target/**"], name, ground=False)
-
-
-def _ball_around(rows: Sequence[Row]) -> tuple[Array, float]:
-    """Centre ``(3,)`` and radius, m, of a ball that holds all tools and fruit."""
-    points = np.concatenate([column(rows, "tool_position"), column(rows, "fruit_position")])
-    low, high = points.min(axis=0), points.max(axis=0)
-    return (low + high) / 2.0, max(float(np.linalg.norm(high - low)) / 2.0, 1e-3)

@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 import rerun as rr
@@ -26,27 +25,22 @@ START_PATIENCE = 30.0
 LOCAL = "127.0.0.1"
 
 
-@dataclass(frozen=True)
-class Live:
-    """Places where a recording is shown while it grows; all three at once are possible.
+def open_live(
+    recording_id: str,
+    blueprint: rrb.Blueprint,
+    *,
+    spawn: bool = False,
+    connect: str | None = None,
+    serve: int | None = None,
+) -> rr.RecordingStream:
+    """A stream to places where a recording is shown while it grows; all three at once are possible.
 
-    Attributes:
+    Args:
+        recording_id: Its identity.
+        blueprint: The layout.
         spawn: Start a viewer on this machine, or use the one that runs.
         connect: Address of a viewer or proxy, as `rerun` prints it: `rerun+http://127.0.0.1:9876/proxy`.
         serve: Port of a server on this machine, for viewers that connect later; None for no server.
-    """
-
-    spawn: bool = False
-    connect: str | None = None
-    serve: int | None = None
-
-    def __bool__(self) -> bool:
-        """Whether there is anyone to show it to."""
-        return self.spawn or self.connect is not None or self.serve is not None
-
-
-def open_live(live: Live, recording_id: str, blueprint: rrb.Blueprint) -> rr.RecordingStream:
-    """A stream to everyone that ``live`` names.
 
     Raises:
         InputError: If there is no screen for a viewer, or no viewer answers at the address.
@@ -55,14 +49,14 @@ def open_live(live: Live, recording_id: str, blueprint: rrb.Blueprint) -> rr.Rec
 
     stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
     sinks: list[rr.GrpcSink | rr.GrpcServerSink] = []
-    if live.spawn:
+    if spawn:
         _start_viewer()
         sinks.append(rr.GrpcSink(f"rerun+http://{LOCAL}:{VIEWER_PORT}/proxy"))
-    if live.connect is not None:
-        check_answers(live.connect)
-        sinks.append(rr.GrpcSink(live.connect))
-    if live.serve is not None:
-        sinks.append(rr.GrpcServerSink(bind_ip=LOCAL, port=live.serve))
+    if connect is not None:
+        check_answers(connect)
+        sinks.append(rr.GrpcSink(connect))
+    if serve is not None:
+        sinks.append(rr.GrpcServerSink(bind_ip=LOCAL, port=serve))
     stream.set_sinks(*sinks, default_blueprint=blueprint)
     return stream
 

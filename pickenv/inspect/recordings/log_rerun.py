@@ -15,18 +15,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 import pickenv
 from pickenv.base import InputError
 from pickenv.inspect.colours import policy_key, policy_label
-from pickenv.inspect.recordings.episode_entities import (
-    EpisodeLog,
-    Row,
-    Scene,
-    Trigger,
-    capped_cubic,
-    episode_blueprint,
-    info_of,
-    send_looks,
-    send_rows,
-)
-from pickenv.inspect.recordings.live import PATIENCE, Live, open_live
+from pickenv.inspect.recordings import episode_entities as entities
+from pickenv.inspect.recordings.live import PATIENCE, open_live
 from pickenv.inspect.recordings.scribe import write_recording
 from pickenv.inspect.runs.recorded_episodes import believed_joints, missing_positions
 
@@ -44,8 +34,8 @@ class _Recorder:
         env: Any,
         keys: Sequence[str],
         save_path: str | Path | None,
-        episode_trigger: Trigger | None,
-        step_trigger: Trigger | None,
+        episode_trigger: entities.Trigger | None,
+        step_trigger: entities.Trigger | None,
         recording_length: int,
         name_prefix: str,
         policy: str,
@@ -57,16 +47,17 @@ class _Recorder:
             raise InputError(f"policy '{policy}' cannot name an entity; use lower-case letters, digits and underscores")
         if recording_length < 0:
             raise InputError(f"recording_length is {recording_length}; give a number of steps, or 0 for whole episodes")
-        self._live = Live(spawn, connect, serve)
+        self._viewers: dict[str, Any] = {"spawn": spawn, "connect": connect, "serve": serve}
+        self._live = spawn or connect is not None or serve is not None
         if save_path is None and not self._live:
             raise InputError("nothing would be logged; give save_path, spawn, connect or serve")
         if episode_trigger is None and step_trigger is None:
-            episode_trigger = capped_cubic
+            episode_trigger = entities.capped_cubic
         self.path = None if save_path is None else Path(save_path) / f"{name_prefix}-{policy}.rrd"
         length = float(recording_length) or np.inf
-        self.logs = [EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
+        self.logs = [entities.EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
         self._env, self._policy = env, policy
-        self._scene: Scene | None = None
+        self._scene: entities.Scene | None = None
         self._identity = ""
         self._in_file = 0
         self._shown = [0] * len(self.logs)
@@ -80,13 +71,13 @@ class _Recorder:
         if self._scene is not None:
             return
         outer = self._env.unwrapped
-        missing = missing_positions(info_of(info, 0) if hasattr(outer, "num_envs") else info)
+        missing = missing_positions(entities.info_of(info, 0) if hasattr(outer, "num_envs") else info)
         if missing:
             gym.logger.warn(f"the recording of {type(outer).__name__} has no view in 3D: {missing}")
         inner = outer.envs[0].unwrapped if hasattr(outer, "envs") else outer
         task = getattr(inner, "task", None)
         plant = getattr(task, "plant", None)
-        self._scene = Scene(
+        self._scene = entities.Scene(
             nominal=None if plant is None else plant.arm.nominal,
             period=1.0 / inner.metadata.get("render_fps", 10),
             # Only where the fruit is a pose to be reached is this radius what counts.
@@ -123,24 +114,21 @@ class _Recorder:
     def _recorded(self) -> int:
         return sum(len(log.rows) for log in self.logs)
 
-    def _rows(self) -> list[Row]:
+    def _rows(self) -> list[entities.Row]:
         return next(log.rows for log in self.logs if log.rows)
 
     def _write(self, path: Path) -> None:
         """The whole recording anew: what stood there stays until the new one is complete."""
-
-        def send(stream: rr.RecordingStream) -> None:
-            self._send(stream, [0] * len(self.logs))
-
         assert self._scene is not None
-        write_recording(path, self._identity, episode_blueprint(self._scene, self._rows()), send)
+        blueprint = entities.episode_blueprint(self._scene, self._rows())
+        write_recording(path, self._identity, blueprint, lambda stream: self._send(stream, [0] * len(self.logs)))
         self._in_file = self._recorded
 
     def _show(self) -> None:
         assert self._scene is not None
         if self._stream is None:
-            blueprint = episode_blueprint(self._scene, self._rows())
-            self._stream = open_live(self._live, self._identity, blueprint)
+            blueprint = entities.episode_blueprint(self._scene, self._rows())
+            self._stream = open_live(self._identity, blueprint, **self._viewers)
         self._send(self._stream, self._shown)
         self._shown = [len(log.rows) for log in self.logs]
 
@@ -152,8 +140,8 @@ class _Recorder:
             stream.send_property("pickenv", rr.AnyValues(**facts))
         for log, begin in zip(self.logs, start, strict=True):
             if len(log.rows) > begin:
-                send_looks(stream, self._scene, log.key, log.rows)
-                send_rows(stream, self._scene, log.key, log.rows[begin:])
+                entities.send_looks(stream, self._scene, log.key, log.rows)
+                entities.send_rows(stream, self._scene, log.key, log.rows[begin:])
 
 
 NOT_OF_THE_RECORDER = ("self", "env", "indices")
@@ -186,8 +174,8 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         self,
         env: gym.Env[Observation, Action],
         save_path: str | Path | None = None,
-        episode_trigger: Trigger | None = None,
-        step_trigger: Trigger | None = None,
+        episode_trigger: entities.Trigger | None = None,
+        step_trigger: entities.Trigger | None = None,
         recording_length: int = 0,
         name_prefix: str = "episodes",
         *,
@@ -255,8 +243,8 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         self,
         env: VectorEnv[Any, Any, Any],
         save_path: str | Path | None = None,
-        episode_trigger: Trigger | None = None,
-        step_trigger: Trigger | None = None,
+        episode_trigger: entities.Trigger | None = None,
+        step_trigger: entities.Trigger | None = None,
         recording_length: int = 0,
         name_prefix: str = "episodes",
         *,
@@ -294,7 +282,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
             if mask is None or mask[i]:
                 self._over[i] = False
                 if log.begins():
-                    log.note(info_of(infos, i), 0.0)
+                    log.note(entities.info_of(infos, i), 0.0)
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -306,13 +294,13 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
             if self._over[i]:  # this step began the next episode; its action was ignored
                 self._over[i] = False
                 if log.begins():
-                    log.note(info_of(infos, i), 0.0)
+                    log.note(entities.info_of(infos, i), 0.0)
                 continue
             over = bool(terminations[i] or truncations[i])
             if log.steps():
-                log.note(info_of(infos["final_info"] if over and same_step else infos, i), float(rewards[i]))
+                log.note(entities.info_of(infos["final_info"] if over and same_step else infos, i), float(rewards[i]))
             if over and same_step and log.begins():
-                log.note(info_of(infos, i), 0.0)
+                log.note(entities.info_of(infos, i), 0.0)
             self._over[i] = over and not same_step
             ended = ended or over
         if ended:

@@ -131,13 +131,11 @@ def headless_viewer() -> Iterator[Any]:
     """A client of a viewer that has no window; None where there is no graphics adapter for it."""
     from rerun.experimental import ViewerClient
 
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
+    port = _free_port()
     options = ["--headless", "--hide-welcome-screen", "--window-size", WINDOW, "--bind", "127.0.0.1"]
     with tempfile.TemporaryDirectory() as folder:
         process = subprocess.Popen(
-            [sys.executable, "-m", "rerun_cli", *options, "--port", str(port)],
+            [*live.rerun_program(), *options, "--port", str(port)],
             env=viewer_environment()
             | {"RERUN_APP_ONLY": "true", "XDG_RUNTIME_DIR": folder},  # it neither asks nor leaves files
             stdout=subprocess.DEVNULL,

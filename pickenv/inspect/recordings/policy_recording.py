@@ -14,20 +14,9 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from pickenv.arm import Array
-from pickenv.inspect.colours import WHITE, lane, policy_colours
+from pickenv.inspect.colours import WHITE, lane
 from pickenv.inspect.figures.plot_errors import field_gain
-from pickenv.inspect.recordings.episode_entities import (
-    EYE,
-    GAIN,
-    Row,
-    Scene,
-    at_the_end,
-    distance_plot,
-    number_plots,
-    send_looks,
-    send_rows,
-    target_view,
-)
+from pickenv.inspect.recordings import episode_entities as entities
 from pickenv.inspect.recordings.scribe import Scribe, seen_from, view_of, with_colour_bar, write_recording
 from pickenv.inspect.runs.comparison_summary import comparison_markdown, error_spread, field_mm, scale_end
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
@@ -64,9 +53,9 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
     return write_recording(path, identity, _blueprint(episodes), send)
 
 
-def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
+def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
     """A policy's episodes as recorded steps, with what `info` said of them."""
-    rows: list[Row] = []
+    rows: list[entities.Row] = []
     has_attitude = not np.isnan(policy.attitude_error_deg).all()
     for e, moments in enumerate(policy.moments):
         for t in range(int(moments)):
@@ -79,25 +68,24 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[Row]:
             }
             info |= {"attitude_error_deg": float(policy.attitude_error_deg[e, t])} if has_attitude else {}
             info |= {"joint_command": policy.joint_command[e, t]} if arm else {}
-            rows.append(Row(len(rows), e, t, e, float(policy.reward[e, t]), info, policy.joint_target[e, t]))
+            rows.append(entities.Row(len(rows), e, t, e, float(policy.reward[e, t]), info, policy.joint_target[e, t]))
     return rows
 
 
 def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> None:
     scribe = Scribe(stream)
-    low, high = _box(episodes)
-    colours = policy_colours([policy.key for policy in episodes.policies])
-    for number, (policy, colour) in enumerate(zip(episodes.policies, colours, strict=True)):
+    low, high, step = _box(episodes)
+    for number, (policy, colour) in enumerate(zip(episodes.policies, episodes.colours, strict=True)):
         rows = rows_of(policy, arm=episodes.nominal is not None)
-        scene = Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
+        scene = entities.Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
         root = f"side/{lane(policy.key)}"
-        scribe.still(root, rr.Transform3D(translation=number * _step(low, high)))
+        scribe.still(root, rr.Transform3D(translation=number * step))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
         scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=NAME_SIZE))
         name = rr.Points3D([above], labels=[policy.label], colors=[WHITE], radii=0.0, show_labels=True)
         scribe.still(f"{root}/name", name)
-        send_looks(stream, scene, policy.key, rows, root)
-        send_rows(stream, scene, policy.key, rows, root)
+        entities.send_looks(stream, scene, policy.key, rows, root)
+        entities.send_rows(stream, scene, policy.key, rows, root)
         misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)
         scribe.still(f"ends/{policy.key}", rr.Points3D(misses, colors=[colour], radii=rr.Radius.ui_points(3.0)))
     scribe.document("verdict", comparison_markdown(episodes))
@@ -105,14 +93,13 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
 
 def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
     """Each policy's error field, and what the last one removes of the first one's, beside one another."""
-    scribe, top, gain = Scribe(stream), field_top_mm(comparison), _arrow_gain(comparison)
+    scribe, (top, gain, step) = Scribe(stream), _field_scale(comparison)
+    centre, radius = shown_box(comparison)
+    above = [centre + np.array([0.0, 0.0, 0.8 * radius])]
     for number, (name, title, errors) in enumerate(_fields(comparison)):
-        scribe.still(f"fields/{name}", rr.Transform3D(translation=number * _field_step(comparison)))
-        centre, radius = shown_box(comparison)
-        above = [centre + np.array([0.0, 0.0, 0.8 * radius])]
-        scribe.still(
-            f"fields/{name}/name", rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
-        )
+        scribe.still(f"fields/{name}", rr.Transform3D(translation=number * step))
+        words = rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
+        scribe.still(f"fields/{name}/name", words)
         scribe.arrows(f"fields/{name}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
     scribe.colour_bar("legend/position", top, "mm")
 
@@ -121,8 +108,8 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
     """Entity name, title and errors ``(F, 3)``, m, of every field."""
     fields = []
     for policy in comparison.policies:
-        title = f"{policy.label}: {error_spread(field_mm(policy)).mean:.3f} mm"
-        fields.append((lane(policy.key), title, policy.field_errors))
+        mean, *_ = error_spread(field_mm(policy))
+        fields.append((lane(policy.key), f"{policy.label}: {mean:.3f} mm", policy.field_errors))
     first, last = comparison.policies[0], comparison.policies[-1]
     if first is not last:
         removed = first.field_errors - last.field_errors
@@ -130,28 +117,28 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
     return fields
 
 
-def field_top_mm(comparison: Comparison) -> float:
-    """Upper end of the one colour scale of all policies' fields, mm."""
-    return max(scale_end(field_mm(policy)) for policy in comparison.policies)
-
-
-def _arrow_gain(comparison: Comparison) -> float:
-    """Factor by which the fields' arrows are drawn longer than true size."""
-    return field_gain(comparison.grid.step, field_top_mm(comparison))
+def _field_scale(comparison: Comparison) -> tuple[float, float, Array]:
+    """The scale of all fields: upper end of colours, mm; gain of the arrows; from one field to the next ``(3,)``, m."""
+    top = max(scale_end(field_mm(policy)) for policy in comparison.policies)
+    return top, field_gain(comparison.grid.step, top), APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
 
 
 def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
-    low, high = _box(episodes)
-    step, count = _step(low, high), len(episodes.policies)
+    (low, high, step), count = _box(episodes), len(episodes.policies)
     middle = (low + high) / 2.0 + (count - 1) / 2.0 * step
-    eye = middle + (0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))) * EYE
-    subject = "Tool and fruit" if episodes.nominal is None else f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
-    side = seen_from(eye, middle, "/side", ["+ /side/**", *_without_true(episodes)], f"{subject}; last episode")
-    largest = max(float(policy.ends.position_error_mm.max()) for policy in episodes.policies)
+    distance = 0.6 * float(np.linalg.norm(high - low)) + 0.28 * (count - 1) * float(np.linalg.norm(step))
+    eye = middle + distance * entities.EYE
+    subject = "Tool and fruit"
+    if episodes.nominal is not None:
+        subject = f"Believed arm (wire), true arm's deviation ×{entities.GAIN:g}"
+    # The arm at true size stands in the enlarged one and would hide it.
+    hidden = [f"- /side/{lane(policy.key)}/arm/true/**" for policy in episodes.policies]
+    side = seen_from(eye, middle, "/side", ["+ /side/**", *hidden], f"{subject}; last episode")
     verdict = rrb.TextDocumentView(origin="/verdict", contents=["+ /verdict"], name="Who is better")
+    target = entities.target_view(episodes.largest_mm, episodes.tolerance_mm)
     first = rrb.Horizontal(
         rrb.Vertical(side, verdict),
-        rrb.Vertical(distance_plot("Distance to the fruit"), target_view(largest, episodes.tolerance_mm)),
+        rrb.Vertical(entities.distance_plot("Distance to the fruit"), target),
         name="Who is better",
     )
     tabs: list[Any] = [first]
@@ -159,40 +146,25 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
         tabs.append(_field_tab(episodes))
     info = rows_of(episodes.policies[0], arm=False)[0].info
     lanes = view_of(rrb.StateTimelineView, "outcome", "Success, last episode")
-    tabs.append(rrb.Vertical(rrb.Horizontal(*number_plots(info)), lanes, name="Numbers"))
-    return at_the_end(rrb.Tabs(*tabs, active_tab=0))
-
-
-def _without_true(episodes: RecordedEpisodes) -> list[str]:
-    """The arm at true size stands in the enlarged one and would hide it."""
-    return [f"- /side/{lane(policy.key)}/arm/true/**" for policy in episodes.policies]
+    tabs.append(rrb.Vertical(rrb.Horizontal(*entities.number_plots(info)), lanes, name="Numbers"))
+    return entities.at_the_end(rrb.Tabs(*tabs, active_tab=0))
 
 
 def _field_tab(comparison: Comparison) -> Any:
     centre, radius = shown_box(comparison)
-    step, count = _field_step(comparison), len(_fields(comparison))
+    (top, gain, step), count = _field_scale(comparison), len(_fields(comparison))
     middle = centre + (count - 1) / 2.0 * step
-    eye = middle + (radius + 0.25 * (count - 1) * float(np.linalg.norm(step))) * EYE
-    gain = _arrow_gain(comparison)
-    view = seen_from(
-        eye, middle, "/fields", ["+ /fields/**"], f"Final misses by goal, one eye for all, arrows ×{gain:g}"
-    )
-    meaning = f"Colour: miss, 0 to {field_top_mm(comparison):.2f} mm"
-    return with_colour_bar([view], "position", meaning, f"Where, arrows ×{gain:g}")
+    eye = middle + (radius + 0.25 * (count - 1) * float(np.linalg.norm(step))) * entities.EYE
+    name = f"Final misses by goal, one eye for all, arrows ×{gain:g}"
+    view = seen_from(eye, middle, "/fields", ["+ /fields/**"], name)
+    return with_colour_bar([view], "position", f"Colour: miss, 0 to {top:.2f} mm", f"Where, arrows ×{gain:g}")
 
 
-def _field_step(comparison: Comparison) -> Array:
-    return APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
-
-
-def _box(episodes: RecordedEpisodes) -> tuple[Array, Array]:
-    """Corners ``(3,)`` of a box around all tools and fruit, and the arm's base, m."""
+def _box(episodes: RecordedEpisodes) -> tuple[Array, Array, Array]:
+    """Corners ``(3,)`` of a box around all tools and fruit, and the arm's base, m; from one policy to the next."""
     points = [values.reshape(-1, 3) for p in episodes.policies for values in (p.tool_position, p.fruit_position)]
     if episodes.nominal is not None:
         points.append(episodes.nominal.base.position[None])
     every = np.concatenate(points)
-    return every.min(axis=0), every.max(axis=0)
-
-
-def _step(low: Array, high: Array) -> Array:
-    return np.asarray(APART * float(np.linalg.norm((high - low)[:2])) * SIDEWAYS)
+    low, high = every.min(axis=0), every.max(axis=0)
+    return low, high, APART * float(np.linalg.norm((high - low)[:2])) * SIDEWAYS

@@ -147,6 +147,17 @@ class Scribe:
         )
         self.along(entity, moving.partition([len(parts)] * len(points)))
 
+    def axes(self, entity: str, corner: ArrayLike, lengths: ArrayLike, labels: Sequence[str], width: float) -> None:
+        """The world's axes from ``corner`` ``(3,)`` on, of given ``lengths`` ``(3,)``, with words; width in points."""
+        arrows = rr.Arrows3D(
+            origins=[corner] * 3,
+            vectors=np.diag(lengths),
+            colors=[WHITE] * 3,
+            labels=labels,
+            radii=rr.Radius.ui_points(width),
+        )
+        self.still(entity, arrows)
+
     def capture(self, tolerance_mm: float) -> None:
         """The gripper's capture region as seen from the fruit, a ball of that radius, mm."""
         ball = rr.Ellipsoids3D(

@@ -22,18 +22,15 @@ from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
 from pickenv.inspect.reports.report_page import (
     Bar,
-    Folded,
-    Page,
     PageTable,
     PageVerdict,
-    Pair,
     Section,
     axis_table,
     html_of,
 )
-from pickenv.inspect.reports.report_words import named_values, parameter_words
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, views_of
 from pickenv.inspect.runs.matters import matters, pick_changes
+from pickenv.inspect.runs.number_words import named_values, parameter_words
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
@@ -82,19 +79,17 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
         Section("Evidence", [{row[0]: row[1] for row in blocks["evidence"].rows}]),
     )
     return html_of(
-        Page(
-            f"Calibration of {result.arm.name}",
-            f"{len(train.joints)} {_measured(train)} from {Path(train.source).name}; "
-            + (
-                f"{len(test.joints)} held out"
-                if result.held_out.blocks is None
-                else f"each judged without its block of the {result.held_out.rows}"
-            ),
-            _verdict(result, test),
-            sections,
-            _origin(result, train, test, seeds or {}),
-            _tiles(result),
-        )
+        f"Calibration of {result.arm.name}",
+        f"{len(train.joints)} {_measured(train)} from {Path(train.source).name}; "
+        + (
+            f"{len(test.joints)} held out"
+            if result.held_out.blocks is None
+            else f"each judged without its block of the {result.held_out.rows}"
+        ),
+        _verdict(result, test),
+        sections,
+        _origin(result, train, test, seeds or {}),
+        _tiles(result),
     )
 
 
@@ -209,7 +204,7 @@ def _parameters(r: Result) -> Section:
     def cells(row: Mapping[str, Any]) -> tuple[str | Bar, ...]:
         name, unit, change = row["name"], row["unit"], row["change"]
         limit = limits.get(unit, abs(change) or 1.0)
-        bar = "" if name in unknowns else Bar(change, float(np.nan_to_num(row["std"])), limit)
+        bar = "" if name in unknowns else (change, float(np.nan_to_num(row["std"])), limit)
         narrowed = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
         if combinations.get(name, name) != name:
             narrowed = combinations[name]
@@ -229,7 +224,7 @@ def _parameters(r: Result) -> Section:
             table(f"{len(significant)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma", significant)
             if significant
             else "",
-            *([Folded(folded, [table(folded, others)])] if others else []),
+            Section(folded, [table(folded, others)]) if others else None,
         ),
         "Calibrated minus nominal, with one standard uncertainty (±); bars show the change and a whisker of two "
         "standard uncertainties. A change within its whisker is not significant. Told by the rows: how much narrower a "
@@ -240,7 +235,6 @@ def _parameters(r: Result) -> Section:
 
 def _poses(r: Result, train: Observations) -> Section:
     geometry, observability, over = r.fit.identification.geometry, r.quality.observability, r.quality.workspace
-    ranges: Pair | None = None
     caption = f"Where the {len(train.joints)} fitted poses lie within the joint limits."
     indices = (
         ("condition number", figure(observability["condition"]), "how unevenly parameters are seen; near 1 is best"),
@@ -252,14 +246,13 @@ def _poses(r: Result, train: Observations) -> Section:
     )
     pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
     hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")
-    if r.has_nominal:
-        ranges = Pair((Drawing("joint_ranges", caption, lambda: joint_ranges(geometry, train.joints)), _uncertainty(r)))
+    ranges = Drawing("joint_ranges", caption, lambda: joint_ranges(geometry, train.joints))
     return Section(
         "Were the poses good?",
         (
             _table(over.block()) if over is not None else "",
-            ranges,
-            Pair((PageTable("Observability of the parameters", (), indices), hard if pairs else None)),
+            (ranges, _uncertainty(r)) if r.has_nominal else None,
+            (PageTable("Observability of the parameters", (), indices), hard if pairs else None),
         ),
     )
 

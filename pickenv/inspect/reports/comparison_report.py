@@ -7,6 +7,7 @@ from pickenv.inspect.figures.plot_errors import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs import comparison_summary as summary
+from pickenv.inspect.runs.matters import PickChange, change_cells
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
@@ -41,28 +42,30 @@ def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """The page of a comparison's run folder."""
     episodes = load_part(run, RecordedEpisodes)
-    rows, lines = summary.policy_rows(episodes), summary.policy_differences(episodes)
-    enough = any(row["ci95_mm"] is not None for row in rows)
+    enough = any(row["ci95_mm"] is not None for row in summary.policy_rows(episodes))
     intervals = summary.INTERVALS if enough else summary.NO_INTERVAL
     tables = [
         PageTable(
             f"Miss where the gripper closed, attitude at the end, and fruit picked by {episodes.gripper}; {intervals}",
             summary.HEADS,
-            [summary.row_cells(row) for row in rows],
+            summary.policy_cells(episodes),
         )
     ]
-    if lines:
+    if lines := summary.difference_cells(episodes):
         tables.append(
             PageTable(
                 "Fruit by fruit, the later policy minus the earlier one; of shares picked Newcombe's paired interval",
                 summary.DIFFERENCES,
-                [summary.difference_cells(line) for line in lines],
+                lines,
             )
         )
-    if changed := summary.change_table(episodes):
+    if changed := summary.policy_changes(episodes):
+        taken = f"taken, {changed['from']} (%)", f"{changed['to']} (%)"
         tables.append(
             PageTable(
-                "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)", *changed
+                "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)",
+                ("gripper", "fruit seen to, per axis (mm)", *taken, "change (points of %)"),
+                [change_cells(PickChange(**change)) for change in changed["changes"]],
             )
         )
     verdict = PageVerdict("note", summary.outcome_sentence(episodes), summary.explanation(episodes))

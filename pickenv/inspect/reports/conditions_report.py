@@ -8,8 +8,8 @@ from typing import Any
 from pickenv.inspect.figures import plot_estimates
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.reports.report_words import estimated
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_conditions
+from pickenv.inspect.runs.number_words import said
+from pickenv.inspect.runs.run_folder import CONDITIONS, Run, TakePicture, load_result
 
 SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}
 """Conditions that are varied one at a time, the others as at the reference."""
@@ -19,13 +19,13 @@ HELD_OUT = "held-out sessions"
 
 def drawings(run: Run) -> Drawings:
     """The figure of a study's run folder."""
-    sweeps = load_conditions(run)["sweeps"]
+    sweeps = load_result(run, CONDITIONS)["sweeps"]
     return [captioned("error_by_condition", plot_estimates.error_by_condition, sweeps, SWEEPS)]
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """The page of a study's run folder."""
-    result = load_conditions(run)
+    result = load_result(run, CONDITIONS)
     verdict = PageVerdict("note", *conditions_in_words(result))
     tables = [PageTable(*table, look="dense") for table in condition_tables(result)]
     ranges, settings = result["settings"]["ranges"], result["settings"]
@@ -46,7 +46,7 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
     least = min(
         figure["mean_mm"] for sweep in result["sweeps"].values() for figure in sweep["methods"][usual]
     )  # what it leaves where it was made
-    means = "; ".join(f"{name} {_mean(figure)} mm" for name, figure in figures.items())
+    means = "; ".join(f"{name} {said(figure['mean_mm'], figure['ci95_mm'], 3)} mm" for name, figure in figures.items())
     headline = (
         f"{usual.capitalize()}: {least:.2f} mm at its best, {figures[usual]['mean_mm']:.2f} mm over a working day"
     )
@@ -73,5 +73,4 @@ def _over(result: Mapping[str, Any]) -> str:
 
 
 def _mean(figure: Mapping[str, Any]) -> str:
-    low, high = figure["ci95_mm"] or (None, None)
-    return estimated(figure["mean_mm"], low, high, 3)
+    return said(figure["mean_mm"], figure["ci95_mm"], 3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -13,19 +14,19 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, noncompensable_error
 from pickenv.base import InputError, mean_interval, share_interval
 from pickenv.calibration import Calibration
-from pickenv.calibration.assessment.metrics import LEAST_ROWS, ErrorStatistics, error_statistics
+from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.inspect.colours import policy_colours, viridis
 from pickenv.inspect.figures.plot_calibration import joint_ranges
 from pickenv.inspect.figures.plot_errors import field_gain, thinned
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
-from pickenv.inspect.reports.report_words import between, estimated, named_values, percent
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
 from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
+from pickenv.inspect.runs.number_words import between, named_values, percent, said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_cases, load_part
+from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, load_part, load_result
 from pickenv.inspect.runs.saved import eye_direction
 
 RECORDING = "errors.rrd"
@@ -70,7 +71,8 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If a file of the run is missing or damaged.
     """
     comparison, trace = load_part(run, Comparison), load_part(run, CalibrationTrace)
-    cases = {name: [PickChange(**change) for change in case] for name, case in load_cases(run).items()}
+    told = load_result(run, MATTERS_FILE) if (run.folder / MATTERS_FILE).is_file() else {}
+    cases = {name: [PickChange(**change) for change in case] for name, case in told.items()}
     if not len(comparison.fruit):
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
@@ -86,16 +88,14 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         _recording(picture(recording) if picture and recording.is_file() else None),
     )
     return report_page.html_of(
-        report_page.Page(
-            f"Calibration and picking: {comparison.plant.name}",
-            f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
-            f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("quick" in run.command),
-            demo_verdict(comparison, cases),
-            sections,
-            _origin(run, comparison, trace, calibration),
-            _tiles(comparison, trace),
-            contents=True,
-        )
+        f"Calibration and picking: {comparison.plant.name}",
+        f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
+        f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("quick" in run.command),
+        demo_verdict(comparison, cases),
+        sections,
+        _origin(run, comparison, trace, calibration),
+        _tiles(comparison, trace),
+        contents=True,
     )
 
 
@@ -133,13 +133,14 @@ def demo_verdict(
             f"This one calibration does not lower the mean position error of {before.mean:.2f} mm: it changes by "
             f"{-gain.mean():+.2f} mm ({interval})."
         )
-    lateral = [grip.lateral_mm for grip in gripped(comparison).values()]
+    lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
     worth = " ".join(matters(name, changes) for name, changes in changed.items())
+    mean = said(after.mean, after.mean_ci95, 2)
     return report_page.PageVerdict(
         tone,
         headline,
-        f"{removed} {worth}\nWhat remains is {_mean(after)} mm in the mean and at most {after.max:.2f} mm. {picked} of "
+        f"{removed} {worth}\nWhat remains is {mean} mm in the mean and at most {after.max:.2f} mm. {picked} of "
         f"{total} simulated reaches end within {comparison.tolerance_mm:g} mm of the fruit (95 % interval "
         f"{100 * least:.0f} to {100 * most:.0f} %, required are {100 * REQUIRED_SHARE:.0f} %), "
         f"{within(comparison, first)} without calibration. {OF_ONE}",
@@ -155,7 +156,7 @@ def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
     caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"
     return report_page.Section(
         "Does it matter?",
-        [report_page.Folded(caption, [report_page.PageTable(caption, heads, rows)])] if rows else (),
+        [report_page.Section(caption, [report_page.PageTable(caption, heads, rows)])] if rows else (),
         "Each arm's own error across the tool, with an error of perception beside it; the gripper's curve says what is "
         "taken.",
     )
@@ -176,15 +177,8 @@ def _expected(chances: Array) -> str:
     return percent(float(chances.mean()), *share_interval(float(chances.sum()), len(chances)))
 
 
-def _mean(statistics: ErrorStatistics, digits: int = 2) -> str:
-    low, high = statistics.mean_ci95 or (None, None)
-    return estimated(statistics.mean, low, high, digits)
-
-
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
-    first, last = (
-        error_statistics(p.ends.position_error_mm) for p in (comparison.policies[0], comparison.policies[-1])
-    )
+    first, last = (error_statistics(comparison.policies[i].ends.position_error_mm) for i in (0, -1))
     held_out = [error_statistics(values) for values in norms_mm(trace.errors).values()]
     return {
         "mean position error of the reaches, raw → calibrated": f"{first.mean:.2f} → {last.mean:.2f} mm",
@@ -195,20 +189,19 @@ def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
 
 
 def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
-    grips = gripped(comparison)
-    grippers = list(next(iter(grips.values())).success)
+    taken = {label: success for label, (_, success) in gripped(comparison).items()}
+    grippers = list(next(iter(taken.values())))
     heads = ["policy", f"within {comparison.tolerance_mm:g} mm (%)", *(f"taken by {name} (%)" for name in grippers)]
     heads += ["position, mean (mm)", "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)"]
     rows = []
     for policy in comparison.policies:
-        position, attitude = (
-            error_statistics(policy.ends.position_error_mm),
-            error_statistics(policy.ends.attitude_error_deg),
-        )
-        shares = [_share(comparison, policy), *(_expected(grips[policy.label].success[name]) for name in grippers)]
+        ends = policy.ends
+        position, attitude = map(error_statistics, (ends.position_error_mm, ends.attitude_error_deg))
+        shares = [_share(comparison, policy), *(_expected(taken[policy.label][name]) for name in grippers)]
         cells = [share.replace(" %", "") for share in shares]
-        cells += [_mean(position, 3), *(f"{value:.3f}" for value in (position.rms, position.p95, position.max))]
-        cells += [_mean(attitude, 3)]
+        cells.append(said(position.mean, position.mean_ci95, 3))
+        cells += [f"{value:.3f}" for value in (position.rms, position.p95, position.max)]
+        cells.append(said(attitude.mean, attitude.mean_ci95, 3))
         rows.append([policy.label, *cells])
     some = "in brackets 95 % intervals over fruit" if len(comparison.fruit) >= LEAST_ROWS else NO_INTERVAL
     caption = f"Final errors of the reaches; {some}. {OF_ONE}"
@@ -216,7 +209,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
         "Reaches, by policy",
         (
             report_page.PageTable(caption, heads, rows),
-            report_page.Pair((drawn["position_error_by_policy"], drawn["reach_errors_cumulative"])),
+            (drawn["position_error_by_policy"], drawn["reach_errors_cumulative"]),
             drawn["success_against_misalignment"],
         ),
         "Distance of the true tool from the fruit at the end of each reach. Accuracy must not be oversold: a "
@@ -230,7 +223,7 @@ def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.
     hint = "Drag to turn all scenes together, hover over the end of an arrow to read its millimetres."
     return report_page.Section(
         "Where the tool misses",
-        [report_page.Interactive(drawn["error_fields"], field_spec(comparison), hint)],
+        [replace(drawn["error_fields"], spec=field_spec(comparison), hint=hint)],
         f"{len(comparison.grid.points)} positions {comparison.grid.step * 1e3:g} mm apart, tool upright.",
     )
 
@@ -244,8 +237,8 @@ def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, 
         (
             report_page.axis_table(caption, stages, "{:.3f}".format),
             _floors(comparison, trace) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
-            report_page.Interactive(drawn["error_per_test_pose"], pose_spec(norms_mm(trace.errors)), hint),
-            report_page.Pair((drawn["error_histogram"], drawn["error_against_extension"])),
+            replace(drawn["error_per_test_pose"], spec=pose_spec(norms_mm(trace.errors)), hint=hint),
+            (drawn["error_histogram"], drawn["error_against_extension"]),
         ),
         f"{len(trace.sets['test'])} poses from the whole joint ranges that took no part in the calibration.",
     )
@@ -280,7 +273,7 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
             f"absorb them: {dropped or 'none'}.",
             drawn["least_squares_convergence"],
             drawn["parameter_spectrum"],
-            report_page.Pair((drawn.get("network_convergence"), ranges)),
+            (drawn.get("network_convergence"), ranges),
         ),
     )
 
@@ -315,7 +308,8 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     gain = field_gain(comparison.grid.step, top)
     points = comparison.grid.points[rows]
     scale = {"colorscale": [[i / 16, _css(viridis(i / 16))] for i in range(17)], "cmin": 0.0, "cmax": round(top, 4)}
-    axes = _axes(points, spacing) | {"camera": {"eye": _xyz(EYE_DISTANCE * eye_direction(comparison))}}
+    eye = _numbers(EYE_DISTANCE * eye_direction(comparison))
+    axes = _axes(points, spacing) | {"camera": {"eye": dict(zip("xyz", eye, strict=True))}}
     data: list[dict[str, Any]] = []
     layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 80}, "showlegend": False}
     for i, policy in enumerate(comparison.policies, start=1):
@@ -324,8 +318,8 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
         end["marker"]["showscale"] = i == 1
         data += [shaft | {"scene": scene}, end | {"scene": scene, "name": policy.label}]
         layout[scene] = axes
-        numbers = error_spread(field_mm(policy))
-        title = f"<b>{escape(policy.label)}</b>, ×{gain:g}: mean {numbers.mean:.2f}, max {numbers.largest:.2f} mm"
+        mean, *_, largest = error_spread(field_mm(policy))
+        title = f"<b>{escape(policy.label)}</b>, ×{gain:g}: mean {mean:.2f}, max {largest:.2f} mm"
         layout["annotations"].append({"text": title})
     return {"data": data, "layout": layout}
 
@@ -390,10 +384,6 @@ def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
 
 def _coordinates(points: Array) -> dict[str, Any]:
     return {axis: _numbers(points[:, i]) for i, axis in enumerate("xyz")}
-
-
-def _xyz(vector: Array) -> dict[str, Any]:
-    return dict(zip("xyz", _numbers(vector), strict=True))
 
 
 def _numbers(values: Array) -> list[float | None]:

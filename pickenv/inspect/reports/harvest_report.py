@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from pickenv.base.intervals import LEAST
 from pickenv.harvester import Measure
@@ -11,8 +10,8 @@ from pickenv.harvester.machine import dense_workspace
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.reports.report_words import estimated, percent
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
+from pickenv.inspect.runs.number_words import percent, said
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
 MEASURES = {
@@ -67,13 +66,15 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         f"From {names[0]} to {names[-1]}: {100 * before['harvested'].value:.0f} to "
         f"{100 * after['harvested'].value:.0f} % of the fruit",
         f"On {trace.tree_count} simulated trees, {names[0]} collects {_share(before)} of the fruit present at "
-        f"{_rate(before)} picks per hour, {names[-1]} {_share(after)} at {_rate(after)}. {_intervals(trace)}",
+        f"{_words(before['picks_per_hour'], 0)} picks per hour, {names[-1]} {_share(after)} at "
+        f"{_words(after['picks_per_hour'], 0)}. {_intervals(trace)}",
     )
+    looks = {key: (1, 100.0) if "(%)" in MEASURES.get(key, "") else (3, 1.0) for key in before}
     measures = PageTable(
         f"Measures of each strategy. {_intervals(trace)}",
         ("measure", *trace.measures),
         [
-            (MEASURES.get(key, key), *(_said(measures[key], key) for measures in trace.measures.values()))
+            (MEASURES.get(key, key), *(_words(measures[key], *looks[key]) for measures in trace.measures.values()))
             for key in before
         ],
     )
@@ -87,24 +88,16 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), drawings(run))
 
 
-def _said(measure: Measure, key: str) -> str:
-    """A measure with its interval, in the unit of `MEASURES`."""
-    scale, digits = (100.0, 1) if "(%)" in MEASURES.get(key, "") else (1.0, 3)
-    low, high = (None if end is None else scale * end for end in (measure.low, measure.high))
-    return estimated(scale * measure.value, low, high, digits)
-
-
 def _intervals(trace: HarvestTrace) -> str:
     if trace.tree_count < LEAST:
         return f"No intervals: {trace.tree_count} trees are fewer than {LEAST}."
     return "In brackets: 95 % intervals over trees."
 
 
-def _share(measures: Mapping[str, Any]) -> str:
+def _share(measures: Mapping[str, Measure]) -> str:
     harvested = measures["harvested"]
     return percent(harvested.value, harvested.low, harvested.high, 1)
 
 
-def _rate(measures: Mapping[str, Any]) -> str:
-    rate = measures["picks_per_hour"]
-    return estimated(rate.value, rate.low, rate.high, 0)
+def _words(measure: Measure, digits: int, scale: float = 1.0) -> str:
+    return said(measure.value, (measure.low, measure.high), digits, scale)

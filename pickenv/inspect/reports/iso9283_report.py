@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
-from pickenv.inspect.reports.report_words import estimated
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_iso9283
+from pickenv.inspect.runs.number_words import said
+from pickenv.inspect.runs.run_folder import ISO9283, Run, TakePicture, load_result
 
 CONTROLLERS = ("raw", "calibrated")
 
 
+def _result(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
+    """All of a test's result, and the part of each controller."""
+    result = load_result(run, ISO9283)
+    return result, {name: result[name] for name in CONTROLLERS if name in result}
+
+
 def drawings(run: Run) -> Drawings:
     """The figures of a test's run folder."""
-    result = load_iso9283(run)
-    controllers = {name: result[name] for name in CONTROLLERS if name in result}
+    result, controllers = _result(run)
     accuracy, repeatability = (
         {name: [pose[key] for pose in test["poses"]] for name, test in controllers.items()}
         for key in ("accuracy_mm", "repeatability_mm")
@@ -31,8 +35,7 @@ def drawings(run: Run) -> Drawings:
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """The page of a test's run folder."""
-    result = load_iso9283(run)
-    controllers = {name: result[name] for name in CONTROLLERS if name in result}
+    result, controllers = _result(run)
     worst = "; ".join(
         f"{name}: AP {test['worst_accuracy_mm']:.3f} mm, RP {test['worst_repeatability_mm']:.3f} mm, drift dAP "
         f"{test['drift_mm']:.3f} mm"
@@ -48,7 +51,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         (
             f"{name} {pose['name']}",
             f"{pose['accuracy_mm']:.3f}",
-            _repeated(pose),
+            said(pose["repeatability_mm"], pose["repeatability_ci95_mm"], 3),
             f"{pose['accuracy_deg']:.4f}",
             f"{max(pose['repeatability_deg']):.4f}",
             f"{test['variation_mm'][pose['name']]:.3f}" if pose["name"] in test["variation_mm"] else "–",
@@ -64,11 +67,3 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     )
     table = PageTable("Accuracy and repeatability of this one arm at each test pose", heads, rows)
     return plain_report(run, "Accuracy by ISO 9283", subtitle, verdict, (table,), drawings(run))
-
-
-def _repeated(pose: Mapping[str, Any]) -> str:
-    """RP of a pose with its interval, where there are cycles enough for one, mm."""
-    ends = pose["repeatability_ci95_mm"]
-    return (
-        f"{pose['repeatability_mm']:.3f}" if ends is None else estimated(pose["repeatability_mm"], ends[0], ends[1], 3)
-    )

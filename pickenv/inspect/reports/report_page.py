@@ -10,7 +10,7 @@ import gzip
 import io
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.resources import files
@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from pickenv.calibration.assessment.screen import is_number
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import THEME, style
-from pickenv.inspect.reports.report_words import named_values
+from pickenv.inspect.runs.number_words import named_values
 from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
 PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
@@ -51,23 +51,14 @@ class PageVerdict:
     findings: Sequence[tuple[str, str]] = ()
 
 
-@dataclass(frozen=True)
-class Bar:
-    """A bar from zero to a value with a whisker of two standard deviations, in a table's cell.
+Bar: TypeAlias = tuple[float, float, float]
+"""A bar from zero to a value, with a whisker of two standard deviations: value, standard deviation, and limit of the
+scale, which goes from minus to plus this."""
 
-    Attributes:
-        value: Where it ends.
-        sigma: Standard deviation.
-        limit: The cell's scale goes from minus to plus this.
-    """
 
-    value: float
-    sigma: float
-    limit: float
-
-    def at(self, sigmas: float = 0.0) -> float:
-        """Place of the value plus so many standard deviations: 4 to 116, with zero at 60."""
-        return 60.0 + 56.0 * min(max((self.value + sigmas * self.sigma) / self.limit, -1.0), 1.0)
+def bar_place(value: float, limit: float) -> float:
+    """Place of a value on a bar's scale: 4 to 116, with zero at 60."""
+    return 60.0 + 56.0 * min(max(value / limit, -1.0), 1.0)
 
 
 @dataclass(frozen=True)
@@ -77,7 +68,7 @@ class PageTable:
     Attributes:
         caption: What it shows, with units.
         heads: Column names with units; none for plain lines.
-        rows: Cells.
+        rows: Cells: words, numbers as they are written, or bars.
         look: ``code`` where the first column holds names of parameters, ``wide`` where the second holds sentences,
             ``dense`` where there are many columns.
     """
@@ -90,22 +81,7 @@ class PageTable:
     def in_words(self, column: int) -> bool:
         """Whether a column holds words: the first does, and those of which most cells are no numbers."""
         cells = [cell for row in self.rows if (cell := row[column])]
-        return column == 0 or 2 * sum(isinstance(cell, Bar) or is_number(cell) for cell in cells) < len(cells)
-
-
-@dataclass(frozen=True, eq=False)
-class Interactive:
-    """A figure that comes alive in a browser.
-
-    Attributes:
-        drawing: Its still twin, for print and for browsers that cannot draw it.
-        spec: Plotly's data and layout.
-        hint: What a reader can do with it.
-    """
-
-    drawing: Drawing
-    spec: Mapping[str, Any]
-    hint: str
+        return column == 0 or 2 * sum(not isinstance(cell, str) or is_number(cell) for cell in cells) < len(cells)
 
 
 @dataclass(frozen=True)
@@ -121,28 +97,9 @@ class Picture:
     caption: str
 
 
-@dataclass(frozen=True)
-class Pair:
-    """Parts side by side where there is room."""
-
-    parts: Sequence[Part]
-
-
-@dataclass(frozen=True)
-class Folded:
-    """Parts that open on demand; on paper they are open.
-
-    Attributes:
-        summary: What is inside, in a line.
-        parts: What it holds.
-    """
-
-    summary: str
-    parts: Sequence[Part]
-
-
-Part: TypeAlias = str | PageTable | Drawing | Interactive | Picture | Pair | Folded | Mapping[str, str] | None
-"""A part of a section: a paragraph, a table, a figure, names with values; what is empty is left out."""
+Part: TypeAlias = "str | PageTable | Drawing | Picture | Section | tuple[Part, ...] | Mapping[str, str] | None"
+"""A part of a section: a paragraph, a table, a figure, a section that opens on demand (on paper it is open), parts side
+by side where there is room, names with values; what is empty is left out."""
 
 
 @dataclass(frozen=True)
@@ -165,42 +122,40 @@ class Section:
         return "-".join("".join(c if c.isalnum() else " " for c in self.title.lower()).split())
 
 
-@dataclass(frozen=True)
-class Page:
-    """A report.
+def html_of(
+    title: str,
+    subtitle: str,
+    verdict: PageVerdict,
+    sections: Sequence[Section],
+    origin: Mapping[str, str],
+    tiles: Mapping[str, str] | None = None,
+    *,
+    contents: bool = False,
+) -> str:
+    """A report as HTML.
 
-    Attributes:
+    Args:
         title: Heading, and the browser's tab.
         subtitle: What was run or measured, in a line.
         verdict: Goes first.
-        sections: What it rests on.
+        sections: What it rests on; one that holds nothing is left out.
         origin: How to make it again, by name.
         tiles: Large figures in a row; keys say what they are.
         contents: Whether links to the sections follow the tiles.
     """
-
-    title: str
-    subtitle: str
-    verdict: PageVerdict
-    sections: Sequence[Section]
-    origin: Mapping[str, str]
-    tiles: Mapping[str, str] = field(default_factory=dict)
-    contents: bool = False
-
-    @property
-    def shown(self) -> list[Section]:
-        """The sections that hold anything, and the origin."""
-        return [s for s in (*self.sections, Section("Origin", (dict(self.origin),))) if any(s.parts)]
-
-    @property
-    def live(self) -> bool:
-        """Whether any figure comes alive."""
-        return any(isinstance(part, Interactive) for section in self.sections for part in section.parts)
-
-
-def html_of(page: Page) -> str:
-    """The page as HTML."""
-    return _templates().get_template("page.html").render(page=page)
+    return (
+        _templates()
+        .get_template("page.html")
+        .render(
+            title=title,
+            subtitle=subtitle,
+            verdict=verdict,
+            tiles=tiles,
+            contents=contents,
+            shown=[section for section in (*sections, Section("Origin", (dict(origin),))) if any(section.parts)],
+            live=any(isinstance(part, Drawing) and part.spec for section in sections for part in section.parts),
+        )
+    )
 
 
 @cache
@@ -213,7 +168,12 @@ def _templates() -> Environment:
         undefined=StrictUndefined,
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    environment.globals |= {"library": library, "largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
+    environment.globals |= {
+        "library": library,
+        "bar_place": bar_place,
+        "largest": PIXELS_PER_POINT,
+        "least": LEAST_PIXELS_PER_POINT,
+    }
     environment.filters |= {
         "base64": lambda content: base64.b64encode(content).decode(),
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
@@ -274,7 +234,7 @@ def plain_report(
         Section("Left out", [left_out]),
     )
     origin = {"Reproduce": run.command, "Seed": str(run.seed), "Versions": named_values(run.versions)}
-    return html_of(Page(title, subtitle, verdict, sections, origin))
+    return html_of(title, subtitle, verdict, sections, origin)
 
 
 def drawings_of(run: Run) -> Drawings:

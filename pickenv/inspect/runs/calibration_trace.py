@@ -35,7 +35,7 @@ class ViewErrors:
     @property
     def rms(self) -> float:
         """RMS length of the errors, px."""
-        return float(np.sqrt(np.mean(np.sum(self.errors**2, axis=1))))
+        return _rms(self.errors)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +123,7 @@ def trace_of(
 
 
 def _rms(errors: Array) -> float:
-    """RMS of the norms of error vectors ``(N, 3)``."""
+    """RMS of the norms of error vectors ``(N, k)``."""
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 

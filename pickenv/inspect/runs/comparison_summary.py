@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
@@ -19,7 +18,8 @@ from pickenv.arm import Array
 from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
-from pickenv.inspect.runs.matters import PickChange, change_cells, matters, pick_changes
+from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
+from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import misalignment
 
@@ -99,80 +99,88 @@ def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]
     }
 
 
-def row_cells(row: Mapping[str, Any]) -> list[str]:
-    """Cells of a row, under `HEADS`."""
+def policy_cells(episodes: RecordedEpisodes) -> list[list[str]]:
+    """Cells of `policy_rows`, under `HEADS`."""
     return [
-        row["policy"],
-        said(row["mean_mm"], row["ci95_mm"], 3),
-        said(row["median_mm"], None, 3),
-        said(row["p95_mm"], None, 3),
-        said(row["attitude_deg"], row["attitude_ci95_deg"], 3),
-        f"{row['picked']} of {row['tried']}",
-        said(row["share_picked"], row["share_ci95"], 0, 100.0),
+        [
+            row["policy"],
+            said(row["mean_mm"], row["ci95_mm"], 3),
+            said(row["median_mm"], None, 3),
+            said(row["p95_mm"], None, 3),
+            said(row["attitude_deg"], row["attitude_ci95_deg"], 3),
+            f"{row['picked']} of {row['tried']}",
+            said(row["share_picked"], row["share_ci95"], 0, 100.0),
+        ]
+        for row in policy_rows(episodes)
     ]
 
 
-def difference_cells(line: Mapping[str, Any]) -> list[str]:
-    """Cells of a difference, under `DIFFERENCES`."""
+def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
+    """Cells of `policy_differences`, under `DIFFERENCES`."""
     return [
-        line["from"],
-        line["to"],
-        said(line["difference_mm"], line["ci95_mm"], 3, sign="+"),
-        said(line["attitude_deg"], line["attitude_ci95_deg"], 3, sign="+"),
-        said(line["share_picked"], line["share_ci95"], 0, 100.0, sign="+"),
-        f"{line['nearer']} of {line['pairs']}",
+        [
+            line["from"],
+            line["to"],
+            said(line["difference_mm"], line["ci95_mm"], 3, sign="+"),
+            said(line["attitude_deg"], line["attitude_ci95_deg"], 3, sign="+"),
+            said(line["share_picked"], line["share_ci95"], 0, 100.0, sign="+"),
+            f"{line['nearer']} of {line['pairs']}",
+        ]
+        for line in policy_differences(episodes)
     ]
 
 
-def said(value: float | None, ends: Sequence[float] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """A number with its interval: 0.49 (0.42 to 0.57); a dash where it is not known."""
-    if value is None:
-        return "–"
-    words = f"{_plain(scale * value, digits):{sign}.{digits}f}"
-    if ends is None:
-        return words
-    return f"{words} ({' to '.join(f'{_plain(scale * end, digits):{sign}.{digits}f}' for end in ends)})"
+def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, str, dict[str, Any] | None]:
+    """The row of the policy that ends nearest, its rival, and the difference of the two.
 
-
-def _plain(value: float, digits: int) -> float:
-    """The number as it is written, without a minus before a zero."""
-    return round(value, digits) + 0.0
+    The rival is the first of the others, or the nearest where the best is the first. Without a policy that closed the
+    gripper there is no row; without another one, no difference.
+    """
+    closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
+    if not closed:
+        return None, "", None
+    best = min(closed, key=lambda row: row["mean_mm"])
+    if len(closed) == 1:
+        return best, "", None
+    lines = [line for line in policy_differences(episodes) if best["policy"] in (line["from"], line["to"])]
+    line = next((line for line in lines if line["difference_mm"] is not None), lines[0])
+    return best, line["from"] if line["to"] == best["policy"] else line["to"], line
 
 
 def outcome_sentence(episodes: RecordedEpisodes) -> str:
     """The verdict in a few words: the better policy."""
-    rows = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
-    if not rows:
+    best, _, line = _best(episodes)
+    if best is None:
         return "No policy closed the gripper"
-    best = min(rows, key=lambda row: row["mean_mm"])
-    if len(rows) == 1:
-        return f"{best['policy']} ends {best['mean_mm']:.3f} mm from the fruit"
-    _, line = _against(episodes, best["policy"])
+    name, mean = best["policy"], f"{best['mean_mm']:.3f} mm"
+    if line is None:
+        return f"{name} ends {mean} from the fruit"
     if line["significant"] is None:
-        return f"{best['policy']} ends nearest in these few episodes, {best['mean_mm']:.3f} mm"
+        return f"{name} ends nearest in these few episodes, {mean}"
     if not line["significant"]:
-        return f"No policy is told apart from {best['policy']} with {best['mean_mm']:.3f} mm"
-    return f"{best['policy']} ends nearest to the fruit: {best['mean_mm']:.3f} mm"
+        return f"No policy is told apart from {name} with {mean}"
+    return f"{name} ends nearest to the fruit: {mean}"
 
 
 def explanation(episodes: RecordedEpisodes) -> str:
     """By how much it is better, whether that changes a pick for any gripper, and what this gripper picked here."""
-    rows = policy_rows(episodes)
-    closed = [row for row in rows if row["mean_mm"] is not None]
-    if not closed:
+    best, rival, line = _best(episodes)
+    if best is None:
         return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
-    best = min(closed, key=lambda row: row["mean_mm"])
-    rival, line = _against(episodes, best["policy"]) if len(closed) > 1 else ("", {"difference_mm": None})
-    if line["difference_mm"] is None:  # no fruit for which two of them closed the gripper
-        return f"{_picking(episodes, rows)}."
-    by = said(abs(line["difference_mm"]), _turned(line), 3)
-    first = f"{best['policy']} misses by {by} mm less than {rival} for the same {line['pairs']} fruit"
-    between = (f"with {rival}", f"with {best['policy']}")
-    worth = matters(episodes.plant_name or episodes.env_id, _changes(episodes, rival, best["policy"]), between)
-    return f"{first}. {worth} {_picking(episodes, rows)}."
+    if line is None or line["difference_mm"] is None:  # no fruit for which two of them closed the gripper
+        return f"{_picking(episodes)}."
+    name, ends = best["policy"], line["ci95_mm"]
+    if ends is not None and line["difference_mm"] < 0.0:
+        ends = [-ends[1], -ends[0]]
+    by = said(abs(line["difference_mm"]), ends, 3)
+    first = f"{name} misses by {by} mm less than {rival} for the same {line['pairs']} fruit"
+    changes = _changes(episodes, rival, name)
+    worth = matters(episodes.plant_name or episodes.env_id, changes, (f"with {rival}", f"with {name}"))
+    return f"{first}. {worth} {_picking(episodes)}."
 
 
-def _picking(episodes: RecordedEpisodes, rows: Sequence[Mapping[str, Any]]) -> str:
+def _picking(episodes: RecordedEpisodes) -> str:
+    rows = policy_rows(episodes)
     counts = ", ".join(f"{row['picked']} of {row['tried']} with {row['policy']}" for row in rows)
     return f"In these episodes {episodes.gripper}, which forgives {episodes.tolerance_mm:g} mm, picks {counts}"
 
@@ -182,23 +190,11 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
 
     What counts is the miss across the tool. Empty where no two policies closed the gripper for the same fruit.
     """
-    closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
-    if len(closed) < 2:
+    best, rival, line = _best(episodes)
+    if best is None or line is None or line["difference_mm"] is None:
         return {}
-    best = min(closed, key=lambda row: row["mean_mm"])["policy"]
-    rival, line = _against(episodes, best)
-    if line["difference_mm"] is None:
-        return {}
-    return {"from": rival, "to": best, "changes": [vars(change) for change in _changes(episodes, rival, best)]}
-
-
-def change_table(episodes: RecordedEpisodes) -> tuple[tuple[str, ...], list[tuple[str, ...]]] | None:
-    """Heads and rows of `policy_changes`; None where there are none."""
-    changes = policy_changes(episodes)
-    if not changes:
-        return None
-    heads = ("gripper", "fruit seen to, per axis (mm)", f"taken, {changes['from']} (%)", f"{changes['to']} (%)")
-    return (*heads, "change (points of %)"), [change_cells(PickChange(**change)) for change in changes["changes"]]
+    changes = [vars(change) for change in _changes(episodes, rival, best["policy"])]
+    return {"from": rival, "to": best["policy"], "changes": changes}
 
 
 def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChange]:
@@ -213,22 +209,6 @@ def _across(policy: RecordedPolicy) -> Array:
     apart = (policy.fruit_position - policy.tool_position)[comparable]
     across[comparable] = 1e3 * misalignment(apart, axis[comparable])[0]
     return _finite(across)
-
-
-def _against(episodes: RecordedEpisodes, best: str) -> tuple[str, dict[str, Any]]:
-    """The difference of the best policy to the first of the others, or to the nearest where the best is the first."""
-    lines = [line for line in policy_differences(episodes) if best in (line["from"], line["to"])]
-    lines = [line for line in lines if line["difference_mm"] is not None] or lines
-    line = lines[0]
-    return (line["from"] if line["to"] == best else line["to"]), line
-
-
-def _turned(line: Mapping[str, Any]) -> list[float] | None:
-    """The interval of a difference's size, in the direction in which it is above zero."""
-    ends = line["ci95_mm"]
-    if ends is None or line["difference_mm"] >= 0.0:
-        return None if ends is None else list(ends)
-    return [-ends[1], -ends[0]]
 
 
 def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
@@ -252,11 +232,9 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
 def comparison_markdown(episodes: RecordedEpisodes) -> str:
     """The verdict and both tables, for the recording."""
     lines = [f"## {outcome_sentence(episodes)}", "", explanation(episodes), ""]
-    lines += _table(HEADS, [row_cells(row) for row in policy_rows(episodes)])
-    differences = policy_differences(episodes)
-    if differences:
-        lines += ["", "Fruit by fruit, later minus earlier policy:", ""]
-        lines += _table(DIFFERENCES, [difference_cells(line) for line in differences])
+    lines += _table(HEADS, policy_cells(episodes))
+    if differences := difference_cells(episodes):
+        lines += ["", "Fruit by fruit, later minus earlier policy:", "", *_table(DIFFERENCES, differences)]
     return "\n".join([*lines, "", f"{len(episodes.seeds)} episodes of {episodes.env_id}, simulated; {INTERVALS}."])
 
 
@@ -287,28 +265,17 @@ GAIN = 20.0
 SCALE_PERCENTILE = 99.0
 """The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
 
-
-@dataclass(frozen=True)
-class Spread:
-    """Mean, root mean square, 95th percentile and maximum of some errors, in the errors' unit."""
-
-    mean: float
-    rms: float
-    p95: float
-    largest: float
+BINS = 24
+"""Of a histogram of reach errors, about."""
 
 
-def error_spread(values: ArrayLike) -> Spread:
-    """The `Spread` of ``values`` ``(...)``; all of it is nan when there are none."""
+def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
+    """Mean, root mean square, 95th percentile and maximum of errors ``(...)``; nan where there are none."""
     values = np.asarray(values, dtype=float).ravel()
     if not values.size:
-        return Spread(math.nan, math.nan, math.nan, math.nan)
-    return Spread(
-        mean=float(values.mean()),
-        rms=float(np.sqrt(np.mean(values**2))),
-        p95=float(np.percentile(values, 95)),
-        largest=float(values.max()),
-    )
+        return math.nan, math.nan, math.nan, math.nan
+    rms = float(np.sqrt(np.mean(values**2)))
+    return float(values.mean()), rms, float(np.percentile(values, 95)), float(values.max())
 
 
 def field_mm(policy: RecordedPolicy) -> Array:
@@ -351,11 +318,11 @@ def scale_end(values: Array) -> float:
     return top if top > 0.0 else 1.0
 
 
-def histogram_edges_mm(comparison: Comparison, bins: int = 24) -> Array:
-    """Edges ``(B + 1,)`` in mm of about ``bins`` bins of round width, which hold every policy's reach errors."""
+def histogram_edges_mm(comparison: Comparison) -> Array:
+    """Edges ``(B + 1,)`` in mm of about `BINS` bins of round width, which hold every policy's reach errors."""
     errors = [policy.ends.position_error_mm for policy in comparison.policies]
     largest = float(np.max(errors, initial=0.0))
-    width = round_step((largest or 1.0) / bins)
+    width = round_step((largest or 1.0) / BINS)
     return np.asarray(width * np.arange(int(largest / width) + 2))
 
 
@@ -365,9 +332,9 @@ def round_step(at_least: float) -> float:
     return next(float(m * power) for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= at_least * (1.0 - 1e-9))
 
 
-def ticks(top: float, count: int = 8) -> list[float]:
-    """Round tick values from 0 up to ``top``, about ``count`` of them."""
-    step = round_step(top / count)
+def ticks(top: float) -> list[float]:
+    """Round tick values from 0 up to ``top``, about eight of them."""
+    step = round_step(top / 8)
     return [i * step for i in range(int(top / step + 1e-9) + 1)]
 
 
@@ -420,17 +387,17 @@ def _better(comparison: Comparison) -> str:
 
 def _reach_cells(policy: RecordedPolicy) -> list[str]:
     ends = policy.ends
-    reach, field, attitude = map(error_spread, (ends.position_error_mm, field_mm(policy), ends.attitude_error_deg))
+    mean, *others = error_spread(ends.position_error_mm)
+    attitude, *_ = error_spread(ends.attitude_error_deg)
     return [
         f"{100.0 * float(np.mean(ends.success)):.0f} %",
-        f"{reach.mean:.2f} mm",
-        *(f"{value:.2f}" for value in (reach.rms, reach.p95, reach.largest)),
-        f"{attitude.mean:.3f}°",
-        f"{field.mean:.2f} mm",
-        f"{field.rms:.2f}",
+        f"{mean:.2f} mm",
+        *(f"{value:.2f}" for value in others),
+        f"{attitude:.3f}°",
+        *_field_cells(policy)[:2],
     ]
 
 
 def _field_cells(policy: RecordedPolicy) -> list[str]:
-    field = error_spread(field_mm(policy))
-    return [f"{field.mean:.2f} mm", *(f"{value:.2f}" for value in (field.rms, field.p95, field.largest))]
+    mean, *others = error_spread(field_mm(policy))
+    return [f"{mean:.2f} mm", *(f"{value:.2f}" for value in others)]

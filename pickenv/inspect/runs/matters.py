@@ -6,7 +6,7 @@ the tool, independent of the arm's. Whether the gripper then takes the fruit is 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,28 +24,19 @@ CURVE_MM = np.linspace(0.0, 40.0, 401)
 """Lateral misalignments at which a gripper's curve is drawn, mm."""
 
 
-@dataclass(frozen=True, eq=False)
-class Gripped:
-    """One policy's reaches as a gripper sees them.
-
-    Attributes:
-        lateral_mm: Distance of the fruit across the tool's axis ``(R,)``.
-        success: For each gripper, the probability that it takes each fruit ``(R,)``.
-    """
-
-    lateral_mm: Array
-    success: Mapping[str, Array]
-
-
 def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, Array]]:
     """For each gripper, lateral misalignment ``(N,)``, mm, and its probability of success ``(N,)``."""
     return {name: (CURVE_MM, capture_probability(load_gripper(name), CURVE_MM * 1e-3, 0.0, 0.0)) for name in names}
 
 
-def gripped(comparison: Comparison) -> dict[str, Gripped]:
+def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]:
     """The fruit of each reach as it lies in the true tool, by policy label.
 
     The tool is as the true arm holds it; it should point as the nominal arm does at the first policy's command.
+
+    Returns:
+        For each policy, distances of the fruit across the tool's axis ``(R,)``, mm, and for each gripper the
+        probability that it takes each fruit ``(R,)``.
     """
     grippers: dict[str, Gripper] = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
@@ -55,7 +46,7 @@ def gripped(comparison: Comparison) -> dict[str, Gripped]:
         axis = comparison.plant.tool_pose(ends.joint_command).rotation[..., 2]
         lying = misalignment(comparison.fruit - ends.tool_position, axis, target)
         success = {name: capture_probability(gripper, *lying) for name, gripper in grippers.items()}
-        by_policy[policy.label] = Gripped(lying[0] * 1e3, success)
+        by_policy[policy.label] = lying[0] * 1e3, success
     return by_policy
 
 
@@ -106,17 +97,16 @@ def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) ->
     return float(capture_probability(gripper, lateral * 1e-3, 0.0, 0.0).mean())
 
 
-def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike, grippers: Sequence[str] = GRIPPERS) -> list[PickChange]:
-    """The effect of a calibration on picks, for each gripper and each of `PERCEPTION_MM`.
+def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[PickChange]:
+    """The effect of a calibration on picks, for each of `GRIPPERS` and of `PERCEPTION_MM`.
 
     Args:
         before_mm: Lateral errors without calibration ``(N,)``, mm.
         after_mm: The same with it.
-        grippers: Names of grippers.
     """
     return [
         PickChange(name, perception, *(pick_share(gripper, errors, perception) for errors in (before_mm, after_mm)))
-        for name, gripper in ((name, load_gripper(name)) for name in grippers)
+        for name, gripper in ((name, load_gripper(name)) for name in GRIPPERS)
         for perception in PERCEPTION_MM
     ]
 

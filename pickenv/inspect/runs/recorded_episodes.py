@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, Geometry, Plant, Pose, forward, inverse, noncompensable_error
 from pickenv.base import InputError
 from pickenv.calibration import random_joints
-from pickenv.inspect.colours import policy_key
+from pickenv.inspect.colours import Rgb, policy_colours, policy_key
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +167,7 @@ class RecordedEpisodes:
     Attributes:
         policies: One entry per policy: raw, LS, LS+BPNN, then others.
         plant: The true arm that was simulated; with `joint_command` and `tool_position` it is drawn
-            (`pickenv.inspect.runs.saved.true_points`). None where the environment has none.
+            (`pickenv.arm.true_points`). None where the environment has none.
         tolerance_mm: How far aside of the tool a fruit may lie so that the gripper takes it one time in two, or always
             for a cup.
         seed: Seed of the comparison.
@@ -195,6 +195,16 @@ class RecordedEpisodes:
     def nominal(self) -> Geometry | None:
         """The arm as its controller believes it to be; None where the environment has no arm."""
         return None if self.plant is None else self.plant.arm.nominal
+
+    @property
+    def colours(self) -> list[Rgb]:
+        """One colour per policy."""
+        return policy_colours([policy.key for policy in self.policies])
+
+    @property
+    def largest_mm(self) -> float:
+        """The largest distance between tool and fruit at the end of an episode, mm."""
+        return max(float(policy.ends.position_error_mm.max()) for policy in self.policies)
 
     @property
     def fruit(self) -> Array:

@@ -51,6 +51,12 @@ ISO9283 = "iso9283.json"
 CONDITIONS = "conditions.json"
 MATTERS_FILE = "matters.json"
 REPORT = "report.html"
+RESULTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    ISO9283: ("an ISO 9283 result", ("raw", "settings", "plant", "standard")),
+    CONDITIONS: ("a study of conditions", ("sweeps", "settings", "plant", "interval_over")),
+    MATTERS_FILE: ("what calibration does to picks", ()),
+}
+"""Files of results in JSON: what each is, and what it must hold."""
 STUDY = "study.toml"
 """The configuration in a study's folder, which has no `run.json`."""
 
@@ -151,7 +157,7 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
             (folder / RECORD).unlink()
         before = _stamps(folder)
         yield run
-        _write_record(replace(run, files=_changed_since(folder, before)))
+        write_text(folder / RECORD, _record_text(replace(run, files=_changed_since(folder, before))))
 
 
 @contextmanager
@@ -162,7 +168,8 @@ def added_to(run: Run) -> Iterator[None]:
     changed = _changed_since(run.folder, before)
     if run.files is not None and changed:
         latest = read_run(run.folder)  # another command may have added its own since
-        _write_record(replace(latest, files={**(latest.files or {}), **changed}))
+        added = replace(latest, files={**(latest.files or {}), **changed})
+        write_text(run.folder / RECORD, _record_text(added))
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
@@ -181,10 +188,6 @@ def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]
     """SHA-256 of the files that were written since."""
     now = _stamps(folder)
     return {name: file_sha256(folder / name) for name in sorted(now) if now[name] != before.get(name)}
-
-
-def _write_record(run: Run) -> Path:
-    return write_text(run.folder / RECORD, _record_text(run))
 
 
 def _record_text(run: Run) -> str:
@@ -313,36 +316,19 @@ def load_part(run: Run, kind: type[Part]) -> Part:
     return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
 
 
-def load_iso9283(run: Run) -> dict[str, Any]:
-    """The result of a test by ISO 9283, as it was written.
+def load_result(run: Run, name: str) -> dict[str, Any]:
+    """One of `RESULTS` of a run, as it was written.
 
     Raises:
         InputError: If the file is missing or damaged.
     """
-    result = _load_result(run, ISO9283, "an ISO 9283 result", ("raw", "settings", "plant", "standard"))
-    with refusing_damage(run.folder / ISO9283, "an ISO 9283 result", f"`{run.made_by}` makes it anew"):
-        result["raw"]["poses"]
-    return result
-
-
-def load_cases(run: Run) -> dict[str, list[dict[str, Any]]]:
-    """The effect of calibration on picks, by plant of a demonstration; empty for a run that says nothing of it."""
-    if not (run.folder / MATTERS_FILE).is_file():
-        return {}
-    return _load_result(run, MATTERS_FILE, "what calibration does to picks", ())
-
-
-def load_conditions(run: Run) -> dict[str, Any]:
-    """The result of a study of conditions, as it was written; raises `InputError` if it is missing or damaged."""
-    return _load_result(run, CONDITIONS, "a study of conditions", ("sweeps", "settings", "plant", "interval_over"))
-
-
-def _load_result(run: Run, name: str, what: str, keys: tuple[str, ...]) -> dict[str, Any]:
-    path = unedited(run, name)
+    path, (what, keys) = unedited(run, name), RESULTS[name]
     with refusing_damage(path, what, f"`{run.made_by}` makes it anew"):
         result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         for key in keys:
             result[key]
+        if name == ISO9283:
+            result["raw"]["poses"]
     return result
 
 

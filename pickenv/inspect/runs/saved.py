@@ -16,11 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Effect, Plant
-from pickenv.arm.kinematics.forward import (
-    drawn_parts as drawn_parts,
-    nominal_points as nominal_points,
-    true_points as true_points,
-)
 from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.base import InputError, read_container, refusing_damage, registry, write_container
 from pickenv.inspect.runs.recorded_episodes import Comparison

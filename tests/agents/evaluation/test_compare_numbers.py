@@ -288,7 +288,7 @@ def test_a_share_is_the_mean_over_rings_and_spokes(seen: float, monkeypatch: pyt
     each = [math.hypot(o + r * math.cos(t), r * math.sin(t)) for o in own for r in away for t in turns]
     assert pick_share(load_gripper("li_cup"), own, seen) == pytest.approx(1e-3 * sum(each) / len(each), rel=1e-9)
     assert PERCEPTION_MM == (0.0, 1.0, 2.0, 3.0, 5.0)
-    changes = pick_changes([1.0], [3.0], ["li_cup", "compliant_hand"])
+    changes = pick_changes([1.0], [3.0])
     assert [(c.gripper, c.perception_mm) for c in changes] == [
         (name, seen) for name in ("li_cup", "compliant_hand") for seen in PERCEPTION_MM
     ]

@@ -13,6 +13,7 @@ from pickenv.arm import (
     gravity_torques,
     joint_jacobian,
     load_arm,
+    nominal_points,
     parameter_jacobian,
     pose_error,
     split_joints,
@@ -31,7 +32,6 @@ from pickenv.calibration import (
     random_joints,
     read_measurements,
 )
-from pickenv.inspect.runs.saved import nominal_points
 
 URDF = """<robot name="lift_arm">
   <link name="floor"/><link name="mast"/><link name="stage1"/><link name="stage2"/><link name="upper"/>

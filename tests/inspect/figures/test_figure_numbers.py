@@ -19,6 +19,7 @@ from matplotlib.container import BarContainer, ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver
 
+from pickenv.arm import nominal_points
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
@@ -32,7 +33,7 @@ from pickenv.inspect.colours import arm_colour, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.plot_errors import field_gain, round_down, thinned
 from pickenv.inspect.figures.style import WIDTH
-from pickenv.inspect.runs.saved import eye_direction, nominal_points, shown_box
+from pickenv.inspect.runs.saved import eye_direction, shown_box
 
 RNG = np.random.default_rng(17)
 ERRORS = {"raw": RNG.gamma(4, 1.5, 37), "LS": RNG.gamma(4, 0.15, 50), "LS + BPNN": RNG.gamma(2, 0.1, 44)}
@@ -131,11 +132,11 @@ def test_error_cumulative() -> None:
 @pytest.mark.parametrize("values", [np.repeat([0.0, 0.25, 0.5], 8), RNG.uniform(0, 2, 24)])
 def test_error_against(values: np.ndarray) -> None:
     errors = {"raw": RNG.gamma(4, 1.0, 24), "LS": RNG.gamma(4, 0.1, 24)}
-    figure = plot_errors.error_against(values, errors, name="payload", unit="kg", groups=6)
+    figure = plot_errors.error_against(values, errors, name="payload", unit="kg")
     (axes,) = figure.axes
     known = np.unique(values)
     order = np.argsort(values, kind="stable")
-    parts = [values == v for v in known] if len(known) <= 6 else np.split(order, 6)
+    parts = [values == v for v in known] if len(known) <= 8 else np.split(order, 8)
     for label, error in errors.items():
         means = np.array([[np.mean(values[part]), np.mean(error[part])] for part in parts])
         np.testing.assert_allclose(line_in(axes, COLOURS[label], len(parts)), means)
@@ -162,9 +163,9 @@ def test_uncertainty_map() -> None:
     """Square cells from the nearest and lowest pose, each with the mean of its own, at its own place."""
     rng = np.random.default_rng(3)
     x, y, values = rng.uniform(200, 1400, 60), rng.uniform(-300, 500, 60), rng.gamma(2, 0.1, 60)
-    figure = plot_calibration.uncertainty_map(x, y, values, cells=12)
+    figure = plot_calibration.uncertainty_map(x, y, values)
     (image,) = figure.axes[0].get_images()
-    step = np.ptp(x) / 12
+    step = np.ptp(x) / 26
     left, right, bottom, top = image.get_extent()
     shown = np.ma.getdata(image.get_array())
     assert (left, bottom) == pytest.approx((x.min(), y.min()))
@@ -216,22 +217,22 @@ def test_joint_coverage(comparison: Comparison) -> None:
     assert list(legend(figure)) == ["a (40)", "b (9)"]
 
 
-POINTS = np.stack(np.meshgrid(*[0.1 * np.arange(4)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-FIELDS = {"raw": RNG.normal(scale=(1e-3, 1e-5, 1e-3), size=(64, 3)), "LS": RNG.normal(scale=2e-4, size=(64, 3))}
+POINTS = np.stack(np.meshgrid(*[0.1 * np.arange(5)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+FIELDS = {"raw": RNG.normal(scale=(1e-3, 1e-5, 1e-3), size=(125, 3)), "LS": RNG.normal(scale=2e-4, size=(125, 3))}
 
 
 def test_error_slices() -> None:
-    figure = error_slices(POINTS, FIELDS, step=0.1, slices=2)
+    figure = error_slices(POINTS, FIELDS, step=0.1)
     gain = float(re.search(r"×([\d.]+)", figure.get_suptitle())[1])  # type: ignore[index]
     *panels, bar = figure.axes
     assert "(mm)" in bar.get_xlabel()
     top = np.percentile(1e3 * np.linalg.norm(FIELDS["raw"], axis=1), 99)
     assert bar.get_xlim()[1] == pytest.approx(top)
     for i, axes in enumerate(panels):
-        label, layer = list(FIELDS)[i // 2], (1, 2)[i % 2]
-        if i < 2:
+        label, layer = list(FIELDS)[i // 3], (1, 2, 3)[i % 3]
+        if i < 3:
             assert axes.get_title() == f"y = {0.1 * layer:.2f} m"  # across y, where raw errs least
-        if i % 2 == 0:
+        if i % 3 == 0:
             assert axes.get_ylabel() == f"{label}\nz (m)"
         here = np.isclose(POINTS[:, 1], 0.1 * layer)
         (arrows,) = [c for c in axes.collections if isinstance(c, Quiver)]
@@ -242,7 +243,7 @@ def test_error_slices() -> None:
 
 
 def test_error_fields(comparison: Comparison) -> None:
-    figure = error_fields(comparison, gain=40.0)
+    figure = error_fields(comparison)
     *panels, bar = figure.axes
     assert figure.get_figwidth() == pytest.approx(WIDTH)  # three panels beside each other fill a page
     top = np.percentile(1e3 * np.linalg.norm(comparison.policies[0].field_errors, axis=1), 99)
@@ -255,8 +256,7 @@ def test_error_fields(comparison: Comparison) -> None:
         lengths = 1e3 * np.linalg.norm(policy.field_errors, axis=1)
         known = {tuple(c) for c in np.asarray(viridis(lengths / top) / 255.0)}
         assert {tuple(c[:3]) for c in arrows.get_facecolor()} <= known
-    assert "×40" in figure.get_suptitle()
-    assert f"×{field_gain(comparison.grid.step, top):g}" in error_fields(comparison).get_suptitle()
+    assert f"×{field_gain(comparison.grid.step, top):g}" in figure.get_suptitle()
 
 
 def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison: Comparison) -> None:
@@ -264,8 +264,9 @@ def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison
     eye, (centre, radius) = eye_direction(comparison), shown_box(comparison)
     right = np.array([-eye[1], eye[0], 0.0]) / np.hypot(eye[0], eye[1])
     plane = np.stack([right, np.cross(eye, right)], axis=-1)
-    figure = error_fields(comparison, gain=40.0)
+    figure = error_fields(comparison)
     top = np.percentile(1e3 * np.linalg.norm(comparison.policies[0].field_errors, axis=1), 99)
+    gain = field_gain(comparison.grid.step, top)
     shown, _ = thinned(comparison)
     shown = shown[np.argsort((comparison.grid.points[shown] - centre) @ eye)]
     low = comparison.grid.corner
@@ -276,7 +277,7 @@ def test_error_fields_are_seen_from_the_eye_the_farthest_arrows_first(comparison
         outlines = np.array([path.vertices[:7] for path in arrows.get_paths()])
         start, error = comparison.grid.points[shown], policy.field_errors[shown]
         np.testing.assert_allclose(outlines[:, [0, 6]].mean(axis=1), (start - centre) @ plane, atol=1e-9)
-        np.testing.assert_allclose(outlines[:, 3], (start + 40.0 * error - centre) @ plane, atol=1e-9)
+        np.testing.assert_allclose(outlines[:, 3], (start + gain * error - centre) @ plane, atol=1e-9)
         colours = viridis(1e3 * np.linalg.norm(error, axis=1) / top) / 255.0
         np.testing.assert_allclose(arrows.get_facecolor()[:, :3], colours)
         drawn = {tuple(np.round(line.get_xydata().ravel(), 9)) for line in axes.lines[:12]}
@@ -329,14 +330,14 @@ def test_success_points_are_the_policies_own(comparison: Comparison) -> None:
     labels = [policy.label for policy in comparison.policies]
     colours = dict(zip(labels, [np.array(c) / 255 for c in policy_colours(labels)], strict=True))
     texts = legend(figure)
-    for label, held in gripped(comparison).items():
+    for label, (lateral_mm, success) in gripped(comparison).items():
         assert same(colour_of(texts[f"{label}: mean error, success"]), colours[label])
         points = [
             np.asarray(line.get_xydata())[0]
             for line in axes.get_lines()
             if same(colour_of(line), colours[label]) and len(np.asarray(line.get_xdata())) == 1
         ]
-        wanted = [(np.mean(held.lateral_mm), 100 * np.mean(p)) for p in held.success.values()]
+        wanted = [(np.mean(lateral_mm), 100 * np.mean(p)) for p in success.values()]
         np.testing.assert_allclose(points, wanted)
 
 

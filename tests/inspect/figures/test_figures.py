@@ -189,7 +189,7 @@ def test_poses_beyond_their_limits_stay_on_the_paper(comparison: Comparison) -> 
 def test_a_cell_of_the_uncertainty_map_is_the_mean_of_its_poses() -> None:
     x, y = RNG.uniform(0.0, 1000.0, 400), RNG.uniform(-200.0, 300.0, 400)
     values = RNG.uniform(0.1, 0.2, 400)
-    image = plot_calibration.uncertainty_map(x, y, values, cells=10).axes[0].images[0]
+    image = plot_calibration.uncertainty_map(x, y, values).axes[0].images[0]
     mean, (left, right, bottom, top) = np.ma.filled(image.get_array(), np.nan), image.get_extent()
     assert left == x.min() and bottom == y.min() and right >= x.max() and top >= y.max()
     width, height = (right - left) / mean.shape[1], (top - bottom) / mean.shape[0]
@@ -211,13 +211,12 @@ def test_error_fields_share_view_scale_and_gain(comparison: Comparison, tmp_path
     from matplotlib.collections import PolyCollection
     from matplotlib.image import imread
 
-    figure = error_fields(comparison, gain=30.0)
+    figure = error_fields(comparison)
     *panels, bar = figure.axes
     assert len(panels) == 3
     assert {panel.get_xlim() for panel in panels} == {panels[0].get_xlim()}
     assert {panel.get_ylim() for panel in panels} == {panels[0].get_ylim()}
     assert "(mm)" in bar.get_xlabel()
-    assert "×30" in figure.get_suptitle()
     for unit in ("x (m)", "y (m)", "z (m)"):
         assert all(unit in [text.get_text() for text in panel.texts] for panel in panels)
     arrows = [next(c for c in panel.collections if isinstance(c, PolyCollection)) for panel in panels]
@@ -429,12 +428,13 @@ def test_a_policys_titles_say_where_it_ends_drifts_and_is_worst() -> None:
 
 
 def test_slices_title_is_the_mean_of_the_slices_that_are_shown() -> None:
-    """Of seven layers along x, one mm longer each, the slices evenly between the first and the last."""
-    points = np.stack(np.meshgrid(*[0.1 * np.arange(n) for n in (7, 2, 2)], indexing="ij"), axis=-1).reshape(-1, 3)
-    layer = np.rint(points[:, 0] / 0.1)
-    error = 1e-3 * np.stack([np.zeros(28), 1.0 + layer, np.zeros(28)], axis=1)
-    for slices, shown in ((1, [3]), (2, [2, 4]), (3, [2, 3, 4]), (7, range(7)), (9, range(7))):
-        figure = error_slices(points, {"raw": error}, step=0.1, axis=0, slices=slices)
+    """Of layers along x, one mm longer each, three evenly between the first and the last."""
+    for layers, shown in ((1, [0]), (3, [0, 1, 2]), (5, [1, 2, 3]), (7, [2, 3, 4]), (9, [2, 4, 6])):
+        parts = [0.1 * np.arange(n) for n in (layers, 2, 2)]
+        points = np.stack(np.meshgrid(*parts, indexing="ij"), axis=-1).reshape(-1, 3)
+        layer = np.rint(points[:, 0] / 0.1)
+        error = 1e-3 * np.stack([np.zeros(len(layer)), 1.0 + layer, np.zeros(len(layer))], axis=1)
+        figure = error_slices(points, {"raw": error}, step=0.1)
         assert title(figure).startswith(f"Mean error in slices: raw {1.0 + np.mean(shown):.1f} mm; arrows ×")
         names = [float(re.fullmatch(r"x = (\S+) m", axes.get_title())[1]) for axes in figure.axes[:-1]]  # type: ignore[index]
         assert names == pytest.approx([0.1 * each for each in shown])

@@ -18,8 +18,7 @@ from pickenv.inspect.films.film import (
     HALF,
     MOST_MOMENTS,
     STRIP,
-    FilmPlan,
-    FilmSet,
+    Film,
     attempts_of,
     film_pictures,
     film_stage,
@@ -79,31 +78,30 @@ def test_every_frame_states_what_the_run_holds(many, seconds, fps):
     episodes = run(many)
     plan = plan_film(episodes, seconds=seconds, frames_per_second=fps)
     assert len(plan.frames) == round(seconds * fps) and plan.reaching is not many
-    order = [(frame.episode, frame.moment) for frame in plan.frames]
-    assert order == sorted(order) and order[0] == (0, 0)
-    for frame in plan.frames:
-        for held, stated in zip(episodes.policies, frame.stated, strict=True):
-            now = min(frame.moment, held.moments[frame.episode] - 1)
+    assert list(plan.frames) == sorted(plan.frames) and plan.frames[0] == (0, 0)
+    for number, (episode, moment) in enumerate(plan.frames):
+        for held, stated in zip(episodes.policies, plan.stated(number), strict=True):
+            now = min(moment, held.moments[episode] - 1)
             assert stated.label == held.label
-            assert stated.distance_mm == held.position_error_mm[frame.episode, now]
-            earlier = [m for e in range(frame.episode) for m in held.miss_mm[e] if np.isfinite(m)]
-            closed = earlier + [m for m in held.miss_mm[frame.episode, : now + 1] if np.isfinite(m)]
+            assert stated.distance_mm == held.position_error_mm[episode, now]
+            earlier = [m for e in range(episode) for m in held.miss_mm[e] if np.isfinite(m)]
+            closed = earlier + [m for m in held.miss_mm[episode, : now + 1] if np.isfinite(m)]
             assert stated.tried == len(closed)
             assert stated.miss_mm == (closed[-1] if closed else None)
-            ends = sum(held.picked[e, held.moments[e] - 1] for e in range(frame.episode))
-            assert stated.picked == ends + held.picked[frame.episode, now]
+            ends = sum(held.picked[e, held.moments[e] - 1] for e in range(episode))
+            assert stated.picked == ends + held.picked[episode, now]
             assert 0 <= stated.picked <= stated.tried
-    for held, stated in zip(episodes.policies, plan.frames[-1].stated, strict=True):
-        whole = [held.picked[e, held.moments[e] - 1] for e in range(plan.frames[-1].episode + 1)]
+    for held, stated in zip(episodes.policies, plan.stated(-1), strict=True):
+        whole = [held.picked[e, held.moments[e] - 1] for e in range(plan.frames[-1][0] + 1)]
         assert stated.picked == sum(whole)
 
 
 def test_a_film_goes_no_faster_than_can_be_followed_and_says_how_fast():
     episodes = run(many=True, episodes=12)
     plan = plan_film(episodes, seconds=6.0)
-    steps = np.diff([frame.moment for frame in plan.frames if frame.episode == 0])
+    steps = np.diff([moment for episode, moment in plan.frames if episode == 0])
     assert steps.max() <= MOST_MOMENTS + 1
-    shown = {frame.episode for frame in plan.frames}
+    shown = {episode for episode, _ in plan.frames}
     assert shown == set(range(len(shown))) and 1 < len(shown) < 12
     assert 1.0 < plan.speed <= MOST_MOMENTS
     assert plan.speed == pytest.approx(np.mean([s for s in steps if s > 0]), rel=0.35)
@@ -122,25 +120,24 @@ def test_each_grasp_is_an_attempt_that_is_taken_or_not(many):
 def test_the_stage_shows_arm_ghost_and_misses_of_the_run():
     episodes = run(many=True)
     plan = plan_film(episodes)
-    film_set = FilmSet(episodes, plan, dark=False)
-    frame = plan.frames[-1]
+    episode, _ = plan.frames[-1]
     for side, held in enumerate(episodes.policies):
-        stage = film_stage(film_set, frame, side)
+        stage = film_stage(plan, -1, side)
         texts = [words.text for words in stage.words]
-        stated = frame.stated[side]
+        stated = plan.stated(-1)[side]
         assert texts[0] == held.label and f"picked {stated.picked} of {stated.tried}" in texts
         assert stage.dial.label == f"miss {stated.miss_mm:.1f} mm" and stage.dial.tolerance_mm == 5.0
         assert len(stage.dial.marks_mm) == stated.tried
         missed = [words for words in stage.words if words.text.startswith("missed by")]
-        gains = np.diff(held.picked[frame.episode], prepend=0)
-        closes = np.flatnonzero(np.isfinite(held.miss_mm[frame.episode]))
+        gains = np.diff(held.picked[episode], prepend=0)
+        closes = np.flatnonzero(np.isfinite(held.miss_mm[episode]))
         assert [w.text for w in missed] == [
-            f"missed by {held.miss_mm[frame.episode, t]:.1f} mm" for t in closes if not gains[t]
+            f"missed by {held.miss_mm[episode, t]:.1f} mm" for t in closes if not gains[t]
         ]
         ghost = next(rods for rods in stage.rods if len(rods.colour) and rods.colour[0, 3] < 255)
-        now = held.moments[frame.episode] - 1
-        tool = held.tool_position[frame.episode, now]
-        believed = forward(ARM, held.joint_target[frame.episode, now]).position
+        now = held.moments[episode] - 1
+        tool = held.tool_position[episode, now]
+        believed = forward(ARM, held.joint_target[episode, now]).position
         np.testing.assert_allclose(ghost.end[-1], tool + GAIN * (believed - tool), atol=1e-9)
         assert any(f"deviation × {GAIN}" in text for text in texts)
 
@@ -148,10 +145,10 @@ def test_the_stage_shows_arm_ghost_and_misses_of_the_run():
 def test_the_inset_changes_when_the_gripper_closes_and_not_before():
     episodes = run(many=True)
     plan = plan_film(episodes)
-    tried = [frame.stated[0].tried for frame in plan.frames]
+    tried = [plan.stated(number)[0].tried for number in range(len(plan.frames))]
     first = tried.index(1)
     around = dataclasses.replace(plan, frames=plan.frames[first - 2 : first + 1])
-    pictures = list(film_pictures(episodes, around))
+    pictures = list(film_pictures(around))
     assert {picture.shape for picture in pictures} == {(HALF[1] + STRIP, 2 * HALF[0] + GAP, 3)}
     inset = np.s_[HALF[1] - 105 : HALF[1] - 8, HALF[0] - 105 : HALF[0] - 8]
     green = [((p[inset].astype(int) - [46, 139, 87]) ** 2).sum(axis=-1) < 300 for p in pictures]
@@ -164,9 +161,9 @@ def test_the_inset_changes_when_the_gripper_closes_and_not_before():
 @pytest.mark.parametrize("dark", [False, True])
 def test_pictures_put_the_policies_side_by_side_in_their_colours(dark):
     episodes = run(many=False)
-    plan = plan_film(episodes, ["LS", "raw"], seconds=1.0, frames_per_second=2)
-    assert [stated.label for stated in plan.frames[0].stated] == ["LS", "raw"]
-    left, right = (next(film_pictures(episodes, plan, dark=dark))[: HALF[1], columns].astype(int)
+    plan = plan_film(episodes, ["LS", "raw"], seconds=1.0, frames_per_second=2, dark=dark)
+    assert [stated.label for stated in plan.stated(0)] == ["LS", "raw"]
+    left, right = (next(film_pictures(plan))[: HALF[1], columns].astype(int)
                    for columns in (np.s_[: HALF[0]], np.s_[-HALF[0] :]))  # fmt: skip
     blue, orange = (lambda p: p[..., 2] > 2 * p[..., 0] + 40), (lambda p: p[..., 0] > 3 * p[..., 2] + 60)
     assert orange(right).sum() > orange(left).sum() + 1000
@@ -176,7 +173,7 @@ def test_pictures_put_the_policies_side_by_side_in_their_colours(dark):
 
 def test_one_policy_alone_can_be_filmed_and_unknown_ones_are_named():
     episodes = run(many=False)
-    assert len(plan_film(episodes, ["LS"]).frames[0].stated) == 1
+    assert len(plan_film(episodes, ["LS"]).stated(0)) == 1
     with pytest.raises(InputError, match="no policy 'BPNN' in this run; give one of raw, LS"):
         plan_film(episodes, ["BPNN"])
     with pytest.raises(InputError, match="impossible"):
@@ -189,7 +186,7 @@ def test_files_hold_every_frame(tmp_path):
 
     episodes = run(many=True)
     plan = plan_film(episodes, seconds=1.0)
-    pictures = list(film_pictures(episodes, plan))
+    pictures = list(film_pictures(plan))
     for name in ("film.gif", "film.mp4"):
         write_film(iter(pictures), tmp_path / name, 10)
         frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / name))
@@ -228,18 +225,15 @@ def episodes() -> RecordedEpisodes:
 
 
 @pytest.fixture
-def plan(episodes: RecordedEpisodes) -> FilmPlan:
+def plan(episodes: RecordedEpisodes) -> Film:
     return plan_film(episodes, seconds=3.0)
 
 
-def test_each_half_says_whose_it_is_what_is_picked_and_how_far_it_is(
-    episodes: RecordedEpisodes, plan: FilmPlan
-) -> None:
-    film_set = FilmSet(episodes, plan, dark=False)
-    for frame in plan.frames:
+def test_each_half_says_whose_it_is_what_is_picked_and_how_far_it_is(plan: Film) -> None:
+    for number, (_, moment) in enumerate(plan.frames):
         for side, (miss, ends) in enumerate(((7.0, 6), (2.0, 5))):
-            half = film_stage(film_set, frame, side)
-            now = min(frame.moment, ends - 1)
+            half = film_stage(plan, number, side)
+            now = min(moment, ends - 1)
             closed = now >= 3
             name, picked, away, ghost, *missed = half.words
             assert (name.text, name.colour, name.large) == (("raw", "LS")[side], None, True)
@@ -260,7 +254,7 @@ def test_halves_stand_side_by_side_above_a_line(
 ) -> None:
     named = SimpleNamespace(name=plant, arm=SimpleNamespace(nominal=None))
     shown = replace(episodes, policies=episodes.policies[:count], plant=named)
-    plan = plan_film(shown, seconds=1.0, frames_per_second=4)
+    plan = plan_film(shown, seconds=1.0, frames_per_second=4, dark=dark)
     lines: list[tuple[object, ...]] = []
 
     def strip(text: str, size: tuple[int, int], is_dark: bool) -> np.ndarray:
@@ -276,7 +270,7 @@ def test_halves_stand_side_by_side_above_a_line(
         lambda stage: drawn.append(stage.words[0].text) or np.full((360, 400, 3), 50 + len(drawn), dtype=np.uint8),
     )  # fmt: skip
     told: list[tuple[str, int, int]] = []
-    pictures = list(film_pictures(shown, plan, dark=dark, progress=lambda *each: told.append(each)))
+    pictures = list(film_pictures(plan, progress=lambda *each: told.append(each)))
     width = 400 * count + 4 * (count - 1)
     named = f", plant {plant}" if plant else ""
     said = f"x/Reach{named}, gripper li_cup: the same fruit, {plan.speed:.1f} × as fast as the arm"
@@ -290,7 +284,7 @@ def test_halves_stand_side_by_side_above_a_line(
         for side in range(count - 1):
             assert np.all(picture[:360, 404 * side + 400 : 404 * side + 404] == [1, 2, 3])
         assert picture[360, 0].tolist() == [1, 2, 3] and np.all(picture[361, 2:] == 7)
-    assert next(film_pictures(shown, plan)).shape == (388, width, 3) and lines[-1][2] is False
+    assert next(film_pictures(replace(plan, dark=False))).shape == (388, width, 3) and lines[-1][2] is False
 
 
 def test_a_film_is_twelve_seconds_of_ten_frames_if_not_told_else(
@@ -300,4 +294,4 @@ def test_a_film_is_twelve_seconds_of_ten_frames_if_not_told_else(
     monkeypatch.setattr(film_module, "load_part", lambda run, part: episodes)
     monkeypatch.setattr(film_module, "write_film", lambda pictures, path, fps: None)
     made = film(str(tmp_path), f"{tmp_path}/film.GIF")
-    assert (len(made.plan.frames), made.plan.frames_per_second, made.plan.policies) == (120, 10, (0, 1))
+    assert (len(made.frames), made.frames_per_second, made.policies) == (120, 10, episodes.policies)

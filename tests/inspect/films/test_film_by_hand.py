@@ -17,8 +17,7 @@ from pickenv.inspect.films import film as film_module
 from pickenv.inspect.films.film import (
     HALF,
     Attempt,
-    FilmPlan,
-    FilmSet,
+    Film,
     arm_parts,
     attempts_of,
     film_stage,
@@ -112,11 +111,13 @@ def test_as_many_episodes_are_shown_as_three_moments_to_a_frame_allow(seconds, f
     policy = of_tracks([[A] * 40] * 12, [{10: 2.0, 30: 2.0}] * 12, [{}] * 12)
     plan = plan_film(run_of(policy), seconds=seconds, frames_per_second=fps)
     count = round(seconds * fps)
-    assert len(plan.frames) == count and plan.frames_per_second == fps and plan.policies == (0,) and not plan.reaching
+    assert (
+        len(plan.frames) == count and plan.frames_per_second == fps and plan.policies == (policy,) and not plan.reaching
+    )
     assert plan.speed == pytest.approx(49 * episodes * 0.1 / seconds)
     way = [(e, t) for e in range(episodes) for t in [*range(40), *[39] * 9]]
     expected = [way[round(i)] for i in np.linspace(0, len(way) - 1, count)]
-    assert [(frame.episode, frame.moment) for frame in plan.frames] == expected
+    assert list(plan.frames) == expected
 
 
 @pytest.mark.parametrize(("step", "arrived"), [(4e-4, 5), (6e-4, 11)])
@@ -127,12 +128,12 @@ def test_a_reach_is_shown_until_its_tools_stand(step, arrived):
     policy = of_tracks([[A] * 20], [{19: 3.0}], [{19: 1}], tool=tool[None])
     slow = of_tracks([[A] * 20], [{19: 3.0}], [{}], tool=np.broadcast_to(A, (1, 20, 3)), label="LS")
     plan = plan_film(run_of(policy, slow, policy), seconds=2.0, frames_per_second=20)
-    assert plan.reaching and plan.policies == (0, 2)
+    assert plan.reaching and plan.policies == (policy, policy)
     assert plan.speed == pytest.approx((arrived + 1 + 9) * 0.1 / 2.0)
     way = [*range(arrived + 1), *[19] * 9]
-    assert {frame.moment for frame in plan.frames} == set(way) and plan.frames[-1].moment == 19
+    assert {moment for _, moment in plan.frames} == set(way) and plan.frames[-1] == (0, 19)
     still = plan_film(run_of(slow), seconds=1.0)
-    assert still.reaching and {frame.moment for frame in still.frames} == {0, 19}
+    assert still.reaching and {moment for _, moment in still.frames} == {0, 19}
     twice = of_tracks([[A] * 20], [{3: 3.0, 19: 3.0}], [{}])
     assert not plan_film(run_of(policy, twice)).reaching
     assert not plan_film(run_of(of_tracks([[A] * 20], [{}], [{3: 1, 5: 1}]))).reaching
@@ -148,17 +149,12 @@ def test_films_last_one_to_120_seconds_of_one_to_60_frames():
 
 
 @pytest.fixture
-def film_set() -> FilmSet:
+def film_set() -> Film:
     """Two policies for three fruit, the last two 44 mm apart for one of them: one misses B, the other takes all."""
     near = moved(B, 0.044)
     raw = of_tracks([[A] * 6 + [B] * 4, [C] * 4], [{3: 2.0, 8: 9.0}, {3: 4.0}], [{5: 1}, {3: 1}])
     ls = of_tracks([[A] * 4 + [near] * 6, [C] * 4], [{3: 1.0, 8: 1.5}, {3: 0.5}], [{3: 1, 8: 1}, {3: 1}], label="LS")
-    episodes = run_of(raw, ls)
-    return FilmSet(episodes, plan_film(episodes, seconds=6.0), dark=False)
-
-
-def frame_at(plan: FilmPlan, episode: int, moment: int):
-    return next(frame for frame in plan.frames if (frame.episode, frame.moment) == (episode, moment))
+    return plan_film(run_of(raw, ls), seconds=6.0)
 
 
 def test_fruit_is_one_where_policies_go_for_it_within_45_mm(film_set):
@@ -167,20 +163,19 @@ def test_fruit_is_one_where_policies_go_for_it_within_45_mm(film_set):
     np.testing.assert_array_equal(film_set.fruit[1], [C])
     assert film_set.attempts[0][0] == [Attempt(0, 3, 5, True), Attempt(6, 8, 8, False)]
     assert film_set.attempts[1][0] == [Attempt(0, 3, 3, True), Attempt(4, 8, 8, True)]
-    farther = film_set.episodes.policies[1].fruit_position.copy()
+    farther = film_set.policies[1].fruit_position.copy()
     farther[0, 4:, 0] = 0.5 + 0.046
-    apart = replace(film_set.episodes.policies[1], fruit_position=farther)
-    made = replace(film_set, episodes=replace(film_set.episodes, policies=(film_set.episodes.policies[0], apart)))
+    apart = replace(film_set.policies[1], fruit_position=farther)
+    made = replace(film_set, policies=(film_set.policies[0], apart))
     np.testing.assert_allclose(made.fruit[0], [A, B, [0.546, 0.2, 0.3]])
 
 
 def test_the_ground_lies_at_least_200_mm_below_all_and_at_halves_of_a_metre(film_set):
     assert film_set.points[:, 2].min() == pytest.approx(0.3) and film_set.ground == 0.0
-    lower = film_set.episodes.policies[0].tool_position.copy()
+    lower = film_set.policies[0].tool_position.copy()
     lower[..., 2] -= 0.15
-    low = replace(film_set.episodes.policies[0], tool_position=lower)
-    made = replace(film_set, episodes=replace(film_set.episodes, policies=(low, film_set.episodes.policies[1])))
-    assert made.ground == -0.5
+    low = replace(film_set.policies[0], tool_position=lower)
+    assert replace(film_set, policies=(low, film_set.policies[1])).ground == -0.5
     assert len(film_set.points) == 3 + 2 * 2 * 10
 
 
@@ -208,13 +203,13 @@ def test_everything_is_in_sight_of_an_eye_behind_the_arm(film_set):
 def test_each_fruit_hangs_is_held_gone_or_missed_as_the_policy_left_it(
     film_set, side, episode, moment, hanging, held, missed, marks
 ):
-    frame = frame_at(film_set.plan, episode, moment)
-    stage = film_stage(film_set, frame, side)
+    number = film_set.frames.index((episode, moment))
+    stage = film_stage(film_set, number, side)
     assert [words.large for words in stage.words[:4]] == [True, False, False, False]  # the policy's name
     drawn, loose, crate = stage.balls[-3:]
     np.testing.assert_allclose(drawn.centre.reshape(-1, 3), np.reshape(hanging, (-1, 3)), atol=1e-12)
     np.testing.assert_allclose(loose.centre.reshape(-1, 3), np.reshape(held, (-1, 3)), atol=1e-12)
-    assert len(crate.centre) == frame.stated[side].picked and (drawn.radius == 0.03).all()
+    assert len(crate.centre) == film_set.stated(number)[side].picked and (drawn.radius == 0.03).all()
     assert sum(len(rods.radius) for rods in stage.rods if (rods.radius == 0.004).all()) == len(hanging)  # their stems
     colours = [tuple(colour) for colour in drawn.colour[:, :3].tolist()]
     assert colours.count(tuple(MISSED_FRUIT)) == missed and colours.count(tuple(RIPE)) == len(hanging) - missed
@@ -231,15 +226,14 @@ def test_each_fruit_hangs_is_held_gone_or_missed_as_the_policy_left_it(
 
 
 def test_words_about_a_miss_are_lighter_on_dark_pages(film_set):
-    stage = film_stage(replace(film_set, dark=True), frame_at(film_set.plan, 0, 8), 0)
+    stage = film_stage(replace(film_set, dark=True), film_set.frames.index((0, 8)), 0)
     assert [words.colour for words in stage.words if words.text.startswith("missed")] == [(255, 128, 128)]
 
 
 def test_a_reach_has_its_fruit_with_a_sprig_and_a_crate():
-    episodes = run_of(of_tracks([[A] * 6], [{5: 3.0}], [{5: 1}]))
-    plan = plan_film(episodes, seconds=2.0)
+    plan = plan_film(run_of(of_tracks([[A] * 6], [{5: 3.0}], [{5: 1}])), seconds=2.0)
     for moment, picked in ((0, 0), (5, 1)):
-        stage = film_stage(FilmSet(episodes, plan, dark=False), frame_at(plan, 0, moment), 0)
+        stage = film_stage(plan, plan.frames.index((0, moment)), 0)
         hanging, held, crate = stage.balls[-3:]
         assert (len(hanging.centre), len(held.centre), len(crate.centre)) == (1 - picked, picked, picked)
         drawn = sprig(np.array(A), 0.06)
@@ -294,8 +288,8 @@ def test_a_film_goes_into_folders_that_are_made_or_there_and_says_what_it_states
     out = tmp_path / "some" / "where" / "film.mp4"
     for fps in (5, 20):
         made = film(tmp_path, out, policies=["LS"], seconds=2.0, frames_per_second=fps)
-        assert made.path == out and out.read_text() == str(fps)
-        assert made.plan == plan_film(film_set.episodes, ["LS"], 2.0, fps)
+        assert out.read_text() == str(fps)
+        assert vars(made) == vars(plan_film(film_set.episodes, ["LS"], 2.0, fps))
     with pytest.raises(InputError, match="is a run of kind 'demo'"):
         film(tmp_path, out)
     with pytest.raises(InputError, match=r"let it end in \.gif or \.mp4"):
@@ -311,9 +305,8 @@ def test_a_film_is_as_dark_as_it_is_asked_to_be_and_tells_how_far_it_is(film_set
     monkeypatch.setattr(
         film_module,
         "film_pictures",
-        lambda episodes, plan, dark=False, progress=None: drawn.append((episodes, plan, dark, progress)),
+        lambda film, progress=None: drawn.append((vars(film), progress)),
     )
-    plan = plan_film(film_set.episodes, (), 2.0, 10)
     for given, dark, progress in (({}, False, None), ({"dark": True, "progress": print}, True, print)):
         film(tmp_path, tmp_path / "film.gif", seconds=2.0, **given)
-        assert drawn.pop() == (film_set.episodes, plan, dark, progress)
+        assert drawn.pop() == (vars(plan_film(film_set.episodes, (), 2.0, 10, dark)), progress)

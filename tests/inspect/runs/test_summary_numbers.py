@@ -107,9 +107,8 @@ def test_a_field_alone_has_its_own_table(without_reaches):
 
 def test_spread_of_errors_of_any_shape():
     errors = np.random.default_rng(11).gamma(4, 1.5, 48)
-    found = error_spread(errors.reshape(6, 8))
-    assert (found.mean, found.rms, found.p95, found.largest) == pytest.approx(numbers(errors))
-    assert all(np.isnan(value) for value in vars(error_spread([])).values())
+    assert error_spread(errors.reshape(6, 8)) == pytest.approx(numbers(errors))
+    assert all(np.isnan(value) for value in error_spread([]))
 
 
 @pytest.mark.parametrize(
@@ -122,7 +121,7 @@ def test_round_steps_are_1_2_25_and_5(at_least, step):
 
 def test_ticks_and_bins_are_round_and_hold_everything(comparison):
     assert ticks(1.0) == pytest.approx([0.2 * i for i in range(6)]) and ticks(8.0) == [float(i) for i in range(9)]
-    assert ticks(1.0, 2) == pytest.approx([0.0, 0.5, 1.0]) and ticks(0.9, 2) == pytest.approx([0.0, 0.5])
+    assert ticks(0.9) == pytest.approx([0.2 * i for i in range(5)])  # 0.9 lies between two
     many = mixed(comparison)
     largest = max(policy.ends.position_error_mm.max() for policy in many.policies)
     edges = histogram_edges_mm(many)
@@ -130,7 +129,6 @@ def test_ticks_and_bins_are_round_and_hold_everything(comparison):
     assert width == round_step(largest / 24) and edges[0] == 0.0
     np.testing.assert_allclose(np.diff(edges), width)
     assert edges[-2] <= largest < edges[-1]
-    assert histogram_edges_mm(many, 6)[1] == round_step(largest / 6)
     still = replace(
         many, policies=tuple(replace(p, position_error_mm=np.zeros_like(p.position_error_mm)) for p in many.policies)
     )
@@ -159,12 +157,12 @@ def test_how_a_fruit_lies_in_the_true_tool_and_whether_grippers_take_it(comparis
         wanted = forward(comparison.nominal, comparison.policies[0].ends.joint_command)
         for i, fruit in enumerate(comparison.fruit):
             x, y, along = tool.rotation[i].T @ (fruit - policy.ends.tool_position[i])
-            told = found[policy.label]
-            assert told.lateral_mm[i] == pytest.approx(1e3 * np.hypot(x, y), rel=1e-9)
+            lateral_mm, success = found[policy.label]
+            assert lateral_mm[i] == pytest.approx(1e3 * np.hypot(x, y), rel=1e-9)
             angle = np.arccos(min(1.0, tool.rotation[i, :, 2] @ wanted.rotation[i, :, 2]))
             for name in ("li_cup", "compliant_hand"):
                 taken = capture_probability(load_gripper(name), np.hypot(x, y), along, angle)
-                assert told.success[name][i] == pytest.approx(taken, abs=1e-6)
+                assert success[name][i] == pytest.approx(taken, abs=1e-6)
     for name, (lateral, curve) in gripper_curves().items():
         assert (lateral[0], lateral[-1], len(lateral)) == (0.0, 40.0, 401)
         np.testing.assert_allclose(curve, capture_probability(load_gripper(name), 1e-3 * lateral, 0.0, 0.0))

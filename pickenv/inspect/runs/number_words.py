@@ -33,10 +33,20 @@ def between(low: float | None, high: float | None, digits: int, sign: str = "") 
     return f"{ends[0]} or more" if ends[0] else f"up to {ends[1]}" if ends[1] else "no interval"
 
 
-def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "") -> str:
+def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "", sign: str = "") -> str:
     """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); alone where there is no interval."""
-    text = f"{_plain(value, digits):.{digits}f}{unit}"
-    return text if low is None and high is None else f"{text} ({between(low, high, digits)})"
+    text = f"{_plain(value, digits):{sign}.{digits}f}{unit}"
+    return text if low is None and high is None else f"{text} ({between(low, high, digits, sign)})"
+
+
+def said(
+    value: float | None, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = ""
+) -> str:
+    """`estimated` of a number and both ends of its interval, times ``scale``; a dash where it is not known."""
+    if value is None:
+        return "–"
+    low, high = (None if end is None else scale * end for end in ends or (None, None))
+    return estimated(scale * value, low, high, digits, sign=sign)
 
 
 def _plain(value: float, digits: int) -> float:
