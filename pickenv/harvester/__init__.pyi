@@ -40,7 +40,6 @@ from .trees import (
 )
 from .true_machine import (
     Controller as Controller,
-    Nominal as Nominal,
     TrueMachine as TrueMachine,
     load_true_machine as load_true_machine,
 )

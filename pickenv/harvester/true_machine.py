@@ -35,17 +35,6 @@ class Belief(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Nominal:
-    """The belief of a controller that was never told otherwise."""
-
-    geometry: Geometry
-
-    def predict(self, joints: ArrayLike, /) -> Pose:
-        """Forward kinematics of the nominal table."""
-        return forward(self.geometry, joints)
-
-
-@dataclass(frozen=True, eq=False)
 class TrueMachine:
     """A machine as built.
 
@@ -125,7 +114,7 @@ class Controller:
         if self.master is None and not self.slaves:
             return joints
         master = self.master_command(joints[..., :3])
-        base, targets = self._master().predict(master), self.machine.tips(*self.machine.parted(joints))
+        base, targets = self._frame3(master), self.machine.tips(*self.machine.parted(joints))
         slaves = [self._slave_command(i, base, targets[..., i, :]) for i in range(self.machine.arms)]
         return np.concatenate([master, *slaves], axis=-1)
 
@@ -143,11 +132,12 @@ class Controller:
 
     def pick_commands(self, master: Array, arm: Array, targets: Array) -> Array:
         """Slave commands (picks, 3) for targets (picks, 3), with the master at the commands ``master``."""
-        base = self._master().predict(master)
+        base = self._frame3(master)
         return _arm_by_arm(base, arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))
 
-    def _master(self) -> Belief:
-        return self.master or Nominal(self.machine.master.nominal)
+    def _frame3(self, master: Array) -> Pose:
+        """Believed pose of frame 3 for master commands (..., 3)."""
+        return forward(self.machine.master.nominal, master) if self.master is None else self.master.predict(master)
 
     def _slave_command(self, i: int, base: Pose, targets: Array) -> Array:
         """Joints that bring the believed cup of slave ``i`` to targets in the base frame, frame 3 at ``base``."""

@@ -3,16 +3,18 @@
 import importlib
 import itertools
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from papers.li2016.lab import work_images
+from pickenv.arm import forward
 from pickenv.base import InputError
 from pickenv.harvester import (
     Controller,
     Grid,
-    Nominal,
     Strategy,
     Tree,
     funnel,
@@ -32,7 +34,8 @@ MODEL, EYES = load_picking(), load_eyes("ideal", load_canopy("li2016"))
 
 def known(true):
     """A controller that knows the true geometry, as a calibration does to a fraction of a millimetre."""
-    return Controller(true.machine, Nominal(true.master.geometry), tuple(Nominal(p.geometry) for p in true.slaves))
+    master, *slaves = (SimpleNamespace(predict=partial(forward, p.geometry)) for p in (true.master, *true.slaves))
+    return Controller(true.machine, master, tuple(slaves))
 
 
 def li(true):
