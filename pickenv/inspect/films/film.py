@@ -435,10 +435,10 @@ def film(
     record = read_run(Path(run))
     if record.kind != "comparison":
         raise InputError(f"{run} is a run of kind '{record.kind}'; give the folder of a run of `pickenv compare`")
-    made = plan_film(load_part(record, RecordedEpisodes), policies, seconds, frames_per_second, dark)
+    plan = plan_film(load_part(record, RecordedEpisodes), policies, seconds, frames_per_second, dark)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_film(film_pictures(made, progress), path, frames_per_second)
-    return made
+    write_film(film_pictures(plan, progress), path, frames_per_second)
+    return plan
 
 
 def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixels]:

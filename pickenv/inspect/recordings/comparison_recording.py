@@ -97,8 +97,10 @@ def _send(scribe: Scribe, comparison: Comparison, arrows: Sequence[ArrowTab], da
     _send_scene(scribe, comparison, gain)
     for policy, colour in zip(comparison.policies, comparison.colours, strict=True):
         _send_field(scribe, comparison, policy)
-        _send_reaches(scribe, comparison, policy, colour, gain)
-    _send_tolerance(scribe, comparison, gain)
+        if scribe.times:
+            _send_reaches(scribe, comparison, policy, colour, gain)
+    if scribe.times:
+        _send_tolerance(scribe, comparison, gain)
     _send_histograms(scribe, comparison)
     scribe.document("summary", summary.summary_markdown(comparison, gain))
     send_details(scribe, comparison, arrows, day)
@@ -158,8 +160,6 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) 
 
 def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb, gain: float) -> None:
     """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
-    if not scribe.times:
-        return
     ends = policy.ends
     miss = ends.tool_position - comparison.fruit
     entity = f"world/miss/{policy.key}"
@@ -177,8 +177,6 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy
 
 def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     """The gripper's capture region: a line on the error plot and, enlarged like the errors, a ball around the fruit."""
-    if not scribe.times:
-        return
     level = [comparison.tolerance_mm] * len(comparison.fruit)
     scribe.curve("metrics/tolerance_mm", f"tolerance {comparison.tolerance_mm:g} mm", RED, level, 1.5)
     radius = gain * comparison.tolerance_mm * 1e-3

@@ -145,11 +145,11 @@ def arrow_tabs(comparison: Comparison, gain: float) -> list[ArrowTab]:
     for name, fields in ((f"Error fields, arrows ×{gain:g}", errors), ("Effects, each alone", single)):
         if not fields:
             continue
-        shown = {}
+        views = {}
         for entity, (label, arrows, field) in fields.items():
             mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
-            shown[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{gain:g}", gain * field, 1e3 * field
-        tabs.append(ArrowTab(name, "position", meaning, "mm", top, shown))
+            views[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{gain:g}", gain * field, 1e3 * field
+        tabs.append(ArrowTab(name, "position", meaning, "mm", top, views))
     attitude = attitude_fields(comparison)
     return [*tabs, _attitude_tab(comparison, attitude)] if attitude else tabs
 
@@ -159,13 +159,13 @@ def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> Arro
     labels[FLOOR] = "No joint motion removes"
     top = summary.attitude_scale_deg(attitude)
     length = summary.round_step(comparison.grid.step / top)  # m per degree, so that neighbours rarely overlap
-    shown = {}
+    views = {}
     for key, field in attitude.items():
         mean, *_ = summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1)))
         title, degrees = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree", np.degrees(field)
-        shown[f"world/attitude/{key}"] = title, length * degrees, degrees
+        views[f"world/attitude/{key}"] = title, length * degrees, degrees
     meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
-    return ArrowTab("Attitude", "attitude", meaning, "deg", top, shown)
+    return ArrowTab("Attitude", "attitude", meaning, "deg", top, views)
 
 
 def effect_fields(comparison: Comparison) -> dict[str, Array]:

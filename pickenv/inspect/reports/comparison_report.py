@@ -60,11 +60,11 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
             )
         )
     if changed := summary.policy_changes(episodes):
-        taken = f"taken, {changed['from']} (%)", f"{changed['to']} (%)"
+        shares = f"taken, {changed['from']} (%)", f"{changed['to']} (%)"
         tables.append(
             PageTable(
                 "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)",
-                ("gripper", "fruit seen to, per axis (mm)", *taken, "change (points of %)"),
+                ("gripper", "fruit seen to, per axis (mm)", *shares, "change (points of %)"),
                 [change_cells(PickChange(**change)) for change in changed["changes"]],
             )
         )

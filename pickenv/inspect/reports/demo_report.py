@@ -71,8 +71,8 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If a file of the run is missing or damaged.
     """
     comparison, trace = load_part(run, Comparison), load_part(run, CalibrationTrace)
-    told = load_result(run, MATTERS_FILE) if (run.folder / MATTERS_FILE).is_file() else {}
-    cases = {name: [PickChange(**change) for change in case] for name, case in told.items()}
+    changes = load_result(run, MATTERS_FILE) if (run.folder / MATTERS_FILE).is_file() else {}
+    cases = {name: [PickChange(**change) for change in case] for name, case in changes.items()}
     if not len(comparison.fruit):
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
@@ -189,15 +189,15 @@ def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
 
 
 def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
-    taken = {label: success for label, (_, success) in gripped(comparison).items()}
-    grippers = list(next(iter(taken.values())))
+    chances = {label: success for label, (_, success) in gripped(comparison).items()}
+    grippers = list(next(iter(chances.values())))
     heads = ["policy", f"within {comparison.tolerance_mm:g} mm (%)", *(f"taken by {name} (%)" for name in grippers)]
     heads += ["position, mean (mm)", "RMS (mm)", "p95 (mm)", "max (mm)", "attitude, mean (deg)"]
     rows = []
     for policy in comparison.policies:
         ends = policy.ends
         position, attitude = map(error_statistics, (ends.position_error_mm, ends.attitude_error_deg))
-        shares = [_share(comparison, policy), *(_expected(taken[policy.label][name]) for name in grippers)]
+        shares = [_share(comparison, policy), *(_expected(chances[policy.label][name]) for name in grippers)]
         cells = [share.replace(" %", "") for share in shares]
         cells.append(said(position.mean, position.mean_ci95, 3))
         cells += [f"{value:.3f}" for value in (position.rms, position.p95, position.max)]

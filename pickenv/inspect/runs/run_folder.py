@@ -153,8 +153,7 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
     run_kind(kind)
     run = Run(folder, kind, command, seed, versions(), code_fingerprint())
     with locked(folder):
-        if (folder / RECORD).is_file():
-            (folder / RECORD).unlink()
+        (folder / RECORD).unlink(missing_ok=True)
         before = _stamps(folder)
         yield run
         write_text(folder / RECORD, _record_text(replace(run, files=_changed_since(folder, before))))
