@@ -40,6 +40,9 @@ from mutmut.mutation.pragma_handling import IgnoredCode
 
 LEAST_SECONDS, PATIENCE = 120.0, 5.0
 """A file of tests may take this long, or this many times as long as it does without a mutant."""
+SAMPLE = 120
+"""Functions of a sample."""
+
 BUDGET = 120.0
 """Seconds, without a mutant, of the test files that one is tried against."""
 PACKAGES = ("pickenv", "calibration", "agents")
@@ -247,7 +250,8 @@ def page_of(record: Mapping[str, Any]) -> str:
     counts = (
         f"of {len(tried)} functions drawn with seed {record['seed']}, and never again, {equivalent} changes make no"
     )
-    share = f"{100 * killed / counted:.0f} % ({100 * low:.0f} to {100 * high:.0f})"
+    share = f"{100 * killed / counted:.0f} % ({100 * low:.0f} to {100 * high:.0f})**."
+    share += f" They are drawn in this order until {SAMPLE} are tried." if len(tried) < SAMPLE else ""
     return PAGE_TEXT.format(counts=counts, counted=counted, killed=killed, share=share, rows="\n".join(rows))
 
 
@@ -255,7 +259,7 @@ PAGE_TEXT = f"""# Would the tests notice?
 
 One operator, number, condition or option is changed in a function that is drawn at random, every function of the
 package as likely as any other: {{counts}} difference; of the other {{counted}} the tests notice {{killed}},
-**{{share}}**.
+**{{share}}
 
 A change is tried against the tests that name the function, its module or its room, as many as take {BUDGET:.0f} s; the
 other tests might notice more. Tests that are written for a survivor afterwards do not raise the share: only another
@@ -271,7 +275,7 @@ date's.
 
 
 def main(
-    count: Annotated[int, typer.Option(min=1, help="Functions drawn.")] = 120,
+    count: Annotated[int, typer.Option(min=1, help="Functions drawn.")] = SAMPLE,
     seed: Annotated[int | None, typer.Option(help="Seed of the sample; the date's, as 20261231, if left out.")] = None,
     out: Annotated[Path, typer.Option(help="Where verdicts are kept, and taken up again.")] = RECORD,
     page: Annotated[Path | None, typer.Option(help="The page that is written.")] = PAGE,

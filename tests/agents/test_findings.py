@@ -13,7 +13,7 @@ RESULTS = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
 def test_both_say_on_how_many_arms_and_fruit() -> None:
     (said,) = re.findall(r"Final position errors of (\d+) arms per plant, (\d+) fruit each", FINDINGS)
     assert f"Policies on {said[0]} arms" in RESULTS and f"({said[1]} fruit each" in RESULTS
-    assert "seed 0" in FINDINGS and "seed 0" in RESULTS
+    assert "Seed 0" in FINDINGS and "seed 0" in RESULTS
 
 
 def test_every_finding_is_one_sentence_and_one_figure_that_is_there() -> None:

@@ -18,7 +18,7 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> Rows:
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(measure.__globals__, "SEEING", ("raw", "ls"))
         folder = str(tmp_path_factory.mktemp("findings"))
-        return Rows.of(measure(np.random.default_rng(5), "qiao2026", 4, 6, 1, [0.0, 2.0], [0.0, 3.0], folder, 5))
+        return Rows.of(measure(np.random.default_rng(5), "qiao2026", 4, 6, 1, [0.0, 2.0], [0.0, 3.0], folder, 5, 0))
 
 
 def left(rows: Rows, use: str, scatter: float = 0.0, bias: float = 0.0) -> float:

@@ -97,6 +97,7 @@ def test_the_page_says_the_share_without_what_makes_no_difference(script):
         {"seed": 7, "mutants": [*tried[:-1], tried[-1] | {"makes_no_difference": "it is never read"}]}
     )
     assert "of 20 functions drawn with seed 7, and never again, 1 changes make no difference" in page
+    assert "They are drawn in this order until 120 are tried." in page
     assert "of the other 19 the tests notice 17" in page and "89 % (69 to 97)" in page  # Wilson 1927
     assert "| `f17` | a.py | `a \\| b -> b` |" in page and "`f19`" not in page
 
@@ -104,4 +105,4 @@ def test_the_page_says_the_share_without_what_makes_no_difference(script):
 def test_the_page_is_what_its_numbers_say(script):
     record = json.loads(script.RECORD.read_text(encoding="utf-8"))
     assert script.page_of(record) == script.PAGE.read_text(encoding="utf-8")
-    assert len(record["mutants"]) == len({(one["file"], one["function"]) for one in record["mutants"]}) == 120
+    assert len(record["mutants"]) == len({(one["file"], one["function"]) for one in record["mutants"]}) <= 120
