@@ -34,7 +34,8 @@ from pickenv.experiments import Rows
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import WIDTH, headline, new_figure, rgb
 
-SEARCHES = range(5)
+SEARCHES = 5
+"""Of each condition, with seeds of their own."""
 CLUMPS = {"fruit_map": "v_trellis", "fruit": 25.0}
 CONDITIONS: dict[str, dict[str, Any]] = {
     "as in Pick-v0": {},
@@ -75,17 +76,19 @@ def picked(arguments: dict[str, Any], numbers: dict[str, Any], seeds: list[int])
 
 
 @cache
-def searched(condition: str, generations: int) -> Searches:
+def searched(condition: str, generations: int, seed: int) -> Searches:
     """The searches of a condition."""
-    return search(CONDITIONS[condition], SEARCHES, generations)
+    return search(CONDITIONS[condition], range(seed * SEARCHES, (seed + 1) * SEARCHES), generations)
 
 
-def conditions(rng: np.random.Generator, condition: str, policy: str, canopies: int, generations: int) -> Any:
+def conditions(
+    rng: np.random.Generator, condition: str, policy: str, canopies: int, generations: int, seed: int
+) -> Any:
     """The script, in haste, or with what searches learnt, all of it or parts; and what it was on the way."""
-    judged, arguments = seed_words(stream(0, "fruit"), canopies), CONDITIONS[condition]
+    judged, arguments = seed_words(stream(seed, "fruit"), canopies), CONDITIONS[condition]
     if policy != "learnt":
         return canopy_rows(policy, picked(arguments, HASTY if policy == "scripted, hasty" else {}, judged), canopies)
-    found, parts = searched(condition, generations), []
+    found, parts = searched(condition, generations, seed), []
     for name, knobs in PARTS.items():
         points = found.learnt * [knob in knobs for knob in KNOBS]
         parts.append(canopy_rows(name, picked(arguments, arguments_of(points), judged), canopies))
@@ -95,17 +98,17 @@ def conditions(rng: np.random.Generator, condition: str, policy: str, canopies: 
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def orders(rng: np.random.Generator, place: str, order: str, canopies: int) -> Any:
+def orders(rng: np.random.Generator, place: str, order: str, canopies: int, seed: int) -> Any:
     """The script where fruit is named in another order."""
     arguments = {**(CLUMPS if place == "clumps" else {}), "order": order}
-    return canopy_rows("scripted", picked(arguments, {}, seed_words(stream(0, "fruit"), canopies)), canopies)
+    return canopy_rows("scripted", picked(arguments, {}, seed_words(stream(seed, "fruit"), canopies)), canopies)
 
 
 def learning(
-    rng: np.random.Generator, training: int, place: str, policy: str, canopies: int, steps: int, folder: str
+    rng: np.random.Generator, training: int, place: str, policy: str, canopies: int, steps: int, folder: str, seed: int
 ) -> Any:
     """PPO with steps of the tool beside the script, where it was trained and on a harder rung."""
-    arguments, judged = PLACES[place], seed_words(stream(0, "fruit"), canopies)
+    arguments, judged = PLACES[place], seed_words(stream(seed, "fruit"), canopies)
     if policy == "scripted":
         given = {key: value for key, value in arguments.items() if key != "split"}
         return canopy_rows(policy, picked(given, {}, judged), canopies)
