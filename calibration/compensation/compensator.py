@@ -359,29 +359,31 @@ def corrected(
     """
     nominal_chain, identified = chains
     limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
+    weight = attitude_weight(nominal.joints)
     command, goal, learnt, solve, best = target, tool_frame(m, nominal_chain, target), None, None, None
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
-        columns = [_weighed(nominal, column) for column in jacobian_columns(nominal, links, tool)]
+        columns: list[Sequence[Scalar]] = [*jacobian_columns(nominal, links, tool)]
+        if weight != 1.0:
+            columns = [_weighed(weight, column) for column in columns]
         solve = solve or _solver(m, columns)
-        error = _weighed(nominal, frame_error(m, tool, goal, small_rotation))
+        error = _weighed(weight, frame_error(m, tool, goal, small_rotation))
         if residual is not None:
             if learnt is None:
-                learnt = _weighed(nominal, residual(_moved(m, command, solve(error, columns), limits)))
+                learnt = _weighed(weight, residual(_moved(m, command, solve(error, columns), limits)))
             error = _less(error, learnt)
         best = _nearer(m, best, _expected(m, command, error))
         command = _moved(m, command, solve(error, columns), limits)
     if best is None:
         return target
     tool = tool_frame(m, identified, command)
-    error = _weighed(nominal, frame_error(m, tool, goal, small_rotation))
+    error = _weighed(weight, frame_error(m, tool, goal, small_rotation))
     return _nearer(m, best, _expected(m, command, error if learnt is None else _less(error, learnt)))[0]
 
 
-def _weighed(nominal: Geometry, parts: Sequence[Scalar]) -> Sequence[Scalar]:
+def _weighed(weight: float, parts: Sequence[Scalar]) -> Sequence[Scalar]:
     """The six components of an error, or of a column of the Jacobian, as the task weighs them."""
-    weight = attitude_weight(nominal.joints)
     return parts if weight == 1.0 else [*parts[:3], *(weight * part for part in parts[3:])]
 
 
@@ -391,7 +393,8 @@ Expected = tuple[Sequence[Scalar], Scalar]
 
 def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> Expected:
     """The expectation of the model at joints, from the six components of its pose error there."""
-    return joints, m.sqrt(sum((part * part for part in error[1:]), error[0] * error[0]))
+    x, y, z, u, v, w = error
+    return joints, m.sqrt(x * x + y * y + z * z + u * u + v * v + w * w)
 
 
 def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:

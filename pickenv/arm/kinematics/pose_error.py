@@ -91,12 +91,13 @@ def _turn(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[tuple[
 def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
     """`rotation_between`, sooner where the rotation is below six degrees: its arc sine by a series."""
     sines, (xx, yy, zz) = _turn(reference, actual)
-    square = sum((part * part for part in sines[1:]), sines[0] * sines[0])
+    sx, sy, sz = sines
+    square = sx * sx + sy * sy + sz * sz
     scale = ARC_SINE[-1] * square
     for term in ARC_SINE[-2:0:-1]:
         scale = (scale + term) * square
     scale = scale + ARC_SINE[0]
-    vector = tuple(scale * part for part in sines)
+    vector = scale * sx, scale * sy, scale * sz
     large = (square > SMALL_SINE**2) | (xx + yy + zz < 1.0)
     if set_aside(m, large) or not possible(m, large):
         return vector

@@ -92,7 +92,7 @@ def exact_plant(plant: Plant) -> Plant:
 
 def inexact(frame: Frame) -> tuple[Scalar, ...]:
     """A frame with plain numbers in the place of `Exact` ones."""
-    return tuple(value.value if type(value) is Exact else value for value in frame)
+    return tuple([value.value if type(value) is Exact else value for value in frame])
 
 
 MOST_ACTION = {"clip": float(np.finfo(np.float32).max), "refuse": 1.0 + 1e-6}
