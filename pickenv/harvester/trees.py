@@ -6,7 +6,7 @@ The machine's column stands at the canopy's stand-off; the tree is at negative y
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -107,8 +107,10 @@ def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) ->
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
-load_lab = cache(partial(read_toml, Lab, SHIPPED, section="lab"))
-"""Reads Li's experiment."""
+@cache
+def load_lab() -> Lab:
+    """Read Li's experiment."""
+    return read_toml(Lab, SHIPPED, section="lab")
 
 
 def lab_zone(canopy: trees.Canopy) -> Array:
