@@ -247,9 +247,7 @@ def page_of(record: Mapping[str, Any]) -> str:
         for one in tried
         if not one["noticed_by"] and not one.get("makes_no_difference")
     ]
-    counts = (
-        f"of {len(tried)} functions drawn with seed {record['seed']}, and never again, {equivalent} changes make no"
-    )
+    counts = f"{len(tried)} functions were drawn with seed {record['seed']}, and never again. {equivalent} changes"
     share = f"{100 * killed / counted:.0f} % ({100 * low:.0f} to {100 * high:.0f})**."
     share += f" They are drawn in this order until {SAMPLE} are tried." if len(tried) < SAMPLE else ""
     return PAGE_TEXT.format(counts=counts, counted=counted, killed=killed, share=share, rows="\n".join(rows))
@@ -258,7 +256,7 @@ def page_of(record: Mapping[str, Any]) -> str:
 PAGE_TEXT = f"""# Would the tests notice?
 
 One operator, number, condition or option is changed in a function that is drawn at random, every function of the
-package as likely as any other: {{counts}} difference; of the other {{counted}} the tests notice {{killed}},
+package as likely as any other. {{counts}} make no difference; of the other {{counted}} the tests notice {{killed}},
 **{{share}}
 
 A change is tried against the tests that name the function, its module or its room, as many as take {BUDGET:.0f} s; the

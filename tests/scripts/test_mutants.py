@@ -96,7 +96,7 @@ def test_the_page_says_the_share_without_what_makes_no_difference(script):
     page = script.page_of(
         {"seed": 7, "mutants": [*tried[:-1], tried[-1] | {"makes_no_difference": "it is never read"}]}
     )
-    assert "of 20 functions drawn with seed 7, and never again, 1 changes make no difference" in page
+    assert "20 functions were drawn with seed 7, and never again. 1 changes make no difference" in page
     assert "They are drawn in this order until 120 are tried." in page
     assert "of the other 19 the tests notice 17" in page and "89 % (69 to 97)" in page  # Wilson 1927
     assert "| `f17` | a.py | `a \\| b -> b` |" in page and "`f19`" not in page
