@@ -187,7 +187,8 @@ class ExperimentFile:
             except ValueError as error:
                 raise InputError(f"{self.path}: '{number.title}': {error}") from error
             if number.exp:
-                made_of = [row | {"estimate": row["estimate"].exponential} for row in made_of]
+                shown = ("estimate", "sampled")
+                made_of = [row | {key: row[key].exponential for key in shown if key in row} for row in made_of]
             tables.append({"title": number.title, "rows": made_of})
         return tables
 
