@@ -56,7 +56,7 @@ def test_what_has_nothing_to_draw_refuses(name: str) -> None:
 
 
 SLIPS = {
-    'constants = ["base_tilt.stifness"]': "has no attribute 'stifness'|stifness",
+    'constants = ["base_tilt.rigidity"]': "has no attribute 'rigidity'|rigidity",
     'constants = ["springs.stiffness"]': "there is no effect 'springs'",
     'constants = ["stiffness"]': "EFFECT.NUMBER",
     "times = [1.5, 0.5]": "the lower number first",
