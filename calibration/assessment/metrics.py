@@ -87,7 +87,7 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
 def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -> Ends | None:
     """95 % interval of the mean of values ``(N,)``, between blocks ``(N,)``; None with fewer than ten of them.
 
-    Of blocks of equal size it is `mean_interval` of their means.
+    Neighbouring blocks may be alike: of blocks of equal size it is `ordered_interval` of their means.
 
     Args:
         values: The values.
@@ -99,10 +99,10 @@ def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -
     summed = np.asarray(values, dtype=float) ** (2 if rms else 1)
     sums = np.stack([np.bincount(which, summed), np.bincount(which)], axis=1)
     if not rms:
-        return statistic_interval(sums, lambda rows: rows[:, 0].sum() / rows[:, 1].sum())
+        return statistic_interval(sums, lambda rows: rows[:, 0].sum() / rows[:, 1].sum(), ordered=True)
     if not (sums[:, 0] > 0.0).all() or np.std(0.5 * np.log(sums[:, 0] / sums[:, 1]), ddof=1) > MOST_APART:
         return None
-    ends = statistic_interval(sums, lambda rows: 0.5 * np.log(rows[:, 0].sum() / rows[:, 1].sum()))
+    ends = statistic_interval(sums, lambda rows: 0.5 * np.log(rows[:, 0].sum() / rows[:, 1].sum()), ordered=True)
     return None if ends is None else (float(np.exp(ends[0])), float(np.exp(ends[1])))
 
 

@@ -34,6 +34,7 @@ from .intervals import (
     estimate as estimate,
     interquartile_estimate as interquartile_estimate,
     mean_interval as mean_interval,
+    ordered_interval as ordered_interval,
     paired_share_interval as paired_share_interval,
     quantile_interval as quantile_interval,
     quantile_levels as quantile_levels,

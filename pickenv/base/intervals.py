@@ -35,6 +35,12 @@ LEAST_RUNS = 5
 MOST_SKEWNESS = 3.0
 """Beyond it a sample's skewness says more of its one largest value than of what it comes from."""
 
+MOST_ALIKE = 0.6
+"""Correlation of a block with the next, up to which `ordered_interval` holds."""
+
+MOST_WAVES = 12
+"""Fewer cosines than this make an interval of values in order; more widen it, of up to a hundred values."""
+
 _TAILS = (0.025, 0.975)
 
 
@@ -69,10 +75,71 @@ def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
     return float(low), float(high)
 
 
+def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
+    """Of the mean of values in the order in which they were taken ``(n,)``, of which neighbours are alike.
+
+    The mean's deviation is judged by the slowest waves of the values, the first few cosines: they grow with it where
+    neighbours are alike (Mueller and Watson 2008, Econometrica 76; the critical value as in Mueller and Watson 2022,
+    Econometrica 90, for the largest correlation, `MOST_ALIKE`). It costs nearly twice the width of `mean_interval`,
+    which holds such a mean in 69 %.
+
+    Args:
+        values: One per block of a file, in its order.
+        least: Fewest values.
+
+    Returns:
+        The ends, or None where there are fewer values or all are equal.
+    """
+    x = np.asarray(values, dtype=float)
+    if len(x) < least or _equal(x):
+        return None
+    waves, critical = _slow_waves(len(x))
+    half = critical * float(np.sqrt(np.mean((waves @ x) ** 2)))
+    return float(x.mean()) - half, float(x.mean()) + half
+
+
+@cache
+def _slow_waves(count: int) -> tuple[NDArray[np.float64], float]:
+    """The cosines ``(waves, count)`` that make the narrowest interval, and its critical value."""
+    from scipy.optimize import brentq
+    from scipy.special import gammaln
+
+    place = (np.arange(count) + 0.5) / count
+    alike = MOST_ALIKE ** np.abs(np.subtract.outer(np.arange(count), np.arange(count)))
+    narrowest = np.inf
+    for number in range(1, min(MOST_WAVES, count)):
+        waves = np.sqrt(2.0) * np.cos(np.pi * np.arange(1, number + 1)[:, None] * place) / count
+        both = np.concatenate([np.full((1, count), 1.0 / count), waves])
+        covariance = both @ alike @ both.T
+        critical = float(brentq(lambda value, c: _beyond(value, c) - 2.0 * _TAILS[0], 1.0, 1e3, args=(covariance,)))
+        width = critical * np.sqrt(2.0 / number) * np.exp(gammaln(0.5 * number + 0.5) - gammaln(0.5 * number))
+        if width < narrowest:
+            narrowest, best = width, (waves, critical)
+    return best
+
+
+def _beyond(critical: float, covariance: NDArray[np.float64]) -> float:
+    """Chance that a normal mean lies farther from the truth than its interval reaches.
+
+    Args:
+        critical: Half of the interval's width, in root mean squares of the waves.
+        covariance: Of the mean and the waves ``(1 + waves, 1 + waves)``.
+
+    Returns:
+        The chance that one positive term of squared normals outweighs the negative ones, an integral over an angle
+        (Bakirov and Szekely 2006, J. Math. Sci. 139).
+    """
+    waves = len(covariance) - 1
+    eigenvalues = np.sort(np.linalg.eigvals(covariance * np.r_[1.0, np.full(waves, -(critical**2) / waves)]).real)
+    angles = (np.arange(400) + 0.5) * np.pi / 800.0
+    root = np.prod(np.sqrt(np.sin(angles)[:, None] ** 2 - eigenvalues[:-1] / eigenvalues[-1]), axis=1)
+    return float(np.mean(np.sin(angles) ** waves / root))
+
+
 def statistic_interval(
-    table: ArrayLike, statistic: Callable[[NDArray[np.float64]], Any], least: int = LEAST
+    table: ArrayLike, statistic: Callable[[NDArray[np.float64]], Any], least: int = LEAST, *, ordered: bool = False
 ) -> Ends | None:
-    """Of a smooth function of many rows, such as a ratio of sums: `mean_interval` of the jackknife's pseudo-values.
+    """Of a smooth function of many rows, such as a ratio of sums: an interval of the jackknife's pseudo-values.
 
     Not for quantiles; see `quantile_interval`.
 
@@ -80,9 +147,11 @@ def statistic_interval(
         table: One row per tree or arm, ``(n, ...)``.
         statistic: From rows to one number.
         least: Fewest rows.
+        ordered: Whether rows stand in an order in which neighbours are alike: `ordered_interval` rather than
+            `mean_interval`.
     """
     pseudo = pseudo_values(np.asarray(table, dtype=float), statistic)
-    ends = mean_interval(pseudo, least)
+    ends = ordered_interval(pseudo, least) if ordered else mean_interval(pseudo, least)
     if ends is None:
         return None
     shift = float(statistic(np.asarray(table, dtype=float))) - float(pseudo.mean())

@@ -592,7 +592,7 @@ def gains_of(folds: Rows) -> list[dict[str, Any]]:
         predicted_mm = float(1e3 * np.sqrt(sums[model].sum() / len(arm_numbers) / len(order)))
         gains.append(
             bench_row("gains", SETS[name].robot, split, model, rms[NOMINAL], rms[before], rms[model])
-            | {"before": before, "ci95": _interval(pairs), "statistic": "rms", **counts}
+            | {"before": before, "ci95": _interval(pairs, split), "statistic": "rms", **counts}
             | {"predicted_reduction": predicted, "predicted_ci95": ends, "predicted_mm": predicted_mm}
         )
     return gains
@@ -607,12 +607,12 @@ def bench_row(
     return names | sizes | dict.fromkeys(("published_mm", "predicted_reduction", "ci95"))
 
 
-def _interval(pairs: Array) -> Ends | None:
-    """Of the share of the RMS that is removed, from squares after and before ``(n, 2)``.
+def _interval(pairs: Array, split: str) -> Ends | None:
+    """Of the share of the RMS that is removed, from squares after and before ``(n, 2)``, of rows or of blocks in order.
 
     As the logarithm of what is left, which is less skewed.
     """
-    ends = statistic_interval(pairs, lambda some: 0.5 * np.log(np.divide(*some.sum(axis=0))))
+    ends = statistic_interval(pairs, lambda some: 0.5 * np.log(np.divide(*some.sum(axis=0))), ordered=split == "blocks")
     return None if ends is None else (float(-np.expm1(ends[1])), float(-np.expm1(ends[0])))
 
 

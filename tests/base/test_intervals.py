@@ -67,6 +67,32 @@ def test_none_where_too_few_or_all_equal(x: np.ndarray) -> None:
     assert statistic_interval(np.asarray(x)[:, None], lambda rows: rows.sum() / 3.0) is None
 
 
+@pytest.mark.parametrize("waves", [1, 3, 6])
+@pytest.mark.parametrize("critical", [1.5, 3.0, 8.0])
+def test_the_chance_of_independent_values_is_students(waves: int, critical: float) -> None:
+    """A mean over the root mean square of as many independent waves is Student's t."""
+    chance = intervals._beyond(critical, np.eye(waves + 1))
+    assert chance == pytest.approx(2.0 * stats.t.sf(critical, waves), rel=1e-6)
+
+
+@given(VALUES, st.floats(-100, 100), st.floats(0.1, 10))
+def test_an_interval_of_an_order_moves_and_grows_with_the_values(x: np.ndarray, shift: float, scale: float) -> None:
+    low, high = intervals.ordered_interval(x)
+    moved = intervals.ordered_interval(scale * x + shift)
+    assert moved == pytest.approx((scale * low + shift, scale * high + shift), rel=1e-6, abs=1e-6)
+    assert intervals.ordered_interval(x[::-1]) == pytest.approx((low, high), rel=1e-6, abs=1e-6)
+
+
+def test_what_drifts_is_known_less_well_than_what_scatters() -> None:
+    """The same values, in their order and shuffled; of fewer than ten there is no interval."""
+    drift = np.arange(20.0)
+    low, high = intervals.ordered_interval(drift)
+    shuffled = intervals.ordered_interval(np.random.default_rng(0).permutation(drift))
+    assert high - low > 2.0 * (shuffled[1] - shuffled[0])
+    assert intervals.ordered_interval(drift[:9]) is None
+    assert statistic_interval(drift, np.mean, ordered=True) == pytest.approx((low, high), abs=1e-9)
+
+
 def test_one_value_per_arm_is_asked_for() -> None:
     with pytest.raises(ValueError, match="one per arm"):
         mean_interval(np.ones((8, 64)))

@@ -14,17 +14,27 @@ NORM = np.sqrt(8.0 / np.pi)
 """Mean norm of three standard normal coordinates."""
 
 
+SAFE = 0.999
+"""Neighbours that are not alike are held too often: that is the price of holding those that are."""
+
+
 @pytest.mark.parametrize("blocks", [BLOCKS, 40])
+@pytest.mark.parametrize("alike", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize("apart", [0.0, 0.25, 0.4])
-def test_blocks_of_known_spread(repeats: Any, blocks: int, apart: float) -> None:
-    """Sizes of errors that differ by a log-normal factor from block to block; measured robots' by 0.15 to 0.25."""
+def test_blocks_of_known_spread(repeats: Any, blocks: int, apart: float, alike: float) -> None:
+    """Sizes of errors that differ by a log-normal factor from block to block; measured robots' by 0.15 to 0.25.
+
+    Factors of neighbours are correlated, as far as there are any.
+    """
+    mixed = np.linalg.cholesky(alike ** np.abs(np.subtract.outer(np.arange(blocks), np.arange(blocks))))
 
     def errors(rng: np.random.Generator) -> Any:
-        size = np.exp(apart * rng.normal(size=(blocks, 1, 1)))
+        size = np.exp(apart * (mixed @ rng.normal(size=blocks)))[:, None, None]
         return (size * rng.normal(size=(blocks, 25, 3))).reshape(-1, 3)
 
     number = np.repeat(np.arange(blocks), 25)
-    repeats.check(lambda rng: error_statistics(errors(rng), number).mean_ci95, NORM * np.exp(apart**2 / 2.0), share=0.2)
+    truth = NORM * np.exp(apart**2 / 2.0)
+    repeats.check(lambda rng: error_statistics(errors(rng), number).mean_ci95, truth, SAFE, share=0.2, least=0.92)
     if apart < 0.4:  # of ten blocks that differ more, the interval of the root mean square holds in 92 %
         truth = np.sqrt(3.0) * np.exp(apart**2)
 
@@ -32,7 +42,7 @@ def test_blocks_of_known_spread(repeats: Any, blocks: int, apart: float) -> None
             """Of data that have one: now and then a sample looks further apart than it is."""
             return next(ends for _ in range(100) if (ends := error_statistics(errors(rng), number).rms_ci95))
 
-        repeats.check(of_rms, truth, share=0.2)
+        repeats.check(of_rms, truth, SAFE, share=0.2, least=0.92)
 
 
 def test_rows_of_alike_errors_judged_without_their_block(repeats: Any) -> None:
@@ -52,4 +62,4 @@ def test_rows_of_alike_errors_judged_without_their_block(repeats: Any) -> None:
 
     rng = np.random.default_rng(1)
     truth = float(np.mean([np.abs(left(rng)).mean() for _ in range(2000)]))
-    repeats.check(lambda rng: error_statistics(left(rng), number).mean_ci95, truth, share=0.2)
+    repeats.check(lambda rng: error_statistics(left(rng), number).mean_ci95, truth, SAFE, share=0.2)

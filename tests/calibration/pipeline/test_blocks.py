@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pickenv.arm import forward
-from pickenv.base import InputError, mean_interval
+from pickenv.base import InputError, ordered_interval
 from pickenv.calibration import (
     Choices,
     DistanceObservations,
@@ -109,7 +109,7 @@ def test_the_interval_is_one_between_blocks_and_every_screen_says_so(plain, data
     without = np.array([(norms.sum() - part.sum()) / (123 - len(part)) for part in parts])
     pseudo = 10 * norms.mean() - 9 * without
     assert plain.best.mean == pytest.approx(norms.mean())
-    assert plain.best.mean_ci95 == pytest.approx(np.array(mean_interval(pseudo)) + norms.mean() - pseudo.mean())
+    assert plain.best.mean_ci95 == pytest.approx(np.array(ordered_interval(pseudo)) + norms.mean() - pseudo.mean())
     how = "123 rows, each judged without its block: mean over 10 contiguous blocks, between-block interval"
     told = plain.as_dict()["held_out"]
     assert how in plain.report() and told["how"].startswith(how)
