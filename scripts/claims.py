@@ -4,16 +4,21 @@
     python scripts/claims.py check                  draw ten rows, make them again at a fresh seed, say how many held
     python scripts/claims.py pages                  print the tables of the pages anew from the ledger
 
-`docs/claims.toml` says which experiment makes the numbers of which page, at which smaller size they are made again,
-over what they vary and on which constants they depend. A number that is made again from fewer units varies more than
-the first; it is held where both lie no farther apart than the root mean square of their intervals' half widths, on the
-side of each. Of 95 % intervals about 83 % are then due, whatever the sizes.
+`docs/claims.toml` says which experiment, or which other command, makes the numbers of which page, at which smaller size
+they are made again, over what they vary and on which constants they depend. A number that is made again from fewer
+units varies more than the first; it is held where both lie no farther apart than the root mean square of their
+intervals' half widths, on the side of each. Of 95 % intervals about 83 % are then due, whatever the sizes. Numbers of
+measured rows are made again from the same rows: they must come out the same, and are counted apart.
 """
 
 from __future__ import annotations
 
 import json
 import re
+import shlex
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -36,7 +41,8 @@ DUE = 0.834
 HOW = (
     "Numbers are drawn from a ledger and made again with other arms, fruit and looks. A number that is made again from "
     "fewer units varies more than the first: it is held where both lie no farther apart than the root mean square of "
-    "their intervals' half widths. Numbers of one page share arms, and so hold or miss together."
+    "their intervals' half widths. Numbers of one page share arms, and so hold or miss together. Measured rows are the "
+    "same each time, and so must be the numbers that are made of them."
 )
 WHERE = (
     "[claims.json](_static/claims.json) holds every number, and each that was made again, with its seed. `make claims` "
@@ -54,8 +60,8 @@ Row = dict[str, Any]
 
 
 def entries() -> dict[str, Row]:
-    """The ledger's experiments by the name of their file."""
-    return {Path(entry["file"]).stem: entry for entry in toml_of(LEDGER)[0]["experiment"]}
+    """The ledger's experiments by their name, or that of their file."""
+    return {entry.get("name") or Path(entry["file"]).stem: entry for entry in toml_of(LEDGER)[0]["experiment"]}
 
 
 def record() -> dict[str, list[Row]]:
@@ -81,6 +87,46 @@ def rows_of(result: Mapping[str, Any], certain: bool = False) -> list[Row]:
     return rows
 
 
+def rows_of_command(name: str, entry: Row, result: Mapping[str, Any]) -> list[Row]:
+    """The rows of another command's JSON, which the entry says how to read.
+
+    Args:
+        name: The entry's.
+        entry: "rows", the key of the list of rows; "by", the keys of their levels; "numbers", for each title the keys
+            of a value and of both ends, or of a pair of ends; "words", the key of what a table says beside a number.
+            A row without a value has no such number.
+        result: What the command wrote.
+    """
+    rows = []
+    for row in result[entry["rows"]]:
+        for title, (value, *ends) in entry["numbers"].items():
+            interval = row[ends[0]] if len(ends) == 1 else [row[end] for end in ends]
+            if row[value] is not None:
+                about = {"experiment": name, "title": title, "levels": {key: row[key] for key in entry["by"]}}
+                ci95 = None if interval is None or None in interval else interval
+                words = {"words": row[entry["words"]]} if row.get(entry.get("words")) else {}
+                rows.append(about | {"value": row[value], "ci95": ci95, "sampled95": ci95} | words)
+    return rows
+
+
+def run_command(entry: Row, options: str, seed: int) -> dict[str, Any]:
+    """What another command writes at this size and seed.
+
+    Raises:
+        InputError: If it fails, with its last words.
+    """
+    program, *words = shlex.split(f"{entry['command']} {options}")
+    with tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "result.json"
+        places = ["--seed", str(seed), "--out", f"{folder}/out", "--json", str(written)]
+        command = [str(Path(sys.executable).with_name(program)), *words, *places]
+        ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+        if not written.is_file():
+            raise InputError(f"{entry['command']}: {ended.stderr[-300:]}")
+        result: dict[str, Any] = json.loads(written.read_text(encoding="utf-8"))
+    return result
+
+
 def key_of(row: Mapping[str, Any]) -> str:
     """What a row is known by."""
     levels = ", ".join(f"{name} {value}" for name, value in row["levels"].items())
@@ -88,7 +134,12 @@ def key_of(row: Mapping[str, Any]) -> str:
 
 
 def holds(first: Mapping[str, Any], again: Mapping[str, Any]) -> bool:
-    """Whether two numbers agree, with their intervals over arms: constants are those of the design both times."""
+    """Whether two numbers agree, with their intervals over arms: constants are those of the design both times.
+
+    Those without an interval are to be the same, to three digits.
+    """
+    if first["sampled95"] is None or again["sampled95"] is None:
+        return bool(np.isclose(first["value"], again["value"], rtol=5e-3))
     one, other = sorted((first, again), key=lambda row: float(row["value"]))
     reach = (one["sampled95"][1] - one["value"], other["value"] - other["sampled95"][0])
     return bool(other["value"] - one["value"] <= np.sqrt(np.mean(np.square(reach))))
@@ -96,6 +147,10 @@ def holds(first: Mapping[str, Any], again: Mapping[str, Any]) -> bool:
 
 def made_again(row: Row, entry: Row, seed: int) -> Row:
     """The same row at another seed and the cheap size; of every factor only the levels that it needs are measured."""
+    if "command" in entry:
+        begin, options = time.perf_counter(), entry["cheap"].format(**row["levels"])
+        found = rows_of_command(row["experiment"], entry, run_command(entry, options, seed))
+        return _matching(row, found, entry) | {"seconds": round(time.perf_counter() - begin, 1)}
     path = ROOT / entry["file"]
     file = load_experiment(path)
     number = next(number for number in file.numbers if number.title == row["title"])
@@ -107,30 +162,44 @@ def made_again(row: Row, entry: Row, seed: int) -> Row:
     experiment = load_experiment(path, seed=seed, changes=changes)
     tables = plain_estimates(experiment.estimates(run(experiment.experiment)))
     found = rows_of({"experiment": row["experiment"], "tables": tables}, certain=True)
+    return _matching(row, found, entry) | {"seconds": round(time.perf_counter() - begin, 1)}
+
+
+def _matching(row: Row, found: Sequence[Row], entry: Row) -> Row:
+    """The row with the same levels.
+
+    Raises:
+        InputError: If there is none.
+    """
     match = [each for each in found if key_of(each) == key_of(row)]
     if not match:
-        raise InputError(f"{entry['file']} makes no row '{key_of(row)}' at its cheap size; give more units in {LEDGER}")
-    return match[0] | {"seconds": round(time.perf_counter() - begin, 1)}
+        made_by = entry.get("command") or entry["file"]
+        raise InputError(f"{made_by} makes no row '{key_of(row)}' at its cheap size; give more units in {LEDGER}")
+    return match[0]
 
 
 @app.command()
 def keep(results: list[Path]) -> None:
-    """Put the numbers of full runs into the ledger, in the place of those of the same experiments."""
+    """Put the numbers of full runs into the ledger, in the place of those of the same experiments.
+
+    The JSON of another command than `pickenv experiment` has the name of its entry.
+    """
     known = entries()
     kept = record() if RECORD.is_file() else {"rows": [], "again": []}
     for path in results:
         result = json.loads(path.read_text(encoding="utf-8"))
-        if result["experiment"] not in known:
-            raise InputError(f"{LEDGER} has no experiment {result['experiment']}; it has {listed(known)}")
-        entry = known[result["experiment"]]
-        printed = entry.get("levels", {})
+        name = result.get("experiment", path.stem)
+        if name not in known:
+            raise InputError(f"{LEDGER} has no experiment {name}; it has {listed(known)}")
+        entry = known[name]
+        printed, titles = entry.get("levels", {}), entry.get("titles") or list(entry["numbers"])
+        found = rows_of_command(name, entry, result) if "command" in entry else rows_of(result)
         new = [
-            row | {"page": entry["page"], "seed": result["seed"]}
-            for row in rows_of(result)
-            if row["title"] in entry["titles"]
-            and all(row["levels"][name] in levels for name, levels in printed.items())
+            row | {"page": entry["page"], "seed": result.get("seed", 0)}
+            for row in found
+            if row["title"] in titles and all(row["levels"][level] in shown for level, shown in printed.items())
         ]
-        kept["rows"] = [row for row in kept["rows"] if row["experiment"] != result["experiment"]] + new
+        kept["rows"] = [row for row in kept["rows"] if row["experiment"] != name] + new
         again = {key_of(row) for row in kept["rows"]}
         kept["again"] = [row for row in kept["again"] if row["claim"] in again]
     write_json(RECORD, kept)
@@ -155,7 +224,7 @@ def check(count: int = 10, seed: int | None = None) -> None:
         print(f"{word} {shown(row)} again {shown(again)}, {again['seconds']} s: {key_of(row)}")
         write_json(RECORD, kept)
         write_text(PAGE, page_of(kept, known))
-    print(sentence(kept["again"]))
+    print(sentence(kept["again"], known))
 
 
 @app.command()
@@ -171,10 +240,12 @@ def pages() -> None:
             print(f"wrote {path}")
 
 
-def shown(row: Mapping[str, Any], digits: int = 2, scale: float = 1.0, sign: str = "", unit: str = "") -> str:
-    """A number with its interval."""
-    value, low, high = (f"{scale * number:{sign}.{digits}f}" for number in (row["value"], *row["ci95"]))
-    return f"{value}{unit} ({low} to {high})"
+def shown(row: Mapping[str, Any], digits: int | None = 2, scale: float = 1.0, sign: str = "", unit: str = "") -> str:
+    """A number with its interval; without ``digits`` it has three below 1, such as mm, and two above."""
+    if digits is None:
+        digits = 3 if scale * row["value"] < 1.0 else 2
+    value, *ends = (f"{scale * number:{sign}.{digits}f}" for number in (row["value"], *(row["ci95"] or ())))
+    return f"{value}{unit}" + (f" ({ends[0]} to {ends[1]})" if ends else "")
 
 
 def number_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
@@ -217,25 +288,31 @@ def table_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
         line = tuple(row["levels"][name] for name in by)
         if all(value in by[name] or not by[name] for name, value in zip(by, line, strict=True)):
             number = shown(row, asked.get("digits", 2), asked.get("scale", 1.0), asked.get("sign", ""))
+            number += f": {row['words']}" if "words" in row else ""
             cells.setdefault(line, {})[row["levels"][across]] = number
     names = {name: name.removesuffix("_mm").replace("_", " ") for name in by}
     lines = [[*names.values(), *map(str, columns)], ["---"] * (len(by) + len(columns))]
     for line, found in cells.items():
-        words = [f"{value:g}" if isinstance(value, float) else str(value) for value in line]
+        words = ["" if level is None else f"{level:g}" if isinstance(level, float) else str(level) for level in line]
         lines.append([*words, *(found.get(column, "") for column in columns)])
     return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
-def sentence(again: Sequence[Row]) -> str:
-    """The running share."""
-    if not again:
-        return "Nothing was made again yet."
-    held = sum(row["held"] for row in again)
-    low, high = share_interval(held, len(again))
-    return (
-        f"{held} of {len(again)} numbers held when they were made again, {100 * held / len(again):.0f} % "
-        f"({100 * low:.0f} to {100 * high:.0f}); about {100 * DUE:.0f} % are due, as both numbers vary."
-    )
+def sentence(again: Sequence[Row], known: Mapping[str, Row]) -> str:
+    """The running share, and how many numbers of measured rows came out the same."""
+    same = [row for row in again if known[row["claim"].split(": ")[0]].get("same", False)]
+    drawn = [row for row in again if row not in same]
+    words = "Nothing was made again yet."
+    if drawn:
+        held = sum(row["held"] for row in drawn)
+        low, high = share_interval(held, len(drawn))
+        words = (
+            f"{held} of {len(drawn)} numbers held when they were made again, {100 * held / len(drawn):.0f} % "
+            f"({100 * low:.0f} to {100 * high:.0f}); about {100 * DUE:.0f} % are due, as both numbers vary."
+        )
+    if same:
+        words += f" Of measured rows {sum(row['held'] for row in same)} of {len(same)} numbers came out the same."
+    return words
 
 
 def page_of(kept: Mapping[str, Sequence[Row]], known: Mapping[str, Row]) -> str:
@@ -247,12 +324,18 @@ def page_of(kept: Mapping[str, Sequence[Row]], known: Mapping[str, Row]) -> str:
         again = [row for row in kept["again"] if row["claim"].startswith(f"{name}: ")]
         page = f"[{entry['page'].removesuffix('.md')}]({entry['page']})"
         counts = (len(numbers), len(again), sum(row["held"] for row in again))
-        words = [page, f"`{entry['file']}`", *map(str, counts), entry["varies"], entry["depends"]]
+        words = [
+            page,
+            f"`{entry.get('command') or entry['file']}`",
+            *map(str, counts),
+            entry["varies"],
+            entry["depends"],
+        ]
         lines.append(f"| {' | '.join(words)} |")
     table = "\n".join(lines)
     return f"""# Do the numbers hold?
 
-{sentence(kept["again"])}
+{sentence(kept["again"], known)}
 
 {HOW}
 

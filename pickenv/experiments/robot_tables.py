@@ -31,10 +31,12 @@ def bench_json(bench: Bench) -> dict[str, Any]:
     Keys of a row: "table" ("gains", "best" or "peers"), "robot", "split" ("random", "blocks" or "poses"), "model",
     "nominal_mm" (base and tool fitted), "held_out_mm", "published_mm" (a mean, of others), "measured_reduction" (of
     what "before" names), "ci95" of it, "predicted_reduction" (by twins of other rows) and "predicted_ci95" (where one
-    more arm would lie), "statistic" ("rms" or "mean") and "rows" judged.
+    more arm would lie), "statistic" ("rms" or "mean") and "rows" judged. "models" are the table of measured robots, a
+    row for each number: "value_mm" with its ends "low_mm" and "high_mm", and what is "used" by it.
     """
     return {
         "rows": [*bench.gains, *_best_rows(bench.models), *_peer_rows(bench.peers)],
+        "models": [json for row in bench.models.dicts() if (json := _model_json(row))],
         "agreement": agreement(bench.gains),
         "settings": asdict(bench.settings),
         "skipped": dict(bench.skipped),
@@ -80,6 +82,21 @@ def _best_rows(models: Rows) -> list[dict[str, Any]]:
 def _by_row(rows: Rows) -> Iterable[tuple[Any, ...]]:
     """Names of rows, each with what was measured of it."""
     return ((name, *rows.where(row=name).dicts()) for (name,) in rows.levels("row"))
+
+
+def _model_json(row: dict[str, Any]) -> dict[str, Any]:
+    """One number of the table of measured robots, with names that stand alone, its ends None where there is no interval.
+
+    Empty for the best model where nothing but geometry was tried.
+    """
+    spread = SPREAD[row["row"]]
+    if row["model"] == "best" and spread.terms == "none":
+        return {}
+    shown = {"best": "best model", LS: "least squares"}.get(row["model"], row["model"])
+    about = {"robot": spread.real.robot, "judged": f"{HELD[spread.how]}, {spread.statistic}", "model": shown}
+    used = row["used"] if row["model"] == "best" else ""
+    ends = dict(zip(("low_mm", "high_mm"), _ends(row), strict=True))
+    return row | about | ends | {"used": used, "published_mm": spread.published}
 
 
 def _ends(model: dict[str, Any]) -> list[float | None]:
