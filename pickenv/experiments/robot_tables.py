@@ -85,7 +85,7 @@ def _by_row(rows: Rows) -> Iterable[tuple[Any, ...]]:
 
 
 def _model_json(row: dict[str, Any]) -> dict[str, Any]:
-    """One number of the table of measured robots, with names that stand alone, its ends None where there is no interval.
+    """One number of the table of measured robots, its ends None where there is no interval.
 
     Empty for the best model where nothing but geometry was tried.
     """
