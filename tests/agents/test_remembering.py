@@ -23,7 +23,7 @@ from pickenv.agents.training.checkpoints import read_checkpoint
 from pickenv.arm import load_arm
 from pickenv.base import InputError
 from pickenv.envs import ReachVectorEnv
-from pickenv.wrappers import MOST_SEEN, SEEN_MM, SameArm, SameArmVector, make_sb3_vec
+from pickenv.wrappers import MOST_SEEN, SEEN_MM, PickMemory, SameArm, SameArmVector, make_sb3_vec
 
 ARMS = {"feedback": "camera", "camera_noise_mm": 0.5, "fruit_noise_mm": 0.0, "arms": "per_episode", "population": 6}
 FEW = {"n_envs": 4, "n_steps": 20, "batch_size": 40, "n_epochs": 1}
@@ -175,3 +175,13 @@ def test_a_strangers_recurrent_model_remembers_within_an_episode(tmp_path) -> No
             seen, *_, inside = scaled.envs.step(action)
             raw, *_, outside = bare.step(policy.act(raw))
             np.testing.assert_array_equal(inside["position_error_mm"], outside["position_error_mm"])
+
+
+def test_an_observation_is_bounded_as_what_it_holds_is():
+    """Joints are scaled to their ranges, seen errors are clipped, and the mark of a pick is 0 or 1."""
+    memory = PickMemory(joints=2, window=2)
+    seen = memory.after(memory.empty(1), np.array([[1.0, -1.0]]), np.array([[1.0, -1.0, 1.0]]))
+    shown = memory.shown(np.array([[-1.0, 1.0]]), seen)[0]
+    assert memory.space().contains(shown)
+    assert memory.space().high.tolist() == [1, 1] + 2 * [1, 1, MOST_SEEN, MOST_SEEN, MOST_SEEN, 1]
+    assert not memory.space().contains(1.01 * shown)

@@ -118,6 +118,8 @@ def test_one_machine_has_the_bits_that_it_has_among_many(true):
     alone = [true.tips(joints[i : i + 1, :3], slaves[i : i + 1])[0] for i in range(300)]
     np.testing.assert_array_equal(alone, many)
     np.testing.assert_array_equal(true.tips(joints[7, :3], slaves[7]), many[7])
+    by_hour = true.tips(joints[:, :3].reshape(100, 3, 3), slaves.reshape(100, 3, -1, 3))
+    np.testing.assert_array_equal(by_hour.reshape(many.shape), many)
 
 
 def test_a_slave_sits_where_its_seat_puts_it_to_the_right_ahead_and_up_of_frame_3(true):

@@ -16,6 +16,7 @@ from pickenv.inspect import (
     Comparison,
     Run,
     load_part,
+    page_of,
     read_run,
     recorded_run,
     run_kind,
@@ -271,3 +272,17 @@ def test_one_flipped_bit_anywhere_in_a_trace_is_refused(tmp_path: Path, trace: C
         path.write_bytes(flipped(whole, np.random.default_rng([3, number])))
         with pytest.raises(InputError, match=r"calibration_trace\.npz"):
             load_part(run, CalibrationTrace)
+
+
+def test_a_page_that_was_written_with_its_run_is_shown_as_it_was_written(tmp_path):
+    """A calibration's page holds more than the folder keeps; without one, or edited, it is refused."""
+    with recorded_run(tmp_path / "run", "calibration", "pickenv calibrate rows.csv", 3) as run:
+        write_text(run.folder / "report.html", "<p>0.12 mm</p>")
+    assert page_of(read_run(tmp_path / "run")) == "<p>0.12 mm</p>"
+    (tmp_path / "run/report.html").write_text("<p>0.02 mm</p>", encoding="utf-8")
+    with pytest.raises(InputError, match=r"was edited or exchanged; `pickenv calibrate .* makes it anew"):
+        page_of(read_run(tmp_path / "run"))
+    with recorded_run(tmp_path / "bare", "calibration", "pickenv calibrate rows.csv", 3):
+        pass
+    with pytest.raises(InputError, match=r"report\.html does not exist: measurements of this kind have no report page"):
+        page_of(read_run(tmp_path / "bare"))

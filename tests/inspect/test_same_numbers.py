@@ -106,6 +106,7 @@ def test_tables_fit_the_terminal_and_lose_nothing(
 @pytest.mark.slow
 def test_a_demonstrations_numbers_are_the_same_everywhere(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     found = run_demo(DemoSettings(seed=1, reaches=20, epochs=20, grid_step=0.3, gain_poses=0))
+    assert found.calibrated.terms is None, "the paper adds a network to geometry, and nothing else"
     write_run(found, tmp_path / "run")
     summary: dict[str, Any] = json.loads((tmp_path / "run/summary.json").read_text(encoding="utf-8"))
     assert summary == json.loads(json.dumps(summarise(found)))

@@ -28,7 +28,7 @@ from pickenv.inspect import (
 from pickenv.inspect.colours import ORANGE, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.plot_estimates import METHODS
-from pickenv.inspect.figures.style import INK, PIXELS_PER_INCH, WIDTH, style
+from pickenv.inspect.figures.style import INK, PIXELS_PER_INCH, WIDTH, change, style
 from tests.inspect.figures.figure_lint import figure_faults
 
 if TYPE_CHECKING:
@@ -440,3 +440,8 @@ def test_slices_title_is_the_mean_of_the_slices_that_are_shown() -> None:
         assert names == pytest.approx([0.1 * each for each in shown])
     with pytest.raises(InputError, match="an error field needs points"):
         error_slices(points, {"raw": error[:-1]}, step=0.1)
+
+
+def test_a_title_names_both_of_two_figures_and_the_ends_of_more() -> None:
+    assert change({"raw": 1.92, "LS": 0.5}, "mm") == "raw 1.9, LS 0.50 mm"
+    assert change({"raw": 1.92, "LS": 0.5, "best": 0.04}, "mm") == "raw 1.9, best 0.040 mm"
