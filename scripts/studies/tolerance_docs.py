@@ -1,9 +1,9 @@
-"""Print the tables of docs/tolerance-studies.md anew, from both example studies at six seeds.
+"""Print what docs/tolerance-studies.md says of causes, and draw its figure, from both example studies.
 
-    python scripts/studies/tolerance_docs.py --out runs/seeds
+    python scripts/studies/tolerance_docs.py --out runs/tolerances
 
-The tables are of seed 0; the others say how far they may be trusted. Studies go on where they were stopped. What stands
-between the two marks in the page is replaced, and docs/images/study-grades.png is drawn again.
+Studies go on where they were stopped. What stands between the two marks in the page is replaced, and
+docs/images/study-grades.png is drawn again. The yields are the ledger's (scripts/studies/tolerances.toml).
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import typer
-from study_seeds import agreement, in_groups, sentence, sentence_of_groups
 
 from pickenv.base import InputError, write_text
-from pickenv.experiments import load_study, read_summary
+from pickenv.experiments import load_study, read_summary, run_study
 from pickenv.experiments.study_findings import Findings, gather, setting_label, specified, yield_curves
 from pickenv.experiments.study_variance import SAMPLES, sobol_of
 from pickenv.inspect import save_figure
@@ -25,23 +24,11 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tolerance-studies.md"
 MARKS = ("<!-- tables: python scripts/studies/tolerance_docs.py -->", "<!-- end of tables -->")
 STUDIES = ("tolerance_grades", "tolerance_study")
-SEEDS = tuple(range(6))
 
 
 def table(heads: Any, rows: Any) -> str:
     """A Markdown table."""
     return "\n".join(f"| {' | '.join(line)} |" for line in [heads, ["---"] * len(heads), *rows]) + "\n"
-
-
-def crossed(rows: list[dict[str, Any]], heads: list[str], across: str) -> str:
-    """Yields of settings as a table: values of ``heads`` name its lines, ``across`` its columns."""
-    lines: dict[tuple[str, ...], dict[str, str]] = {}
-    for row in rows:
-        load = f"{row['payload_kg']:g} kg" if row["payload_kg"] else "none"
-        words = {"class": row["tolerances"], "tracker noise": f"{row['noise_mm']:g} mm", "payload": load}
-        cell = percent(row["yield"], row["yield_low"], row["yield_high"], 1)
-        lines.setdefault(tuple(words[head] for head in heads), {})[across.format(**row)] = cell
-    return table([*heads, *next(iter(lines.values()))], ([*line, *cells.values()] for line, cells in lines.items()))
 
 
 def of_share(row: dict[str, Any], *keys: str) -> list[str]:
@@ -69,37 +56,28 @@ def sensitivities(findings: Findings) -> str:
 def printed(out: Path) -> str:
     """Everything between the marks."""
     one, other = (load_study(ROOT / "scripts" / f"{name}.toml") for name in STUDIES)
-    groups = in_groups(one, range(10 * len(SEEDS)), len(SEEDS), out / STUDIES[0])  # ten, of the quicker study
-    grades, study = (f"`{name}.toml`" for name in STUDIES)
-    counts = [sentence(grades, SEEDS, groups[0]), sentence_of_groups(grades, len(SEEDS), groups)]
-    counts.append(sentence(study, SEEDS, agreement(other, SEEDS, out / STUDIES[1])))
-    first, second = (gather(out / name / f"seed-{SEEDS[0]}") for name in STUDIES)
+    for config, name in zip((one, other), STUDIES, strict=True):
+        run_study(config, out / name, executor="batched")
+    first, second = (gather(out / name) for name in STUDIES)
     save_figure(yield_curves(first.yields, "it_grade", specified(one)), ROOT / "docs/images/study-grades.png")
-    raw = [row for row in first.yields if row["method"] == "raw"]
-    ls = [row for row in second.yields if row["method"] == "ls" and row["it_grade"] == 12]
-    ls.sort(key=lambda row: (row["noise_mm"], row["payload_kg"], row["poses"]))
     components: list[list[str]] = []
-    for setting in read_summary(out / STUDIES[1] / f"seed-{SEEDS[0]}")["components"]:
+    for setting in read_summary(out / STUDIES[1])["components"]:
         label = setting_label(setting)
         components += [[label, row["group"], *of_share(row, "first_order", "total")] for row in setting["shares"]]
     own = {number: place for number, place in second.placements.items() if not isinstance(place, str)}
     places = [(second.label(n), f"{p.error_mm:.2f} mm", percent(p.percentile, *p.interval)) for n, p in own.items()]
     smaller = ("setting", "its mean error", "arms with a smaller error at the same fruit and poses")
-    near = [f"a fruit counts within {config.radius_mm:g} mm" for config in (one, other)]
-    by_pose_count = crossed(ls, ["tracker noise", "payload"], "{poses} poses")
-    by_cause = table(("setting", "drawn anew", "alone", "with interactions"), components)
     parts = {
-        f"Uncalibrated, {near[0]} ({grades})": crossed(raw, ["class"], "IT{it_grade}"),
-        f"Calibrated by least squares, {near[1]} ({study}, class medium, IT12)": by_pose_count,
-        "Where the differences between arms come from": by_cause,
+        "Where the differences between arms come from": table(
+            ("setting", "drawn anew", "alone", "with interactions"), components
+        ),
         "Which tolerance matters (in Sobol's groups lead errors count as transmission error)": sensitivities(second),
         "The arm of the paper's Table 1 in its population": table(smaller, places),
-        "At other seeds": "".join(f"- {count}\n" for count in counts),
     }
     return "\n".join(f"{title}:\n\n{part}" for title, part in parts.items())
 
 
-def main(out: Path = Path("runs/seeds")) -> None:
+def main(out: Path = Path("runs/tolerances")) -> None:
     """Print the tables, and put them into the page."""
     (before, rest), text = PAGE.read_text(encoding="utf-8").split(MARKS[0]), printed(out)
     write_text(PAGE, f"{before}{MARKS[0]}\n\n{text}\n{MARKS[1]}{rest.split(MARKS[1])[1]}")
