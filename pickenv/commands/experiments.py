@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from textwrap import fill
@@ -120,6 +121,7 @@ def _change(text: str) -> tuple[str, Any]:
 def study(
     config: Annotated[Path, Argument(help="Study (.toml); scripts/tolerance_study.toml shows every key.")],
     quick: Annotated[bool, Option("--quick", help="40 arms and 20 fruit at most.")] = False,
+    seed: Annotated[int | None, Option(help="Of everything random; the study's own if left out.", min=0)] = None,
     executor: Annotated[
         Literal["serial", "joblib", "ray", "batched"], Option(help="What computes the arms.")
     ] = "joblib",
@@ -146,6 +148,7 @@ def study(
         {"--out": [out / name for name in ("summary.json", "report.html", "arms.rrd")], "--json": json_file},
     )
     settings = full_study.quick() if quick else full_study
+    settings = settings if seed is None else replace(settings, seed=seed)
     with locked(out):
         with progress_bars("arms") as report_progress:
             summary = run_study(
