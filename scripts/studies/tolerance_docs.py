@@ -1,9 +1,10 @@
-"""Print the tables of docs/tolerance-studies.md anew, from both example studies at six seeds.
+"""Print the tables behind docs/tolerance-studies.md anew, from both example studies at six seeds.
 
     python scripts/studies/tolerance_docs.py --out runs/seeds
 
-The tables are of seed 0; the others say how far they may be trusted. Studies go on where they were stopped. What stands
-between the two marks in the page is replaced, and docs/images/study-grades.png is drawn again.
+The tables are of seed 0; the others say how far they may be trusted. Studies go on where they were stopped. All tables
+go to docs/_static/tolerance-studies.txt, the one between the two marks in the page is replaced, and
+docs/images/study-grades.png is drawn again.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from pickenv.inspect.runs.number_words import percent
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "tolerance-studies.md"
+TABLES = ROOT / "docs" / "_static" / "tolerance-studies.txt"
 MARKS = ("<!-- tables: python scripts/studies/tolerance_docs.py -->", "<!-- end of tables -->")
 STUDIES = ("tolerance_grades", "tolerance_study")
 SEEDS = tuple(range(6))
@@ -66,8 +68,8 @@ def sensitivities(findings: Findings) -> str:
     return "\n".join(parts)
 
 
-def printed(out: Path) -> str:
-    """Everything between the marks."""
+def printed(out: Path) -> tuple[str, str]:
+    """The table between the marks of the page, and all tables."""
     one, other = (load_study(ROOT / "scripts" / f"{name}.toml") for name in STUDIES)
     groups = in_groups(one, range(10 * len(SEEDS)), len(SEEDS), out / STUDIES[0])  # ten, of the quicker study
     grades, study = (f"`{name}.toml`" for name in STUDIES)
@@ -96,13 +98,14 @@ def printed(out: Path) -> str:
         "The arm of the paper's Table 1 in its population": table(smaller, places),
         "At other seeds": "".join(f"- {count}\n" for count in counts),
     }
-    return "\n".join(f"{title}:\n\n{part}" for title, part in parts.items())
+    return by_pose_count, "\n".join(f"{title}:\n\n{part}" for title, part in parts.items())
 
 
 def main(out: Path = Path("runs/seeds")) -> None:
-    """Print the tables, and put them into the page."""
-    (before, rest), text = PAGE.read_text(encoding="utf-8").split(MARKS[0]), printed(out)
-    write_text(PAGE, f"{before}{MARKS[0]}\n\n{text}\n{MARKS[1]}{rest.split(MARKS[1])[1]}")
+    """Print the tables, and put them into the page and beside it."""
+    (before, rest), (shown, text) = PAGE.read_text(encoding="utf-8").split(MARKS[0]), printed(out)
+    write_text(PAGE, f"{before}{MARKS[0]}\n\n{shown}\n{MARKS[1]}{rest.split(MARKS[1])[1]}")
+    write_text(TABLES, text)
     print(text)
 
 

@@ -25,6 +25,11 @@ def test_every_file_that_is_named_exists():
     assert scripts and [name for name in scripts if not (ROOT / name).is_file()] == []
 
 
+def test_the_table_of_the_page_is_one_of_all_tables():
+    (shown,) = re.findall(r"<!-- tables: .*?-->\n\n(.*?)\n<!-- end of tables -->", PAGE, re.DOTALL)
+    assert shown in (ROOT / "docs/_static/tolerance-studies.txt").read_text(encoding="utf-8")
+
+
 def test_every_executor_and_option_is_named_and_exists():
     named = set(re.findall(r"^\| `(\w+)`(?: \(default\))? \|", PAGE, re.MULTILINE))
     assert named == set(study_rows.EXECUTORS)
