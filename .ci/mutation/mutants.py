@@ -255,6 +255,8 @@ def page_of(record: Mapping[str, Any]) -> str:
 
 PAGE_TEXT = f"""# Would the tests notice?
 
+This page says which share of small changes to the code the tests notice.
+
 One operator, number, condition or option is changed in a function that is drawn at random, every function of the
 package as likely as any other. {{counts}} make no difference; of the other {{counted}} the tests notice {{killed}},
 **{{share}}
