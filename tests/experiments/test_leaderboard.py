@@ -1,7 +1,6 @@
 """The leaderboard: every row from arms that no two seeds share, made again from what is kept; a stranger's one file."""
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -251,23 +250,21 @@ def test_impossible_leaderboards_end_with_one_sentence(tmp_path):
 
 
 def test_the_published_table_has_the_numbers_of_the_published_file():
-    """docs/leaderboard.md and docs/_static/leaderboard.json are of one run; the page has fewer columns of one plant."""
+    """docs/leaderboard.md and docs/_static/leaderboard.json are of one run; the page leaves out the smooth arm."""
     docs = Path(__file__).parents[2] / "docs"
     rows = json.loads((docs / "_static/leaderboard.json").read_text(encoding="utf-8"))["rows"]
     page = (docs / "leaderboard.md").read_text(encoding="utf-8")
     printed = {}
     for part in page.split("### ")[1:]:
-        (head,) = re.findall(r"^\| policy \| feedback \| (.*) \|$", part, re.MULTILINE)[:1]
-        names = [{"LS": "ls", "LS+BPNN": "ls_bpnn", "LS+GP": "best"}.get(name, name) for name in head.split(" | ")]
         for line in part.splitlines():
             policy, feedback, *numbers = [cell.strip() for cell in line.strip("|").split("|")] + [""] * 2
             if " to " in (numbers or [""])[0]:
-                columns = zip(names, numbers, strict=False)
+                columns = zip(("raw", "ls", "ls_bpnn", "best"), numbers, strict=False)
                 printed |= {(part.splitlines()[0], policy, feedback, name): number for name, number in columns}
     kept = {}
     for row in rows:
         low, high = row["ci95_mm"]
         key = row["task"], row["policy"], row["feedback"], row["compensation"]
         kept[key] = f"{row['iqm_mm']:.2f} ({low:.2f} to {high:.2f})"
-    assert len(printed) > 70 and printed.items() <= kept.items()
-    assert {key[:3] for key in printed} == {key[:3] for key in kept}
+    shown = {key: number for key, number in kept.items() if not key[0].endswith("qiao2026")}
+    assert len(kept) > 90 and len(printed) > 40 and printed == shown
