@@ -261,9 +261,9 @@ One operator, number, condition or option is changed in a function that is drawn
 package as likely as any other. {{counts}} make no difference; of the other {{counted}} the tests notice {{killed}},
 **{{share}}
 
-A change is tried against the tests that name the function, its module or its room, as many as take {BUDGET:.0f} s; the
-other tests might notice more. Tests that are written for a survivor afterwards do not raise the share: only another
-sample does. What survived:
+A change is tried against the tests that name the function, its module or its room, as many as take {BUDGET:.0f} s.
+Other tests might notice more. Tests written for a survivor afterwards do not raise the share: only another sample
+does. What survived:
 
 | function | file | change |
 |---|---|---|
