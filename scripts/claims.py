@@ -39,15 +39,15 @@ DUE = 0.834
 """Share that is due: two numbers differ by sqrt(2) of what one varies by."""
 
 HOW = (
-    "Numbers are drawn from a ledger and made again with other arms, fruit and looks. A number that is made again from "
-    "fewer units varies more than the first: it is held where both lie no farther apart than the root mean square of "
-    "their intervals' half widths. Numbers of one page share arms, and so hold or miss together. Measured rows are the "
-    "same each time, and so must be the numbers that are made of them."
+    "Each is made again with other arms, fruit and looks, often with fewer. It holds where both lie no farther apart "
+    "than the root mean square of their intervals' half widths. Numbers of one page share arms, and so hold or miss "
+    "together. Measured rows are the same each time, and so must be their numbers."
 )
 WHERE = (
-    "[claims.json](_static/claims.json) holds every number, and each that was made again, with its seed. `make claims` "
-    'draws ten more; `make claims ARGS="--count 40 --seed 7"` draws others. '
-    "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made."
+    'Draw ten more with `make claims`, or others with `make claims ARGS="--count 40 --seed 7"`. '
+    "[claims.json](_static/claims.json) has every number, and each that was made again, with its seed. "
+    "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made, over what it "
+    "varies and on what it depends."
 )
 
 FIGURES = ("value", "ci95", "no_interval", "std", "range", "runs", "lost", "lost_ci95", "sampled95")
@@ -317,25 +317,20 @@ def sentence(again: Sequence[Row], known: Mapping[str, Row]) -> str:
 
 def page_of(kept: Mapping[str, Sequence[Row]], known: Mapping[str, Row]) -> str:
     """The page "Do the numbers hold?"."""
-    lines = ["| page | experiment | numbers | made again | held | over what they vary | what they depend on |",
-             "|---|---|--:|--:|--:|---|---|"]  # fmt: skip
+    lines = ["| page | experiment | numbers | made again | held |", "|---|---|--:|--:|--:|"]
     for name, entry in known.items():
         numbers = [row for row in kept["rows"] if row["experiment"] == name]
         again = [row for row in kept["again"] if row["claim"].startswith(f"{name}: ")]
         page = f"[{entry['page'].removesuffix('.md')}]({entry['page']})"
         counts = (len(numbers), len(again), sum(row["held"] for row in again))
-        words = [
-            page,
-            f"`{entry.get('command') or entry['file']}`",
-            *map(str, counts),
-            entry["varies"],
-            entry["depends"],
-        ]
+        words = [page, f"`{name}`", *map(str, counts)]
         lines.append(f"| {' | '.join(words)} |")
     table = "\n".join(lines)
     return f"""# Do the numbers hold?
 
-{sentence(kept["again"], known)}
+This page draws numbers from the pages of this site, makes them again, and says how many held.
+
+**{sentence(kept["again"], known)}**
 
 {HOW}
 

@@ -130,6 +130,14 @@ def test_the_readmes_five_rows_are_those_of_the_results() -> None:
         ]
 
 
+def test_the_home_page_says_what_the_readme_says() -> None:
+    home, readme = page("docs/index.md"), README.splitlines()
+    shown = [text.strip() for language, text in blocks("docs/index.md") if language == "sh"]
+    assert len(shown) == 3 and set(shown) <= set(readme)
+    rows = [line for line in home.splitlines() if line.startswith("| ")]
+    assert len(rows) == 4 and set(rows) <= set(readme)
+
+
 def sentences(text: str) -> Iterator[str]:
     """Sentences of a page's prose: no code, tables, pictures or addresses."""
     text = re.sub(r"^```.*?^```$|<!--.*?-->|^\|.*?$|^#.*?$|!\[[^\]]*\]\([^)]*\)", "\n\n", text, flags=re.M | re.S)

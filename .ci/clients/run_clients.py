@@ -32,7 +32,7 @@ HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 PAGE = ROOT / "docs" / "clients.md"
 PACKAGES = HERE / "clients.toml"
-BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```(python|sh|\{literalinclude\} \S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PRINTED = re.compile(r"^(\w+): ([\d.]+) mm$", re.MULTILINE)
 SHORT = 3840
 """Steps of a quick run."""
@@ -44,9 +44,16 @@ def clients() -> dict[str, dict[str, Any]]:
 
 
 def recipe(heading: str) -> list[tuple[str, str]]:
-    """Language and text of the blocks under a heading of the page."""
+    """Language and text of the blocks under a heading of the page, and of files that it includes."""
     text = PAGE.read_text(encoding="utf-8")
-    return BLOCK.findall(text[text.index(f"\n## {heading}\n") :].split("\n## ")[1])
+    found = BLOCK.findall(text[text.index(f"\n## {heading}\n") :].split("\n## ")[1])
+    return [_read(language, block) for language, block in found]
+
+
+def _read(language: str, block: str) -> tuple[str, str]:
+    """A block as it stands, or the file that it includes."""
+    _, include, name = language.partition("{literalinclude} ")
+    return ("python", (PAGE.parent / name).read_text(encoding="utf-8")) if include else (language, block)
 
 
 def shortened(text: str) -> str:

@@ -255,13 +255,15 @@ def page_of(record: Mapping[str, Any]) -> str:
 
 PAGE_TEXT = f"""# Would the tests notice?
 
+This page says which share of small changes to the code the tests notice.
+
 One operator, number, condition or option is changed in a function that is drawn at random, every function of the
 package as likely as any other. {{counts}} make no difference; of the other {{counted}} the tests notice {{killed}},
 **{{share}}
 
-A change is tried against the tests that name the function, its module or its room, as many as take {BUDGET:.0f} s; the
-other tests might notice more. Tests that are written for a survivor afterwards do not raise the share: only another
-sample does. What survived:
+A change is tried against the tests that name the function, its module or its room, as many as take {BUDGET:.0f} s.
+Other tests might notice more. Tests written for a survivor afterwards do not raise the share: only another sample
+does. What survived:
 
 | function | file | change |
 |---|---|---|

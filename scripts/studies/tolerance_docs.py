@@ -1,8 +1,8 @@
-"""Print what docs/tolerance-studies.md says of causes, and draw its figure, from both example studies.
+"""Print the tables of causes behind docs/tolerance-studies.md, and draw its figure, from both example studies.
 
     python scripts/studies/tolerance_docs.py --out runs/tolerances
 
-Studies go on where they were stopped. What stands between the two marks in the page is replaced, and
+Studies go on where they were stopped. The tables go to docs/_static/tolerance-studies.txt, and
 docs/images/study-grades.png is drawn again. The yields are the ledger's (scripts/studies/tolerances.toml).
 """
 
@@ -21,8 +21,7 @@ from pickenv.inspect import save_figure
 from pickenv.inspect.runs.number_words import percent
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "tolerance-studies.md"
-MARKS = ("<!-- tables: python scripts/studies/tolerance_docs.py -->", "<!-- end of tables -->")
+TABLES = ROOT / "docs" / "_static" / "tolerance-studies.txt"
 STUDIES = ("tolerance_grades", "tolerance_study")
 
 
@@ -54,7 +53,7 @@ def sensitivities(findings: Findings) -> str:
 
 
 def printed(out: Path) -> str:
-    """Everything between the marks."""
+    """All tables."""
     one, other = (load_study(ROOT / "scripts" / f"{name}.toml") for name in STUDIES)
     for config, name in zip((one, other), STUDIES, strict=True):
         run_study(config, out / name, executor="batched")
@@ -78,9 +77,9 @@ def printed(out: Path) -> str:
 
 
 def main(out: Path = Path("runs/tolerances")) -> None:
-    """Print the tables, and put them into the page."""
-    (before, rest), text = PAGE.read_text(encoding="utf-8").split(MARKS[0]), printed(out)
-    write_text(PAGE, f"{before}{MARKS[0]}\n\n{text}\n{MARKS[1]}{rest.split(MARKS[1])[1]}")
+    """Print the tables, and put them beside the page."""
+    text = printed(out)
+    write_text(TABLES, text)
     print(text)
 
 

@@ -250,7 +250,7 @@ def test_impossible_leaderboards_end_with_one_sentence(tmp_path):
 
 
 def test_the_published_table_has_the_numbers_of_the_published_file():
-    """docs/leaderboard.md and docs/_static/leaderboard.json are of one run, number for number."""
+    """docs/leaderboard.md and docs/_static/leaderboard.json are of one run; the page leaves out the smooth arm."""
     docs = Path(__file__).parents[2] / "docs"
     rows = json.loads((docs / "_static/leaderboard.json").read_text(encoding="utf-8"))["rows"]
     page = (docs / "leaderboard.md").read_text(encoding="utf-8")
@@ -261,8 +261,10 @@ def test_the_published_table_has_the_numbers_of_the_published_file():
             if " to " in (numbers or [""])[0]:
                 columns = zip(("raw", "ls", "ls_bpnn", "best"), numbers, strict=False)
                 printed |= {(part.splitlines()[0], policy, feedback, name): number for name, number in columns}
-    assert len(printed) == len(rows) > 90
+    kept = {}
     for row in rows:
         low, high = row["ci95_mm"]
         key = row["task"], row["policy"], row["feedback"], row["compensation"]
-        assert printed[key] == f"{row['iqm_mm']:.2f} ({low:.2f} to {high:.2f})"
+        kept[key] = f"{row['iqm_mm']:.2f} ({low:.2f} to {high:.2f})"
+    shown = {key: number for key, number in kept.items() if not key[0].endswith("qiao2026")}
+    assert len(kept) > 90 and len(printed) > 40 and printed == shown
