@@ -45,8 +45,8 @@ def calibration(
     from pickenv.experiments.robots import QUICK, ROWS, BenchSettings, run_bench
     from pickenv.inspect.runs.run_folder import listed_files
 
-    page, blocked = out / "bench.md", out / "measured_gains.json"
-    separate({}, {"--out": [page, blocked], "--json": json_file})
+    page, blocked, gains = out / "bench.md", out / "measured_gains.json", out / "gains.csv"
+    separate({}, {"--out": [page, blocked, gains], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if workers > 1 else []))
     settings = replace(BenchSettings.quick() if quick else BenchSettings(), seed=seed)
     names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
@@ -68,7 +68,13 @@ def calibration(
             result = run_bench(names, settings, data, out, peers, workers=workers, progress=report)
         measured_gains = tables.blocked_json(result, date.today().isoformat())
         deliver(
-            [(page, tables.bench_page(result)), (blocked, measured_gains), (json_file, tables.bench_json(result))], show
+            [
+                (page, tables.bench_page(result)),
+                (gains if result.gains else None, tables.gain_csv(result)),
+                (blocked, measured_gains),
+                (json_file, tables.bench_json(result)),
+            ],
+            show,
         )
 
 

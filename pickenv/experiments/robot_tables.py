@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -192,6 +194,13 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
         shares = (with_interval(share, ends, 1, 100.0, unit=" %") for share, ends in pairs)
         cells.append((*names, *sizes, *shares, f"{100.0 * (predicted - measured):+.1f}"))
     return cells
+
+
+def gain_csv(bench: Bench) -> str:
+    """The same rows as a CSV file with heads, as the page on twins shows them."""
+    text = StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows([GAIN_HEADS, *gain_cells(bench)])
+    return text.getvalue()
 
 
 def spread_table(models: Rows) -> str:
