@@ -12,7 +12,7 @@ from pickenv.experiments import SETS, gains, measured_gains, robot_tables, robot
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/twin.md").read_text(encoding="utf-8")
-TABLE = "_static/gains.csv"
+TABLE = f"_static/{robot_tables.GAINS_FILE}"
 POINTS, SIGNS = 8.0, 0.8
 """What is asked: the median difference in percentage points at most, and how often the sign is right at least."""
 

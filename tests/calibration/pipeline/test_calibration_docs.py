@@ -60,7 +60,13 @@ def test_every_block_runs_in_order(tmp_path):
     assert (tmp_path / "my_arm.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
-DESCRIBED = {given: text for kind, given, text in BLOCK.findall(FORMATS) if kind == "toml"}
+JOINTS = '[joints]\ncolumns = ["j1", "j2", "j3", "j4", "j5", "j6"]\nunit = "deg"\n'
+"""What every file needs, and the page writes but once."""
+DESCRIBED = {
+    given: f"\n{text}" + JOINTS * ("[joints]" not in text)
+    for kind, given, text in BLOCK.findall(FORMATS)
+    if kind == "toml"
+}
 
 
 @pytest.mark.parametrize("name", DESCRIBED)
