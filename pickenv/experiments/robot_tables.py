@@ -199,7 +199,9 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
 
 def csv_files(bench: Bench) -> dict[str, str]:
     """The tables of gains and of measured robots as CSV files with heads, as the pages show them; none without rows."""
-    tables = {GAINS_FILE: (GAIN_HEADS, gain_cells(bench))} if bench.gains else {}
+    tables: dict[str, tuple[Sequence[str], list[tuple[str, ...]]]] = {}
+    if bench.gains:
+        tables[GAINS_FILE] = GAIN_HEADS, gain_cells(bench)
     if len(bench.models):
         tables[ROBOTS_FILE] = SPREAD_HEADS, spread_cells(bench.models)
     texts = {}

@@ -37,6 +37,14 @@ def test_every_row_is_in_the_results_in_its_order() -> None:
     assert robot_tables.NOTE in RESULTS
 
 
+def test_a_table_is_written_as_the_page_reads_it() -> None:
+    models = Rows.of(made_rows("wam_poses", 3 * [(1.0, 0.5, 2.0)], "gravity"))
+    files = robot_tables.csv_files(robots.Bench(BenchSettings(), [], models, Rows.of([]), {}))
+    assert list(files) == [robot_tables.ROBOTS_FILE]
+    heads, row = csv.reader(files[robot_tables.ROBOTS_FILE].splitlines())
+    assert heads == list(robot_tables.SPREAD_HEADS) and row == list(robot_tables.spread_cells(models)[0])
+
+
 def test_the_table_shows_value_spread_model_and_remark() -> None:
     models = [(12.344, 11.0, 13.0), (0.45678, 0.4, 0.5), (0.4, np.nan, np.nan)]
     line = robot_tables.spread_table(Rows.of(made_rows("wam_poses", models, "gravity"))).splitlines()[2]
