@@ -21,15 +21,9 @@ RUN = ("README.md", "docs/commands.md")
 LONG_WINDED = (
     "changelog",
     "findings",
-    "harvester-sight",
-    "papers",
-    "results",
-    "so101",
     "tolerance-studies",
-    "twin",
-    "column-descriptions",
 )
-"""Pages of results and formats, of which some sentences are longer, and one that is made of CHANGELOG."""
+"""Pages of results, of which some sentences are longer, and one that is made of CHANGELOG."""
 PLAIN = (
     *("README.md", "CONTRIBUTING.md", "SECURITY.md"),
     *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md")) if page.stem not in LONG_WINDED),
