@@ -2,7 +2,8 @@
 
 Each walk clones the checkout, makes an environment without caches, and types what the README prints, in its order and
 nothing else. The table says how many commands that were, how long they took on the clock and of processor time (which
-other programs on the computer lengthen less), what the environment takes on the disk, and the newcomer's last line.
+other programs on the computer lengthen less), and what the environment takes on the disk. The JSON holds the
+newcomer's last line as well.
 
 Run: python .ci/walks.py [--only NAME] [--out runs/walks.json]
 
@@ -151,13 +152,11 @@ def _processor_seconds() -> float:
 
 def table(walks: Sequence[Walk]) -> str:
     """The walks as a Markdown table."""
-    heads = ("newcomer", "commands", "minutes on the clock", "of processor time", "environment (MB)", "last line")
+    heads = ("newcomer", "commands", "minutes on the clock", "of processor time", "environment (MB)")
     rows = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
     for each in walks:
         minutes, busy = sum(each.seconds) / 60, sum(each.processor_seconds) / 60
-        rows.append(
-            f"| {each.who} | {len(each.typed)} | {minutes:.1f} | {busy:.1f} | {each.megabytes:.0f} | {each.last} |"
-        )
+        rows.append(f"| {each.who} | {len(each.typed)} | {minutes:.1f} | {busy:.1f} | {each.megabytes:.0f} |")
     return "\n".join(rows)
 
 

@@ -46,7 +46,8 @@ def calibration(
     from pickenv.inspect.runs.run_folder import listed_files
 
     page, blocked = out / "bench.md", out / "measured_gains.json"
-    separate({}, {"--out": [page, blocked], "--json": json_file})
+    shown = [out / name for name in (tables.GAINS_FILE, tables.ROBOTS_FILE)]
+    separate({}, {"--out": [page, blocked, *shown], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if workers > 1 else []))
     settings = replace(BenchSettings.quick() if quick else BenchSettings(), seed=seed)
     names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
@@ -67,8 +68,15 @@ def calibration(
         with progress_bars() as report:
             result = run_bench(names, settings, data, out, peers, workers=workers, progress=report)
         measured_gains = tables.blocked_json(result, date.today().isoformat())
+        files = [(out / name, text) for name, text in tables.csv_files(result).items()]
         deliver(
-            [(page, tables.bench_page(result)), (blocked, measured_gains), (json_file, tables.bench_json(result))], show
+            [
+                (page, tables.bench_page(result)),
+                *files,
+                (blocked, measured_gains),
+                (json_file, tables.bench_json(result)),
+            ],
+            show,
         )
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from io import StringIO
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from pickenv.experiments.gains import LEARNT, LS
 from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench, bench_row
 
 GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
+GAINS_FILE, ROBOTS_FILE = "gains.csv", "measured-robots.csv"
 HELD = {"random": "random fifths", "blocks": "blocks", "poses": "its 20 random poses"}
 
 SPREAD_HEADS = ("robot and rows judged", "nominal (mm)", "geometry (mm)", "best model (mm)", "published (mm)")
@@ -211,9 +214,24 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
     return cells
 
 
-def spread_table(models: Rows) -> str:
-    """The Markdown table of the rows of measured robots that were judged."""
-    table = []
+def csv_files(bench: Bench) -> dict[str, str]:
+    """The tables of gains and of measured robots as CSV files with heads, as the pages show them; none without rows."""
+    tables: dict[str, tuple[Sequence[str], list[tuple[str, ...]]]] = {}
+    if bench.gains:
+        tables[GAINS_FILE] = GAIN_HEADS, gain_cells(bench)
+    if len(bench.models):
+        tables[ROBOTS_FILE] = SPREAD_HEADS, spread_cells(bench.models)
+    texts = {}
+    for name, (heads, rows) in tables.items():
+        text = StringIO(newline="")
+        csv.writer(text, lineterminator="\n").writerows([heads, *rows])
+        texts[name] = text.getvalue()
+    return texts
+
+
+def spread_cells(models: Rows) -> list[tuple[str, ...]]:
+    """The rows of the table of measured robots that were judged."""
+    table: list[tuple[str, ...]] = []
     for name, nominal, ls, best in _by_row(models):
         row = SPREAD[name]
         label = f"{row.real.robot}, {HELD[row.how]}, {'RMS' if row.statistic == 'rms' else 'mean'}"
@@ -221,7 +239,12 @@ def spread_table(models: Rows) -> str:
         used = f"{_millimetres(best)}: {best['used']}{remark}" if row.terms != "none" else ""
         published = "" if row.published is None else f"{row.published:g}"
         table.append((label, _millimetres(nominal), _millimetres(ls), used, published))
-    return _markdown(SPREAD_HEADS, table)
+    return table
+
+
+def spread_table(models: Rows) -> str:
+    """Those rows as Markdown."""
+    return _markdown(SPREAD_HEADS, spread_cells(models))
 
 
 def _millimetres(model: dict[str, Any]) -> str:

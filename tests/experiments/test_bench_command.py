@@ -237,6 +237,7 @@ def test_the_quick_form_ends_and_two_processes_change_no_figure(data_folder: Pat
     assert len(gains) == 2 * len(BEFORE)
     assert content["agreement"]["gains"] == sum(gain["split"] == "blocks" for gain in gains) == len(gains) // 2
     assert (tmp_path / "one/bench.md").is_file()
+    assert len((tmp_path / "one/gains.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(gains)
     found = run_bench(["gain_ur5_blocks"], BenchSettings.quick(), data_folder, tmp_path / "two", tmp_path, workers=2)
     again = bench_json(found)["rows"]
     assert json.loads(json.dumps(again)) == [row for row in gains if row["split"] == "blocks"]

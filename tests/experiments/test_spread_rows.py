@@ -1,5 +1,6 @@
 """The measured robots of docs/results.md are what `pickenv bench calibration` prints, with what it was given."""
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,18 @@ from pickenv.base import InputError
 from pickenv.calibration import Choices, calibrate
 from pickenv.experiments import SETS, BenchSettings, Rows, robot_tables, robots, run_bench
 
-RESULTS = (Path(__file__).parents[2] / "docs/results.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).parents[2] / "docs"
+RESULTS = (DOCS / "results.md").read_text(encoding="utf-8")
+TABLE = f"_static/{robot_tables.ROBOTS_FILE}"
+
+
+def shown_rows() -> list[list[str]]:
+    """Cells of the page's table, a file that the command writes."""
+    assert f":file: {TABLE}\n" in RESULTS and f"({TABLE})" in RESULTS
+    with (DOCS / TABLE).open(newline="", encoding="utf-8") as file:
+        heads, *rows = csv.reader(file)
+    assert tuple(heads) == robot_tables.SPREAD_HEADS
+    return rows
 
 
 def made_rows(row: str, models: list[tuple[float, float, float]], used: str) -> list[dict[str, object]]:
@@ -19,17 +31,18 @@ def made_rows(row: str, models: list[tuple[float, float, float]], used: str) -> 
 
 
 def test_every_row_is_in_the_results_in_its_order() -> None:
-    lines = RESULTS.splitlines()
-    begin = lines.index(f"| {' | '.join(robot_tables.SPREAD_HEADS)} |") + 2
-    shown = [line.split("|")[1].strip() for line in lines[begin : begin + len(robots.SPREAD)]]
     rows = [row for name in robots.SPREAD for row in made_rows(name, 3 * [(1.0, 0.5, 2.0)], "nothing added")]
-    table = robot_tables.spread_table(Rows.of(rows)).splitlines()[2:]
-    assert shown == [line.split("|")[1].strip() for line in table]
-    assert [line.split("|")[5].strip() for line in table] == [
-        line.split("|")[5].strip() for line in lines[begin : begin + len(robots.SPREAD)]
-    ]
-    assert not lines[begin + len(table)].startswith("|")
+    made = robot_tables.spread_cells(Rows.of(rows))
+    assert [(row[0], row[4]) for row in shown_rows()] == [(row[0], row[4]) for row in made]
     assert robot_tables.NOTE in RESULTS
+
+
+def test_a_table_is_written_as_the_page_reads_it() -> None:
+    models = Rows.of(made_rows("wam_poses", 3 * [(1.0, 0.5, 2.0)], "gravity"))
+    files = robot_tables.csv_files(robots.Bench(BenchSettings(), [], models, Rows.of([]), {}))
+    assert list(files) == [robot_tables.ROBOTS_FILE]
+    heads, row = csv.reader(files[robot_tables.ROBOTS_FILE].splitlines())
+    assert heads == list(robot_tables.SPREAD_HEADS) and row == list(robot_tables.spread_cells(models)[0])
 
 
 def test_the_table_shows_value_spread_model_and_remark() -> None:
@@ -62,6 +75,6 @@ def test_the_results_rows_are_what_the_command_prints(data_folder: Path, tmp_pat
     """The rows without learnt models, anew; all of them take more than half an hour, by the command itself."""
     names = ["ur5_random", "ur10_b_random", "ur10_d_random", "positioner_random", "positioner_blocks"]
     found = run_bench(names, BenchSettings(), data_folder, tmp_path, tmp_path)
-    rows = robot_tables.spread_table(found.models).splitlines()[2:]
+    rows = [list(row) for row in robot_tables.spread_cells(found.models)]
     assert len(rows) == len(names)
-    assert [row for row in rows if row not in RESULTS] == []
+    assert [row for row in rows if row not in shown_rows()] == []

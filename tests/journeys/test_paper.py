@@ -102,8 +102,12 @@ def check_page(found: Found, shown: Captions, tables: Sequence[str], figures: Se
 def check_docs(author: str, found: Found) -> None:
     """The verdicts of docs/papers.md are those of the page."""
     chapter = next(part for part in PAGE.split("\n## ") if part.startswith(author))
-    said = re.findall(r"^\| (\w+) ([\w -]+), .*\| ([\w ]+) \|$", chapter, re.MULTILINE)
-    assert {(KINDS[kind], name): verdict for kind, name, verdict in said} == {
+    said = {
+        (KINDS[kind], name): verdict
+        for verdict, items in re.findall(rf"^\| ({'|'.join(VERDICTS)}) \| ([A-Z].*) \|$", chapter, re.MULTILINE)
+        for kind, name in re.findall(r"([A-Z]\w+) ([\w -]+) \(", items)
+    }
+    assert said == {
         (kind, name): part["verdict"] for kind in KINDS.values() for name, part in found.get(kind, {}).items()
     }
 

@@ -25,7 +25,7 @@ import walks  # noqa: E402
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 INSTALLATION = (ROOT / "docs/installation.md").read_text(encoding="utf-8")
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-ROW = r"^\| ([^|]+) \| (\d+) \| [\d.]+ \| ([\d.]+) \| (\d+) \| "
+ROW = r"^\| ([^|]+) \| (\d+) \| [\d.]+ \| ([\d.]+) \| (\d+) \|$"
 MOST_COMMANDS, MOST_MINUTES, CORE_MB = 12, 10.0, 300
 
 
