@@ -53,7 +53,8 @@ WHERE = (
 FIGURES = ("value", "ci95", "no_interval", "std", "range", "runs", "lost", "lost_ci95", "sampled95")
 """What a row of an experiment's JSON says beside its levels."""
 
-MARK = re.compile(r"(<!-- claims: (\{[^\n]*\}) -->\n\n).*?(\n<!-- end of claims -->)", re.S)
+MARK = re.compile(r"(<!-- claims: (\{[^\n]*\}) -->\n\n)(?:(?!<!--).)*?(\n?<!-- end of claims -->)", re.S)
+END = "\n<!-- end of claims -->"
 INLINE = re.compile(r"(<!-- claim: (\{[^\n]*?\}) -->).*?(<!-- / -->)", re.S)
 app = typer.Typer(add_completion=False)
 Row = dict[str, Any]
@@ -233,7 +234,7 @@ def pages() -> None:
     rows = record()["rows"]
     for path in sorted([*DOCS.glob("*.md"), ROOT / "README.md"]):
         text = path.read_text(encoding="utf-8")
-        new = MARK.sub(lambda found: found[1] + table_of(rows, json.loads(found[2])) + found[3], text)
+        new = MARK.sub(lambda found: f"{found[1]}{table_of(rows, json.loads(found[2]))}{END}", text)
         new = INLINE.sub(lambda found: found[1] + number_of(rows, json.loads(found[2])) + found[3], new)
         if new != text:
             write_text(path, new)
@@ -278,11 +279,12 @@ def table_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
     Args:
         rows: The ledger's.
         asked: "experiment" and "title"; "by", the levels that stand in the lines, with those that are shown; "across",
-            the level whose values are the columns; "digits", "scale" and "sign".
+            the level whose values are the columns, and "columns", those that are shown if not all; "digits", "scale"
+            and "sign".
     """
     some = [row for row in rows if (row["experiment"], row["title"]) == (asked["experiment"], asked["title"])]
     across, by = asked["across"], asked["by"]
-    columns = list(dict.fromkeys(row["levels"][across] for row in some))
+    columns = asked.get("columns") or list(dict.fromkeys(row["levels"][across] for row in some))
     cells: dict[tuple[Any, ...], dict[str, str]] = {}
     for row in some:
         line = tuple(row["levels"][name] for name in by)
