@@ -35,7 +35,6 @@ from .figures.plot_policies import (
 )
 from .figures.run_drawings import (
     Drawing as Drawing,
-    NotDrawn as NotDrawn,
     comparison_drawings as comparison_drawings,
     trace_drawings as trace_drawings,
     write_drawings as write_drawings,
@@ -53,7 +52,6 @@ from .reports.calibration_report import (
 from .reports.report_page import (
     PageTable as PageTable,
     PageVerdict as PageVerdict,
-    Picture as Picture,
     Section as Section,
     drawings_of as drawings_of,
     html_of as html_of,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_fields
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn, captioned
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.matters import PickChange, change_cells
@@ -21,12 +21,12 @@ def drawings(run: Run) -> Drawings:
 
 def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
     """Every figure of a comparison of policies."""
-    drawings: list[Drawing | NotDrawn] = [
+    drawings = [
         captioned("distance_over_time", plot_policies.distance_over_time, episodes),
         captioned("misses_by_fruit", plot_policies.misses_by_fruit, episodes),
     ]
     if not isinstance(episodes, Comparison):
-        return [*drawings, NotDrawn("error_fields", MISSING)]
+        return [*drawings, Drawing("error_fields", MISSING)]
     drawings.append(
         Drawing(
             "error_fields",

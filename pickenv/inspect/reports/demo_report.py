@@ -77,7 +77,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
     every = [*comparison_drawings(comparison), *trace_drawings(trace)]
-    by_name = {drawing.name: drawing for drawing in every if isinstance(drawing, Drawing)}
+    by_name = {drawing.name: drawing for drawing in every if drawing.draw is not None}
     recording = run.folder / RECORDING
     sections = (
         _reaches(comparison, by_name),
@@ -280,9 +280,8 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
 
 def _recording(screenshot: bytes | None) -> report_page.Section:
     """The picture of the recording; nothing where there is none, for the origin names the file and what opens it."""
-    caption = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
-    parts = [] if screenshot is None else [report_page.Picture(screenshot, caption)]
-    return report_page.Section("The recording", parts)
+    explain = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
+    return report_page.Section("The recording", [screenshot], explain)
 
 
 def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibration: Calibration) -> dict[str, str]:

@@ -12,7 +12,6 @@ import pytest
 
 from pickenv.harvester import Measure
 from pickenv.inspect import (
-    Drawing,
     HarvestTrace,
     JointCurves,
     PickedTree,
@@ -133,7 +132,7 @@ def test_iso_9283(iso: Run, result: dict[str, Any]) -> None:
 
 
 def test_the_figures_of_iso_9283(iso: Run, result: dict[str, Any]) -> None:
-    drawn = {drawing.name: drawing.draw() for drawing in drawings_of(iso) if isinstance(drawing, Drawing)}
+    drawn = {drawing.name: drawing.draw() for drawing in drawings_of(iso) if drawing.draw is not None}
     for axes, key in zip(drawn["pose_accuracy"].axes, ("accuracy_mm", "repeatability_mm"), strict=True):
         bars = {group.get_label().split(":")[0]: [b.get_height() for b in group] for group in axes.containers}  # type: ignore[attr-defined]
         assert bars == {name: [pose[key] for pose in result[name]["poses"]] for name in CONTROLLERS}
