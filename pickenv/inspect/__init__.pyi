@@ -61,12 +61,10 @@ from .reports.report_page import (
 from .runs.calibration_trace import CalibrationTrace as CalibrationTrace, trace_of as trace_of
 from .runs.harvest_trace import (
     HarvestTrace as HarvestTrace,
-    JointCurves as JointCurves,
     PickedTree as PickedTree,
     picked_tree as picked_tree,
 )
 from .runs.matters import (
-    PickChange as PickChange,
     gripped as gripped,
     gripper_curves as gripper_curves,
     matters as matters,

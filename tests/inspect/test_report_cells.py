@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,7 +31,6 @@ from pickenv.calibration.assessment.screen import figure
 from pickenv.inspect import (
     CalibrationTrace,
     Comparison,
-    PickChange,
     RecordedPolicy,
     Run,
     Section,
@@ -47,6 +46,10 @@ from pickenv.inspect import (
 from pickenv.inspect.reports import calibration_report, demo_report, report_page
 from pickenv.inspect.runs.number_words import parameter_words
 from pickenv.inspect.runs.run_folder import MATTERS_FILE
+
+
+def change(gripper: str, perception_mm: float, before: float, after: float) -> dict[str, Any]:
+    return {"gripper": gripper, "perception_mm": perception_mm, "before": before, "after": after}
 
 
 def built(make: Callable[[], object]) -> SimpleNamespace:
@@ -83,7 +86,7 @@ def share(taken: float, count: int) -> str:
     return f"{100 * taken / count:.0f} ({100 * low:.0f} to {100 * high:.0f})"
 
 
-CHANGES = [PickChange("li_cup", 0.0, 0.512, 0.987), PickChange("compliant_hand", 2.0, 0.9, 0.8)]
+CHANGES = [change("li_cup", 0.0, 0.512, 0.987), change("compliant_hand", 2.0, 0.9, 0.8)]
 
 
 @pytest.mark.parametrize("few", [False, True])
@@ -100,7 +103,7 @@ def test_a_demonstrations_page_cell_by_cell(
     policies[1] = replace(policies[1], position_error_mm=exact)
     shown = replace(comparison, policies=tuple(policies))
     run = write_demo_run(tmp_path / "run", shown)
-    (run.folder / MATTERS_FILE).write_text(json.dumps({"orchard": [asdict(change) for change in CHANGES]}))
+    (run.folder / MATTERS_FILE).write_text(json.dumps({"orchard": CHANGES}))
     if few:
         run = replace(run, command="pickenv demo --quick")
     trace, count = load_part(run, CalibrationTrace), len(shown.fruit)

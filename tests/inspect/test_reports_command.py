@@ -23,7 +23,6 @@ from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
     HarvestTrace,
-    JointCurves,
     PickedTree,
     Run,
     drawings_of,
@@ -110,7 +109,7 @@ def harvest(tmp_path: Path) -> Run:
         measures={"raw": measures, "best": measures | {"harvested": Measure(0.957, 0.9, 0.99)}},
         throughput={"thin": {1: Measure(500.0, 450.0, 540.0)}},
         cloud=rng.uniform(size=(20, 3, 3)),
-        curves=JointCurves(time, {"master d2": time}, ()),
+        curves=(time, {"master d2": time}, ()),
         tree_count=12,
     )
     with recorded_run(tmp_path / "harvest", "harvest", "python -m papers.li2016 --quick", 2016) as run:

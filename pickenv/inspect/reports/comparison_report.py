@@ -7,7 +7,7 @@ from pickenv.inspect.figures.plot_errors import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs import comparison_summary as summary
-from pickenv.inspect.runs.matters import PickChange, change_cells
+from pickenv.inspect.runs.matters import change_cells
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
@@ -65,7 +65,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
             PageTable(
                 "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)",
                 ("gripper", "fruit seen to, per axis (mm)", *shares, "change (points of %)"),
-                [change_cells(PickChange(**change)) for change in changed["changes"]],
+                [change_cells(change) for change in changed["changes"]],
             )
         )
     verdict = PageVerdict("note", summary.outcome_sentence(episodes), summary.explanation(episodes))

@@ -23,7 +23,7 @@ from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_d
 from pickenv.inspect.reports import report_page
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
-from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
+from pickenv.inspect.runs.matters import Change, change_cells, gripped, matters, pick_changes
 from pickenv.inspect.runs.number_words import between, named_values, percent, said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, load_part, load_result
@@ -71,8 +71,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If a file of the run is missing or damaged.
     """
     comparison, trace = load_part(run, Comparison), load_part(run, CalibrationTrace)
-    changes = load_result(run, MATTERS_FILE) if (run.folder / MATTERS_FILE).is_file() else {}
-    cases = {name: [PickChange(**change) for change in case] for name, case in changes.items()}
+    cases = load_result(run, MATTERS_FILE) if (run.folder / MATTERS_FILE).is_file() else {}
     if not len(comparison.fruit):
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
@@ -100,7 +99,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def demo_verdict(
-    comparison: Comparison, cases: Mapping[str, Sequence[PickChange]] | None = None
+    comparison: Comparison, cases: Mapping[str, Sequence[Change]] | None = None
 ) -> report_page.PageVerdict:
     """The worth of the last policy's calibration against the first, and whether that changes picks.
 
@@ -147,7 +146,7 @@ def demo_verdict(
     )
 
 
-def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
+def _cases(cases: Mapping[str, Sequence[Change]]) -> report_page.Section:
     """Picks without and with calibration, by plant, gripper and perception error."""
     rows = [
         (f"{plant}, {cells[0]}", *cells[1:]) for plant, changes in cases.items() for cells in map(change_cells, changes)

@@ -18,7 +18,7 @@ from pickenv.arm import Array
 from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
-from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
+from pickenv.inspect.runs.matters import Change, matters, pick_changes
 from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import misalignment
@@ -193,11 +193,10 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
     best, rival, line = _best(episodes)
     if best is None or line is None or line["difference_mm"] is None:
         return {}
-    changes = [vars(change) for change in _changes(episodes, rival, best["policy"])]
-    return {"from": rival, "to": best["policy"], "changes": changes}
+    return {"from": rival, "to": best["policy"], "changes": _changes(episodes, rival, best["policy"])}
 
 
-def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChange]:
+def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[Change]:
     misses = {policy.label: _across(policy) for policy in episodes.policies}
     return pick_changes(misses[other], misses[best])
 

@@ -76,7 +76,7 @@ def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
     return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
 
 
-FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4}
+FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4, "HarvestTrace": 4}
 """Version of the files' content; of some kinds another."""
 
 Saved = TypeVar("Saved")

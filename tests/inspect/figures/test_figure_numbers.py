@@ -23,7 +23,6 @@ from pickenv.arm import nominal_points
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
-    JointCurves,
     PickedTree,
     comparison_drawings,
     error_fields,
@@ -473,8 +472,8 @@ def test_workspace_and_joint_curves() -> None:
             assert same(to_rgb(points.get_facecolor()[0]), arm(number))
         assert axes.get_xlabel() == f"{'xyz'[a]} (m)" and axes.get_ylabel() == f"{'xyz'[b]} (m)"
     t = np.linspace(0, 1, 9)
-    curves = JointCurves(t, {"master d2": t, "master theta1": t**2, "left d4": 2 * t}, ("master theta1",))
-    slides, turns = plot_harvest.joint_displacements(curves).axes
+    curves = (t, {"master d2": t, "master theta1": t**2, "left d4": 2 * t}, ("master theta1",))
+    slides, turns = plot_harvest.joint_displacements(*curves).axes
     drawn = {line.get_label(): np.asarray(line.get_ydata()) for axes in (slides, turns) for line in axes.get_lines()}
     np.testing.assert_allclose(drawn["master d2"], 1e3 * t)
     np.testing.assert_allclose(drawn["left d4"], 2e3 * t)

@@ -17,7 +17,6 @@ from pickenv.base import InputError
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
-    JointCurves,
     PickedTree,
     error_by_condition,
     error_fields,
@@ -56,7 +55,7 @@ TREE = PickedTree(
     held=np.array([0.0, 0.5, 0.0]),
     got=np.array([True, False, True]),
 )
-CURVES = JointCurves(X, {"master d2": X, "master theta1": X, "left d4": 0.5 * X}, ("master theta1",))
+CURVES = (X, {"master d2": X, "master theta1": X, "left d4": 0.5 * X}, ("master theta1",))
 AGGREGATES = {"plant": {"mean": {"scripted": {"raw": (2.0, (1.0, None)), "LS": (0.5, (0.4, 0.6)), "GP": (0.1, None)}}}}
 CYCLES = {("scripted", "raw"): np.geomspace(300, 2, 60), ("ppo", "LS"): np.geomspace(300, 0.5, 50)}
 
@@ -96,7 +95,7 @@ PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
         ("(number)", "(1/h)"),
     ),
     "workspace": (lambda: plot_harvest.workspace_cloud(GRID[:, None], [((0, 1), (0, 1), (0, 1))]), ("x (m)", "z (m)")),
-    "joint curves": (lambda: plot_harvest.joint_displacements(CURVES), ("(s)", "(mm)", "(deg)")),
+    "joint curves": (lambda: plot_harvest.joint_displacements(*CURVES), ("(s)", "(mm)", "(deg)")),
     "aggregates": (lambda: plot_policies.aggregates(AGGREGATES), ("(mm)",)),
     "success": (
         lambda: plot_policies.success_against_misalignment(gripper_curves(), {"raw": {"li_cup": (2.0, (1.0, None))}}),
@@ -402,11 +401,11 @@ def test_a_harvesters_titles_say_how_wide_how_far_and_how_many() -> None:
         box = next(np.asarray(line.get_xydata()) for line in axes.get_lines() if len(line.get_xdata()) == 5)
         assert {tuple(corner) for corner in box.tolist()} == {(x, y) for x in (0.0, 1.0) for y in heights}
     t = np.linspace(0.0, 1.0, 5)
-    curves = JointCurves(t, {"master d2": 0.3 * t - 0.1, "master theta1": 0.5 * t, "left d4": 0.2 * t},
+    curves = (t, {"master d2": 0.3 * t - 0.1, "master theta1": 0.5 * t, "left d4": 0.2 * t},
                          ("master theta1",))  # fmt: skip
-    slides, turns = plot_harvest.joint_displacements(curves).axes
+    slides, turns = plot_harvest.joint_displacements(*curves).axes
     assert title(slides) == "Sliding joints: up to 300 mm" and title(turns) == "Turning joints: up to 29 deg"
-    _, turns = plot_harvest.joint_displacements(JointCurves(t, {"master d2": t}, ())).axes
+    _, turns = plot_harvest.joint_displacements(t, {"master d2": t}).axes
     assert title(turns) == "No turning joint"
     (axes,) = plot_harvest.funnel_bars({"a": {"seen": 8, "taken": 2}, "b": {"seen": 0, "taken": 0}}).axes
     assert title(axes) == "Of the fruit seen, taken: a 25, b 0 %"

@@ -13,7 +13,6 @@ import pytest
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     HarvestTrace,
-    JointCurves,
     PickedTree,
     Run,
     drawings_of,
@@ -173,7 +172,7 @@ def trace() -> HarvestTrace:
         measures={name: measures() for name in names},
         throughput={"thin": {1: Measure(500.0, 450.0, 540.0)}},
         cloud=rng.uniform(size=(20, 3, 3)),
-        curves=JointCurves(np.linspace(0, 1, 5), {"master d2": np.linspace(0, 1, 5)}, ()),
+        curves=(np.linspace(0, 1, 5), {"master d2": np.linspace(0, 1, 5)}, ()),
         tree_count=12,
     )
 

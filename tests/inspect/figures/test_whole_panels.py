@@ -18,7 +18,6 @@ from pickenv.base import InputError
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
-    JointCurves,
     PickedTree,
     error_by_condition,
     error_fields,
@@ -166,7 +165,7 @@ def test_workspace() -> None:
 def test_joint_curves() -> None:
     t = np.linspace(0, 1, 5)
     moved = {"master d2": t, "master theta1": t**2, "left d4": 2 * t, "left theta5": -t, "right d4": 0.5 * t}
-    figure = plot_harvest.joint_displacements(JointCurves(t, moved, ("master theta1", "left theta5")))
+    figure = plot_harvest.joint_displacements(t, moved, ("master theta1", "left theta5"))
     assert sized(figure) == pytest.approx([7.2, 3.2]) and sorted(legend(figure)) == sorted(moved)
     slides, turns = figure.axes
     for axes, unit in ((slides, "mm"), (turns, "deg")):
