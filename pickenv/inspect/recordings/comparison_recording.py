@@ -5,7 +5,7 @@ The main time line is `reach`, the number of the reach; a day in the field has `
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,21 @@ from rerun.blueprint.components import ComponentColumnSelector
 from rerun.components import Colormap
 from rerun.encodings import TensorDimensionIndexSelection
 
-from pickenv.arm import drawn_parts, nominal_points, true_points
+from pickenv.arm import Array, drawn_parts, nominal_points, true_points
 from pickenv.base import InputError
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_key
-from pickenv.inspect.recordings.details import ADAPTED, DAY_WORDS, ArrowTab, Day, arrow_tabs, day_of, send_details
+from pickenv.inspect.recordings.details import (
+    ADAPTED,
+    DAY_WORDS,
+    LEGENDS,
+    ArrowTab,
+    Day,
+    arrow_tabs,
+    day_hours,
+    day_of,
+    drifting_plant,
+    send_details,
+)
 from pickenv.inspect.recordings.scribe import (
     Scribe,
     f32,
@@ -82,7 +93,7 @@ def _check(comparison: Comparison, gain: float) -> None:
         raise InputError(f"the gain is {gain}; give a number above zero")
 
 
-def _send(scribe: Scribe, comparison: Comparison, arrows: Sequence[ArrowTab], day: Day | None, gain: float) -> None:
+def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, ArrowTab], day: Day, gain: float) -> None:
     plant = comparison.plant
     scribe.properties(
         plant=plant.name,
@@ -226,7 +237,7 @@ REACHES_PER_SECOND = 2.0
 
 
 def comparison_blueprint(
-    comparison: Comparison, arrows: Sequence[ArrowTab], day: Day | None, gain: float
+    comparison: Comparison, arrows: Mapping[str, ArrowTab], day: Day, gain: float
 ) -> rrb.Blueprint:
     """The layout for ``comparison``, whose errors are drawn ``gain`` times too long.
 
@@ -240,8 +251,8 @@ def comparison_blueprint(
     title = "{} | error magnitude, mm, corner cut away"
     voxels = [space(comparison, title.format(p.label), [f"+ /world/field/{p.key}/voxels"]) for p in policies]
     slices = [_slice(comparison, policy) for policy in policies]
-    errors, *reasons = (_arrows(comparison, tab) for tab in arrows)
-    meaning = arrows[0].meaning
+    errors, *reasons = (_arrows(comparison, name, *tab) for name, tab in arrows.items())
+    meaning = _meaning("mm", summary.colour_scale_mm(comparison))
     tabs: list[Any] = [
         errors,
         with_colour_bar(voxels, "position", meaning, "Voxels"),
@@ -254,8 +265,8 @@ def comparison_blueprint(
         below = [_reaches(comparison), view_of(rrb.BarChartView, "hist", "Reaches by final position error, mm"), *below]
     if comparison.field_uncertainty is not None:
         reasons.append(_uncertainty(comparison))
-    if day is not None:
-        reasons.append(_day(day))
+    if day:
+        reasons.append(_day(comparison, day))
     if has_reaches:
         reasons.append(_table(policies))
     content = rrb.Vertical(
@@ -266,11 +277,18 @@ def comparison_blueprint(
     return layout(content, "reach" if has_reaches else None, fps=REACHES_PER_SECOND)
 
 
-def _arrows(comparison: Comparison, tab: ArrowTab) -> Any:
-    views = [
-        space(comparison, title, [f"+ /{entity}", *ghost(comparison)]) for entity, (title, *_) in tab.fields.items()
-    ]
-    return with_colour_bar(views, tab.legend, tab.meaning, tab.name)
+def _meaning(unit: str, top: float) -> str:
+    """The meaning of colours from 0 to ``top`` in a field of arrows with that unit."""
+    if unit == "mm":
+        return f"Colour: position error, 0 to {top:.2f} mm"
+    return f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
+
+
+def _arrows(
+    comparison: Comparison, name: str, unit: str, top: float, fields: Mapping[str, tuple[str, Array, Array]]
+) -> Any:
+    views = [space(comparison, title, [f"+ /{entity}", *ghost(comparison)]) for entity, (title, *_) in fields.items()]
+    return with_colour_bar(views, LEGENDS[unit], _meaning(unit, top), name)
 
 
 def _picking(comparison: Comparison, gain: float) -> Any:
@@ -368,14 +386,16 @@ def _uncertainty(comparison: Comparison) -> Any:
     return with_colour_bar(views, "uncertainty", meaning, "Predicted uncertainty")
 
 
-def _day(day: Day) -> Any:
-    errors = [errors for key, (_, errors) in day.lines.items() if key != ADAPTED]
+def _day(comparison: Comparison, day: Day) -> Any:
+    errors = [errors for key, (_, errors) in day.items() if key != ADAPTED]
+    hours, plant = day_hours(comparison), drifting_plant(comparison.plant)
+    assert plant is not None
     largest = max(float(np.percentile(line, 95, axis=1).max()) for line in errors)
     plot = view_of(
         rrb.TimeSeriesView,
         "day",
-        f"Position error over {day.hours[-1]:g} h of warming up, tilting and sinking as in '{day.plant}', mm | "
-        f"commands as on firm ground | across: reaches, {60.0 * day.hours[0]:.0f} min apart; or choose 'hours'",
+        f"Position error over {hours[-1]:g} h of warming up, tilting and sinking as in '{plant.name}', mm | "
+        f"commands as on firm ground | across: reaches, {60.0 * hours[0]:.0f} min apart; or choose 'hours'",
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),
     )
