@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Array, Geometry
 from pickenv.base import InputError
-from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis_map
+from pickenv.inspect.colours import OTHERS, RED, policy_colours
 from pickenv.inspect.figures import style
 
 NAME_ROOM = 0.15
@@ -169,7 +169,7 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
         middle, most = (style.short(float(v)) for v in (np.median(values), values.max()))
         style.headline(axes, f"Median {middle}, largest {most} mm")
         extent = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])
-        picture = axes.imshow(mean, origin="lower", extent=extent, cmap=viridis_map(), interpolation="none")
+        picture = axes.imshow(mean, origin="lower", extent=extent, cmap="viridis", interpolation="none")
         style.colour_bar(figure, picture, axes, label="standard uncertainty (mm)")
     return figure
 

@@ -25,7 +25,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from pickenv.arm import Array, nominal_points
 from pickenv.base import InputError
-from pickenv.inspect.colours import RED, viridis, viridis_map
+from pickenv.inspect.colours import RED, viridis
 from pickenv.inspect.figures import style
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.calibration_trace import ViewErrors
@@ -237,7 +237,7 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
 
 def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
     """The one scale of all panels, Viridis from 0 to ``top`` mm, below them; ``first`` is whose errors set its end."""
-    scale = ScalarMappable(Normalize(0.0, top), viridis_map())
+    scale = ScalarMappable(Normalize(0.0, top), "viridis")
     look: dict[str, Any] = {"location": "bottom", "aspect": 60, "shrink": 0.8, "pad": 0.02, "extend": "max"}
     bar = style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
     bar.set_ticks(summary.ticks(top))
@@ -543,7 +543,7 @@ def _scale(views: Sequence[ViewErrors]) -> tuple[float, float]:
 def _draw(axes: Axes, view: ViewErrors, gain: float, top: float, thickness: float = 1.0) -> Quiver:
     width, height = view.size
     lengths = np.linalg.norm(view.errors, axis=1)
-    look = QUIVER | {"scale": 1.0 / gain, "width": 0.004 * thickness, "cmap": viridis_map(), "clim": (0.0, top)}
+    look = QUIVER | {"scale": 1.0 / gain, "width": 0.004 * thickness, "cmap": "viridis", "clim": (0.0, top)}
     arrows = axes.quiver(*(view.found - view.errors).T, *view.errors.T, lengths, **look)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
     return arrows

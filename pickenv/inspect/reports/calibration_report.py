@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.base import write_text
+from pickenv.base import InputError, write_text
 from pickenv.calibration import Measurements, Observations, Result, random_joints
 from pickenv.calibration.assessment.quality import axis_errors, base_combinations
 from pickenv.calibration.assessment.screen import Block, figure
@@ -31,7 +31,7 @@ from pickenv.inspect.reports.report_page import (
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, views_of
 from pickenv.inspect.runs.matters import matters, pick_changes
 from pickenv.inspect.runs.number_words import named_values, parameter_words
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
+from pickenv.inspect.runs.run_folder import REPORT, Run, TakePicture, load_part, unedited
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
 VERDICTS = {
@@ -51,8 +51,15 @@ def drawings(run: Run) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page that was written with the run, for it needs more than the folder keeps."""
-    return written_report(run)
+    """The page that was written with the run, for it needs more than the folder keeps.
+
+    Raises:
+        InputError: If there is none, or it was edited.
+    """
+    path = run.folder / REPORT
+    if not path.is_file():
+        raise InputError(f"{path} does not exist: measurements of this kind have no report page; see `pickenv figures`")
+    return unedited(run, REPORT).read_text(encoding="utf-8")
 
 
 def write_calibration_report(path: str | Path, result: Result, seeds: Mapping[str, Any] | None = None) -> Path:

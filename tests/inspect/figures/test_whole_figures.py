@@ -286,7 +286,7 @@ def test_uncertainty_map() -> None:
     assert right - left == pytest.approx(step * shape[1]) and top - bottom == pytest.approx(step * shape[0])
     assert shape == tuple(int(np.ptp(v) // step) + 1 for v in (y, x))
     assert image.get_interpolation() == "none" and image.origin == "lower"
-    np.testing.assert_allclose(image.get_cmap()([0.0, 1.0])[:, :3], viridis([0.0, 1.0]) / 255.0)
+    np.testing.assert_allclose(image.get_cmap()([0.0, 1.0])[:, :3], viridis([0.0, 1.0]) / 255.0, atol=4e-3)
     assert not is_seen(axes.xaxis) and not bar.spines["outline"].get_visible()
     (image,) = plot_calibration.uncertainty_map([3.0, 3.0], [5.0, 5.0], [0.1, 0.3]).axes[0].get_images()
     assert np.diff(image.get_extent())[[0, 2]] == pytest.approx([1e-9 / 26] * 2, rel=1e-4)
