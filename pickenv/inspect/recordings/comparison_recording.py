@@ -30,6 +30,7 @@ from pickenv.inspect.recordings.details import (
     day_of,
     drifting_plant,
     send_details,
+    send_voxels,
 )
 from pickenv.inspect.recordings.scribe import (
     Scribe,
@@ -45,7 +46,7 @@ from pickenv.inspect.recordings.scribe import (
 )
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
-from pickenv.inspect.runs.saved import cut_away, eye_direction, shown_box
+from pickenv.inspect.runs.saved import eye_direction, shown_box
 
 TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008
@@ -147,13 +148,9 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
 
 def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) -> None:
     """One policy's error field as voxels, and as a tensor for slices."""
-    magnitude, step = summary.field_mm(policy), comparison.grid.step
-    top = summary.colour_scale_mm(comparison)
-    visible, index = ~cut_away(comparison), comparison.grid.index
-    corner = comparison.grid.origin - step / 2.0
-    cells = summary.cell_means(index[visible], magnitude[visible])
-    scribe.voxels(f"world/field/{policy.key}/voxels", *cells, top, step, corner)
-    index, mean = summary.cell_means(index, magnitude)
+    magnitude, top = summary.field_mm(policy), summary.colour_scale_mm(comparison)
+    send_voxels(scribe, comparison, f"world/field/{policy.key}/voxels", magnitude, top)
+    index, mean = summary.cell_means(comparison.grid.index, magnitude)
     grid = np.full(comparison.grid.shape, np.nan, dtype=np.float32)
     grid[tuple(index.T)] = mean
     scribe.still(
@@ -161,7 +158,7 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) 
         rr.Tensor(
             np.ascontiguousarray(grid.transpose(2, 1, 0)),
             dim_names=[
-                f"{axis} = {start:.3f} m + {step:g} m ×"  # the viewer says a cell's number after it
+                f"{axis} = {start:.3f} m + {comparison.grid.step:g} m ×"  # the viewer says a cell's number after it
                 for axis, start in zip("zyx", comparison.grid.origin[::-1], strict=True)
             ],
             value_range=[0.0, top],

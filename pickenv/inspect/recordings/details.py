@@ -24,7 +24,7 @@ from pickenv.base import stream
 from pickenv.calibration import complete_model, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
-from pickenv.inspect.recordings.scribe import Scribe
+from pickenv.inspect.recordings.scribe import Scribe, f32
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import cut_away
@@ -57,15 +57,25 @@ def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, Arro
 
 def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array) -> None:
     """Predicted uncertainty and what the last policy really misses by, on one scale."""
-    top, visible = summary.uncertainty_scale_mm(comparison), ~cut_away(comparison)
-    corner = comparison.grid.corner
-    for name, values in (
-        ("predicted", 1e3 * uncertainty),
-        ("actual", summary.field_mm(comparison.policies[-1])),
-    ):
-        cells = summary.cell_means(comparison.grid.index[visible], values[visible])
-        scribe.voxels(f"world/uncertainty/{name}", *cells, top, comparison.grid.step, corner)
+    top = summary.uncertainty_scale_mm(comparison)
+    send_voxels(scribe, comparison, "world/uncertainty/predicted", 1e3 * uncertainty, top)
+    send_voxels(scribe, comparison, "world/uncertainty/actual", summary.field_mm(comparison.policies[-1]), top)
     scribe.colour_bar("legend/uncertainty", top, "mm")
+
+
+def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Array, top: float) -> None:
+    """Values ``(F,)`` of a field as voxels, without those that would hide all others; ``top`` ends their colours."""
+    visible, grid = ~cut_away(comparison), comparison.grid
+    index, means = summary.cell_means(grid.index[visible], values[visible])
+    cells = rr.VoxelGridMap(
+        np.asarray(index, dtype=np.int32),
+        [grid.step] * 3,
+        values=f32(means),
+        value_range=[0.0, top],
+        colormap="Viridis",
+        translation=grid.corner,
+    )
+    scribe.still(entity, cells)
 
 
 def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
@@ -142,7 +152,7 @@ def arrow_tabs(comparison: Comparison, gain: float) -> dict[str, ArrowTab]:
 def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> ArrowTab:
     labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
     labels[FLOOR] = "No joint motion removes"
-    top = summary.attitude_scale_deg(attitude)
+    top = summary.scale_end(np.degrees(np.linalg.norm(next(iter(attitude.values())), axis=-1)))
     length = summary.round_step(comparison.grid.step / top)  # m per degree, so that neighbours rarely overlap
     views = {}
     for key, field in attitude.items():

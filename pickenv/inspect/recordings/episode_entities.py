@@ -280,7 +280,8 @@ def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence
     if distance is not None:
         _send_numbers(stream, scene, f"distance/{lane(key)}", rows, decades(distance)[:, None])
         if scene.tolerance_mm is not None:
-            _send_level(stream, scene, rows, float(decades(np.array(scene.tolerance_mm))))
+            level = decades(np.full(len(rows), scene.tolerance_mm))
+            scribe.along("distance/tolerance", rr.Scalars.columns(scalars=level))
     for unit, names in number_groups(info).items():
         values = [[row.reward if name == "reward" else row.info[name] for name in names] for row in rows]
         _send_numbers(stream, scene, f"metrics/{unit}/{lane(key)}", rows, np.array(values, dtype=float))
@@ -317,19 +318,6 @@ def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike
     """Numbers ``(T, k)``, one row each, or with as many numbers a row as ``lengths`` says."""
     scalars = rr.Scalars.columns(scalars=values.ravel())
     scribe.along(entity, scalars.partition([values.shape[1]] * len(values) if lengths is None else lengths))
-
-
-def _send_level(stream: rr.RecordingStream, scene: Scene, rows: Sequence[Row], value: float) -> None:
-    """A level line across all time lines."""
-    lines: dict[str, Any] = {
-        "step": {"sequence": [rows[0].moment, rows[-1].moment]},
-        "sim_time": {"duration": [scene.period * row.moment + GAP * row.order for row in (rows[0], rows[-1])]},
-        "episode": {"sequence": [rows[0].episode, rows[-1].episode]},
-        "episode_time": {"duration": [0.0, scene.period * max(row.within for row in rows)]},
-    }
-    for name, times in lines.items():
-        scribe = Scribe(stream, [rr.TimeColumn(name, **times)])
-        scribe.along("distance/tolerance", rr.Scalars.columns(scalars=[value, value]))
 
 
 def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:

@@ -14,7 +14,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from pickenv.arm import Array
-from pickenv.inspect.colours import WHITE, lane
+from pickenv.inspect.colours import lane
 from pickenv.inspect.figures.plot_errors import field_gain
 from pickenv.inspect.recordings import episode_entities as entities
 from pickenv.inspect.recordings.scribe import Scribe, seen_from, view_of, with_colour_bar, write_recording
@@ -82,8 +82,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
         scribe.still(root, rr.Transform3D(translation=number * step))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
         scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=NAME_SIZE))
-        name = rr.Points3D([above], labels=[policy.label], colors=[WHITE], radii=0.0, show_labels=True)
-        scribe.still(f"{root}/name", name)
+        scribe.words(f"{root}/name", above, policy.label)
         entities.send_looks(stream, scene, policy.key, rows, root)
         entities.send_rows(stream, scene, policy.key, rows, root)
         misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)
@@ -95,11 +94,10 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
     """Each policy's error field, and what the last one removes of the first one's, beside one another."""
     scribe, (top, gain, step) = Scribe(stream), _field_scale(comparison)
     centre, radius = shown_box(comparison)
-    above = [centre + np.array([0.0, 0.0, 0.8 * radius])]
+    above = centre + np.array([0.0, 0.0, 0.8 * radius])
     for number, (name, title, errors) in enumerate(_fields(comparison)):
         scribe.still(f"fields/{name}", rr.Transform3D(translation=number * step))
-        words = rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
-        scribe.still(f"fields/{name}/name", words)
+        scribe.words(f"fields/{name}/name", above, title)
         scribe.arrows(f"fields/{name}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
     scribe.colour_bar("legend/position", top, "mm")
 

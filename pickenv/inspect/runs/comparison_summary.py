@@ -7,7 +7,7 @@ colour scales and bins of its error fields. Millimetres and degrees, because the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
@@ -306,11 +306,6 @@ def uncertainty_scale_mm(comparison: Comparison) -> float:
     return scale_end(lengths)
 
 
-def attitude_scale_deg(fields: Mapping[str, Array]) -> float:
-    """Upper end of the colour scale that attitude errors ``(F, 3)`` in rad share, deg: that of the first of them."""
-    return scale_end(np.degrees(np.linalg.norm(next(iter(fields.values())), axis=-1)))
-
-
 def scale_end(values: Array) -> float:
     """Upper end of a colour scale for lengths ``(F,)``, in their unit."""
     top = float(np.percentile(values, SCALE_PERCENTILE)) if values.size else 0.0
@@ -343,15 +338,9 @@ def summary_markdown(comparison: Comparison, gain: float) -> str:
     heads = ["field mean", "field RMS", "field p95", "field max"]
     if has_reaches:
         heads = ["picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
-    lines = [
-        f"## {comparison.plant.name}, seed {comparison.seed}",
-        "",
-        f"| policy | {' | '.join(heads)} |",
-        f"|:--|{'--:|' * len(heads)}",
-    ]
-    for policy in comparison.policies:
-        cells = (_reach_cells if has_reaches else _field_cells)(policy)
-        lines.append(f"| **{policy.label}** | {' | '.join(cells)} |")
+    cells_of = _reach_cells if has_reaches else _field_cells
+    rows = [[f"**{policy.label}**", *cells_of(policy)] for policy in comparison.policies]
+    lines = [f"## {comparison.plant.name}, seed {comparison.seed}", "", *_table(["policy", *heads], rows)]
     first = comparison.policies[0].label
     reaches = (
         f"{len(comparison.fruit)} reaches, of this one calibration; a pick if the fruit is inside the capture region, "

@@ -11,7 +11,6 @@ from pickenv.calibration import assess, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
 from pickenv.inspect import calibration_page, gripped, gripper_curves
 from pickenv.inspect.runs.comparison_summary import (
-    attitude_scale_deg,
     cell_means,
     colour_scale_mm,
     error_spread,
@@ -139,8 +138,6 @@ def test_scales_end_at_the_99th_percentile_and_at_one_where_there_is_nothing():
     values = np.arange(1.0, 202.0)
     assert scale_end(values) == pytest.approx(199.0)
     assert scale_end(np.empty(0)) == scale_end(np.zeros(4)) == 1.0
-    turned = np.radians([[3.0, 4.0, 0.0]] * 3)
-    assert attitude_scale_deg({"raw": turned, "LS": 9 * turned}) == pytest.approx(5.0)
 
 
 def test_cells_hold_the_means_of_their_points():
