@@ -9,7 +9,7 @@ sees how each ended.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -57,36 +57,30 @@ class Row(NamedTuple):
     target: Array | None = None
 
 
-@dataclass
 class EpisodeLog:
-    """The recorded steps of one environment, and the choice which steps those are.
+    """The recorded steps of one environment, `rows`, and the choice which steps those are."""
 
-    Attributes:
-        key: Name in entity paths: the policy, and the environment's number where there are several.
-        episode_trigger: Whether to record from the start of an episode, given its number.
-        step_trigger: Whether to record from a step, given its number.
-        length: Steps of one recording; infinite for whole episodes.
-        rows: What was recorded.
-        episode: Number of the present episode.
-    """
+    def __init__(self, key: str, episode_trigger: Trigger | None, step_trigger: Trigger | None, length: float) -> None:
+        """A log without a step.
 
-    key: str
-    episode_trigger: Trigger | None
-    step_trigger: Trigger | None
-    length: float
-    rows: list[Row] = field(default_factory=list)
-    episode: int = -1
-    _step: int = -1
-    _within: int = 0
-    _left: float = 0.0
+        Args:
+            key: Name in entity paths: the policy, and the environment's number where there are several.
+            episode_trigger: Whether to record from the start of an episode, given its number.
+            step_trigger: Whether to record from a step, given its number.
+            length: Steps of one recording; infinite for whole episodes.
+        """
+        self.key, self.length, self.rows = key, length, list[Row]()
+        self._episode_trigger, self._step_trigger = episode_trigger, step_trigger
+        self._episode = self._step = -1
+        self._within, self._left = 0, 0.0
 
     def begins(self) -> bool:
         """Count an episode; whether its first info is to be noted."""
-        self.episode += 1
+        self._episode += 1
         self._within = 0
         if self.length == np.inf:
             self._left = 0.0
-        if self.episode_trigger is not None and self.episode_trigger(self.episode):
+        if self._episode_trigger is not None and self._episode_trigger(self._episode):
             self._left = self.length
         return self._wanted()
 
@@ -94,7 +88,7 @@ class EpisodeLog:
         """Count a step; whether its info is to be noted."""
         self._step += 1
         self._within += 1
-        if self.step_trigger is not None and self.step_trigger(self._step):
+        if self._step_trigger is not None and self._step_trigger(self._step):
             self._left = self.length
         return self._wanted()
 
@@ -107,8 +101,8 @@ class EpisodeLog:
     def note(self, info: Mapping[str, Any], reward: float, target: Array | None = None) -> None:
         """Keep the present step."""
         last = self.rows[-1] if self.rows else None
-        order = 0 if last is None else last.order + (last.episode != self.episode)
-        self.rows.append(Row(len(self.rows), self.episode, self._within, order, reward, info, target))
+        order = 0 if last is None else last.order + (last.episode != self._episode)
+        self.rows.append(Row(len(self.rows), self._episode, self._within, order, reward, info, target))
 
 
 @dataclass(frozen=True)
