@@ -32,6 +32,7 @@ from pickenv.inspect.recordings.details import (
     send_details,
     send_voxels,
 )
+from pickenv.inspect.recordings.episode_entities import target_view
 from pickenv.inspect.recordings.scribe import (
     Scribe,
     f32,
@@ -296,16 +297,7 @@ def _picking(comparison: Comparison, gain: float) -> Any:
         [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],
         overrides={"/world/arm/true": rrb.EntityBehavior(visible=False)},
     )
-    distance = 1.7 * max(comparison.largest_mm, comparison.tolerance_mm)
-    aim = 500.0 * (comparison.policies[0].ends.tool_position - comparison.fruit).mean(axis=0)
-    shots = seen_from(
-        aim + distance * eye_direction(comparison),
-        aim,
-        "/target",
-        ["+ /target/**"],
-        f"All misses seen from the fruit, true size; capture region, {comparison.tolerance_mm:g} mm (red)",
-        ground=False,
-    )
+    shots = target_view(comparison.largest_mm, comparison.tolerance_mm)
     return rrb.Horizontal(scene, shots, column_shares=[3.0, 2.0], name="Picking")
 
 

@@ -217,7 +217,7 @@ def test_error_fields_share_view_scale_and_gain(comparison: Comparison, tmp_path
     assert {panel.get_ylim() for panel in panels} == {panels[0].get_ylim()}
     assert "(mm)" in bar.get_xlabel()
     for unit in ("x (m)", "y (m)", "z (m)"):
-        assert all(unit in [text.get_text() for text in panel.texts] for panel in panels)
+        assert all(unit in " ".join(text.get_text() for text in panel.texts) for panel in panels)
     arrows = [next(c for c in panel.collections if isinstance(c, PolyCollection)) for panel in panels]
     lengths = [np.mean([np.ptp(path.vertices, axis=0).max() for path in arrow.get_paths()]) for arrow in arrows]
     raw, ls, bpnn = (1e3 * np.linalg.norm(policy.field_errors, axis=-1).mean() for policy in comparison.policies)

@@ -497,4 +497,4 @@ def test_the_field_figure(comparison: Comparison) -> None:
     with pytest.raises(InputError, match="no error field"):
         error_fields(replace(comparison, grid=replace(comparison.grid, points=np.zeros((0, 3)))))
     one = error_fields(replace(comparison, policies=comparison.policies[:1]))
-    assert sized(one)[0] == pytest.approx(4.8) and len(one.axes) == 2
+    assert sized(one)[0] == pytest.approx(7.2) and len(one.axes) == 2
