@@ -36,7 +36,7 @@ COLORMAP = 6
 
 def removed_field(comparison: Comparison) -> np.ndarray:
     """What the last policy removes of the error that the one before it leaves, as it is drawn at true size."""
-    return next(iter(arrow_tabs(comparison, 1.0).values()))[2]["world/field/removed/vectors"][1]
+    return next(iter(arrow_tabs(comparison).values()))[2]["world/field/removed/vectors"][2] / 1e3
 
 
 def orchard(comparison: Comparison) -> Comparison:
@@ -65,7 +65,7 @@ def test_effects_without_a_settled_field_are_left_out(comparison: Comparison) ->
     nothing = replace(comparison.plant.without(("joint_compliance", "boom_bending", "transmission_error")))
     ideal = replace(comparison, plant=replace(nothing, geometry=comparison.nominal))
     assert effect_fields(ideal) == {}
-    assert list(arrow_tabs(ideal, 20.0)) == ["Error fields, arrows ×20", "Attitude"]
+    assert list(arrow_tabs(ideal)) == ["Error fields, arrows ×20", "Attitude"]
 
 
 def test_the_floor_is_what_no_joint_motion_moves(comparison: Comparison) -> None:
@@ -85,7 +85,7 @@ def test_what_is_removed_lies_between_two_policies(comparison: Comparison) -> No
     removed = removed_field(comparison)
     before, last = comparison.policies[-2:]
     np.testing.assert_array_equal(last.field_errors + removed, before.field_errors)
-    alone = arrow_tabs(replace(comparison, policies=comparison.policies[:1]), 20.0)
+    alone = arrow_tabs(replace(comparison, policies=comparison.policies[:1]))
     assert list(next(iter(alone.values()))[2]) == ["world/field/raw/vectors"]
 
 
@@ -180,7 +180,7 @@ def test_cells_hold_the_mean_of_their_points() -> None:
 def orchard_reading(
     comparison: Comparison, reader: Callable[[Path], Any], tmp_path_factory: pytest.TempPathFactory
 ) -> Any:
-    return reader(record_comparison(orchard(comparison), tmp_path_factory.mktemp("orchard") / "errors.rrd", gain=10.0))
+    return reader(record_comparison(orchard(comparison), tmp_path_factory.mktemp("orchard") / "errors.rrd"))
 
 
 @pytest.fixture
@@ -203,7 +203,7 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
         orchard_reading.holds(
             f"/world/{name}",
             origins=comparison.grid.points,
-            vectors=10.0 * field,
+            vectors=20.0 * field,
             xyz_mm=1e3 * field,
             norm_mm=length,
             colors=viridis(length / top),

@@ -46,6 +46,7 @@ from pickenv.inspect.recordings.scribe import (
     write_recording,
 )
 from pickenv.inspect.runs import comparison_summary as summary
+from pickenv.inspect.runs.comparison_summary import GAIN
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.saved import eye_direction, shown_box
 
@@ -54,33 +55,32 @@ FRUIT_RADIUS = 0.008
 """m; smaller than an apple, so that a hundred of them hide nothing."""
 
 
-def record_comparison(comparison: Comparison, path: str | Path, *, gain: float = 20.0) -> Path:
+def record_comparison(comparison: Comparison, path: str | Path) -> Path:
     """Write ``comparison`` as a Rerun recording (.rrd) with its blueprint inside, whole or not at all.
 
     Args:
         comparison: What to show.
         path: The file to write, usually `errors.rrd`; missing folders are made.
-        gain: How much longer than true size errors are drawn.
 
     Returns:
         The path written.
 
     Raises:
-        InputError: If there is no policy or a key repeats or cannot be part of an entity path, if the gain is not above
-            zero, or if the file cannot be written.
+        InputError: If there is no policy, a key repeats or cannot be part of an entity path, or the file cannot be
+            written.
     """
-    _check(comparison, gain)
-    arrows, day = arrow_tabs(comparison, gain), day_of(comparison)
+    _check(comparison)
+    arrows, day = arrow_tabs(comparison), day_of(comparison)
     times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
     return write_recording(
         path,
         f"{comparison.plant.name}:seed{comparison.seed}",
-        comparison_blueprint(comparison, arrows, day, gain),
-        lambda stream: _send(Scribe(stream, times), comparison, arrows, day, gain),
+        comparison_blueprint(comparison, arrows, day),
+        lambda stream: _send(Scribe(stream, times), comparison, arrows, day),
     )
 
 
-def _check(comparison: Comparison, gain: float) -> None:
+def _check(comparison: Comparison) -> None:
     keys = [policy.key for policy in comparison.policies]
     if not keys:
         raise InputError("the comparison has no policy; give at least one")
@@ -91,11 +91,9 @@ def _check(comparison: Comparison, gain: float) -> None:
             )
         if keys.count(key) > 1:
             raise InputError(f"policy key '{key}' is given twice; give every policy its own key")
-    if not gain > 0.0:
-        raise InputError(f"the gain is {gain}; give a number above zero")
 
 
-def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, ArrowTab], day: Day, gain: float) -> None:
+def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, ArrowTab], day: Day) -> None:
     plant = comparison.plant
     scribe.properties(
         plant=plant.name,
@@ -103,23 +101,23 @@ def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, ArrowTab]
         arm_fingerprint=plant.arm.fingerprint(),
         seed=comparison.seed,
         policies=[policy.key for policy in comparison.policies],
-        gain=gain,
+        gain=GAIN,
         tolerance_mm=comparison.tolerance_mm,
         colour_scale_mm=summary.colour_scale_mm(comparison),
     )
-    _send_scene(scribe, comparison, gain)
+    _send_scene(scribe, comparison)
     for policy, colour in zip(comparison.policies, comparison.colours, strict=True):
         _send_field(scribe, comparison, policy)
         if scribe.times:
-            _send_reaches(scribe, comparison, policy, colour, gain)
+            _send_reaches(scribe, comparison, policy, colour)
     if scribe.times:
-        _send_tolerance(scribe, comparison, gain)
+        _send_tolerance(scribe, comparison)
     _send_histograms(scribe, comparison)
-    scribe.document("summary", summary.summary_markdown(comparison, gain))
+    scribe.document("summary", summary.summary_markdown(comparison))
     send_details(scribe, comparison, arrows, day)
 
 
-def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
+def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
     """The field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
     size, corner = comparison.grid.size, comparison.grid.corner
     labels = [f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)]
@@ -141,7 +139,7 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     nominal = nominal_points(comparison.nominal, first.joint_command)
     true = true_points(comparison.plant.geometry, first.joint_command, first.tool_position)
     parts = drawn_parts(nominal)
-    exaggerated = nominal + gain * (true - nominal)
+    exaggerated = nominal + GAIN * (true - nominal)
     scribe.arm("world/arm/nominal", nominal, parts, GREY, "majorwireframe")
     scribe.arm("world/arm/true", true, parts, STEEL, "solid")
     scribe.arm("world/arm/exaggerated", exaggerated, parts, comparison.colours[0], "solid", 0.5)
@@ -167,13 +165,13 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) 
     )
 
 
-def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb, gain: float) -> None:
+def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb) -> None:
     """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
     ends = policy.ends
     miss = ends.tool_position - comparison.fruit
     entity = f"world/miss/{policy.key}"
     scribe.still(entity, rr.Arrows3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(2.5)))
-    arrows = rr.Arrows3D.columns(origins=f32(comparison.fruit), vectors=f32(gain * miss))
+    arrows = rr.Arrows3D.columns(origins=f32(comparison.fruit), vectors=f32(GAIN * miss))
     scribe.along(entity, arrows, reading_columns(1e3 * miss))
     shots = rr.Points3D(f32(miss * 1e3), colors=[colour], radii=rr.Radius.ui_points(3.0))
     scribe.still(f"target/{policy.key}", shots, reading(1e3 * miss))
@@ -184,11 +182,11 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy
     scribe.lane(f"outcome/{lane(policy.key)}", {"pick": ("pick", colour), "miss": ("miss", RED)}, states)
 
 
-def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None:
+def _send_tolerance(scribe: Scribe, comparison: Comparison) -> None:
     """The gripper's capture region: a line on the error plot and, enlarged like the errors, a ball around the fruit."""
     level = [comparison.tolerance_mm] * len(comparison.fruit)
     scribe.curve("metrics/tolerance_mm", f"tolerance {comparison.tolerance_mm:g} mm", RED, level, 1.5)
-    radius = gain * comparison.tolerance_mm * 1e-3
+    radius = GAIN * comparison.tolerance_mm * 1e-3
     ball = rr.Ellipsoids3D.from_fields(
         half_sizes=[[radius] * 3], colors=[(*RED, 160)], line_radii=rr.Radius.ui_points(0.6), fill_mode="majorwireframe"
     )
@@ -234,16 +232,13 @@ def ghost(comparison: Comparison) -> list[str]:
 REACHES_PER_SECOND = 2.0
 
 
-def comparison_blueprint(
-    comparison: Comparison, arrows: Mapping[str, ArrowTab], day: Day, gain: float
-) -> rrb.Blueprint:
-    """The layout for ``comparison``, whose errors are drawn ``gain`` times too long.
+def comparison_blueprint(comparison: Comparison, arrows: Mapping[str, ArrowTab], day: Day) -> rrb.Blueprint:
+    """The layout for ``comparison``, whose errors are drawn `GAIN` times too long.
 
     Args:
         comparison: At least one policy.
         arrows: From `arrow_tabs`.
         day: From `day_of`.
-        gain: As given to `record_comparison`.
     """
     policies, has_reaches = comparison.policies, len(comparison.fruit) > 0
     title = "{} | error magnitude, mm, corner cut away"
@@ -258,8 +253,8 @@ def comparison_blueprint(
     ]
     below = [rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary")]
     if has_reaches:
-        tabs.insert(1, _picking(comparison, gain))
-        reasons.insert(0, _arms(comparison, gain))
+        tabs.insert(1, _picking(comparison))
+        reasons.insert(0, _arms(comparison))
         below = [_reaches(comparison), view_of(rrb.BarChartView, "hist", "Reaches by final position error, mm"), *below]
     if comparison.field_uncertainty is not None:
         reasons.append(_uncertainty(comparison))
@@ -289,11 +284,11 @@ def _arrows(
     return with_colour_bar(views, LEGENDS[unit], _meaning(unit, top), name)
 
 
-def _picking(comparison: Comparison, gain: float) -> Any:
+def _picking(comparison: Comparison) -> Any:
     arms = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/arm/true"]
     scene = space(
         comparison,
-        f"Believed arm (wire), {comparison.policies[0].label} arm and misses ×{gain:g}, capture region (red)",
+        f"Believed arm (wire), {comparison.policies[0].label} arm and misses ×{GAIN:g}, capture region (red)",
         [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],
         overrides={"/world/arm/true": rrb.EntityBehavior(visible=False)},
     )
@@ -349,14 +344,14 @@ def _table(policies: tuple[RecordedPolicy, ...]) -> Any:
     )
 
 
-def _arms(comparison: Comparison, gain: float) -> Any:
+def _arms(comparison: Comparison) -> Any:
     first = comparison.policies[0].label
     exaggerated = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/fruit", "+ /world/miss/**"]
     urdf = ["+ /urdf_nominal/**", "+ /urdf_true/**"]
     return rrb.Horizontal(
-        space(comparison, f"Nominal arm (wire) and true arm under the {first} command, ×{gain:g}", exaggerated),
+        space(comparison, f"Nominal arm (wire) and true arm under the {first} command, ×{GAIN:g}", exaggerated),
         space(comparison, "Nominal and true arm as exported (URDF), true size", urdf, origin="/"),
-        name=f"True arm ×{gain:g}",
+        name=f"True arm ×{GAIN:g}",
     )
 
 

@@ -26,6 +26,7 @@ from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
 from pickenv.inspect.recordings.scribe import Scribe, f32
 from pickenv.inspect.runs import comparison_summary as summary
+from pickenv.inspect.runs.comparison_summary import GAIN
 from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import cut_away
 
@@ -126,7 +127,7 @@ LEGENDS = {"mm": "position", "deg": "attitude"}
 """Keys of colour scales, by their unit."""
 
 
-def arrow_tabs(comparison: Comparison, gain: float) -> dict[str, ArrowTab]:
+def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     """The errors of each policy with what the last one removes, of each effect alone, and of attitudes if known."""
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
     errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
@@ -137,13 +138,13 @@ def arrow_tabs(comparison: Comparison, gain: float) -> dict[str, ArrowTab]:
     effects = effect_fields(comparison)
     single = {f"world/effect/{name}": (name.replace("_", " "), "", field) for name, field in effects.items()}
     tabs: dict[str, ArrowTab] = {}
-    for name, fields in ((f"Error fields, arrows ×{gain:g}", errors), ("Effects, each alone", single)):
+    for name, fields in ((f"Error fields, arrows ×{GAIN:g}", errors), ("Effects, each alone", single)):
         if not fields:
             continue
         views = {}
         for entity, (label, arrows, field) in fields.items():
             mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
-            views[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{gain:g}", gain * field, 1e3 * field
+            views[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{GAIN:g}", GAIN * field, 1e3 * field
         tabs[name] = "mm", top, views
     attitude = attitude_fields(comparison)
     return tabs | {"Attitude": _attitude_tab(comparison, attitude)} if attitude else tabs

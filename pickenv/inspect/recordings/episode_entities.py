@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, Geometry, drawn_parts, forward, nominal_points, true_points
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
 from pickenv.inspect.recordings.scribe import Scribe, f32, layout, reading_columns, seen_from, view_of
+from pickenv.inspect.runs.comparison_summary import GAIN
 from pickenv.inspect.runs.recorded_episodes import POSITIONS
 
 Trigger = Callable[[int], bool]
@@ -182,8 +183,6 @@ def column(rows: Sequence[Row], name: str) -> Array:
 
 FRUIT_RADIUS, TOOL_RADIUS = 0.02, 0.012
 """m."""
-GAIN = 20.0
-"""Factor by which the true arm's deviation from the believed one is drawn larger than true."""
 GAP = 1.0
 """s; between two episodes on `sim_time`."""
 NEAREST_MM = 1e-4

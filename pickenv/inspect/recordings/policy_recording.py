@@ -18,7 +18,7 @@ from pickenv.inspect.colours import lane
 from pickenv.inspect.figures.plot_errors import field_gain
 from pickenv.inspect.recordings import episode_entities as entities
 from pickenv.inspect.recordings.scribe import Scribe, seen_from, view_of, with_colour_bar, write_recording
-from pickenv.inspect.runs.comparison_summary import comparison_markdown, error_spread, field_mm, scale_end
+from pickenv.inspect.runs.comparison_summary import GAIN, comparison_markdown, error_spread, field_mm, scale_end
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.saved import shown_box
 
@@ -128,7 +128,7 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     eye = middle + distance * entities.EYE
     subject = "Tool and fruit"
     if episodes.nominal is not None:
-        subject = f"Believed arm (wire), true arm's deviation ×{entities.GAIN:g}"
+        subject = f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
     # The arm at true size stands in the enlarged one and would hide it.
     hidden = [f"- /side/{lane(policy.key)}/arm/true/**" for policy in episodes.policies]
     side = seen_from(eye, middle, "/side", ["+ /side/**", *hidden], f"{subject}; last episode")

@@ -332,7 +332,7 @@ def ticks(top: float) -> list[float]:
     return [i * step for i in range(int(top / step + 1e-9) + 1)]
 
 
-def summary_markdown(comparison: Comparison, gain: float) -> str:
+def summary_markdown(comparison: Comparison) -> str:
     """The summary as a Markdown table, with a short legend: what is drawn, and how large."""
     top, has_reaches = colour_scale_mm(comparison), len(comparison.fruit) > 0
     heads = ["field mean", "field RMS", "field p95", "field max"]
@@ -351,14 +351,14 @@ def summary_markdown(comparison: Comparison, gain: float) -> str:
         f"{reaches if has_reaches else ''}{len(comparison.grid.points)} field points, cells of "
         f"{comparison.grid.step * 1e3:g} mm.{_better(comparison)}",
         "",
-        f"**Arrows**: true minus wanted tool position, drawn ×{gain:g}. **Colour**: its length, 0 to {top:.2f} mm in "
+        f"**Arrows**: true minus wanted tool position, drawn ×{GAIN:g}. **Colour**: its length, 0 to {top:.2f} mm in "
         f"every field (p{SCALE_PERCENTILE:g} of {first}; above that the colour saturates).",
     ]
     if has_reaches:
         lines += [
             "",
             f"**Picking**: wire arm = what the controller believes; solid arm = the true arm with the {first} "
-            f"command, difference drawn ×{gain:g}; red ball = capture region ×{gain:g}: an arrow that ends inside it "
+            f"command, difference drawn ×{GAIN:g}; red ball = capture region ×{GAIN:g}: an arrow that ends inside it "
             "is a pick.",
         ]
     return "\n".join(lines)
