@@ -1,6 +1,5 @@
 from .figures.plot_calibration import (
     joint_coverage as joint_coverage,
-    joint_ranges as joint_ranges,
     least_squares_convergence as least_squares_convergence,
     network_convergence as network_convergence,
     parameter_spectrum as parameter_spectrum,

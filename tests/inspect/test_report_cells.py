@@ -163,14 +163,14 @@ def test_a_demonstrations_page_cell_by_cell(
     (field,) = parts_of(page, "Where the tool misses")
     assert field.name == "error_fields" and "Drag to turn" in field.hint
     dropped = [name for name, kept in zip(trace.names, trace.kept, strict=True) if not kept]
-    text, *_, both = parts_of(page, "How the calibration was found")
+    text, *_, coverage = parts_of(page, "How the calibration was found")
     condition = trace.singular_values.max() / trace.singular_values.min()
     assert text == (
         f"Least squares on 40 poses. {np.count_nonzero(trace.kept)} of {len(trace.kept)} parameters can be told apart "
         f"(condition number {condition:.1f}). These stay at their nominal values, because others absorb them: "
         f"{', '.join(dropped) or 'none'}."
     )
-    assert both[0] is None and both[1].name == "joint_ranges" and "“identification”" in both[1].caption
+    assert coverage.name == "joint_coverage"
     assert parts_of(page, "The recording") == []
     effects = "joint compliance, boom bending, transmission error"
     assert page.origin["Simulated true arm"].startswith("qiao2026: ")
@@ -368,7 +368,9 @@ def test_other_rows_blocks_and_arms_are_named_as_what_they_are(results: dict[str
 
 def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: pytest.MonkeyPatch) -> None:
     r = results["poses"]
-    regions, ranges, tables = parts_of(built(lambda: calibration_report.calibration_page(r)), "Were the poses good?")
+    regions, coverage, drawn, tables = parts_of(
+        built(lambda: calibration_report.calibration_page(r)), "Were the poses good?"
+    )
     assert regions.rows == r.quality.workspace.block().rows and len(regions.rows) == 2
     seen = r.quality.observability
     told = [seen[name] for name in ("condition", "o1", "o2", "o3", "o4", "o5")]
@@ -379,12 +381,12 @@ def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: py
     *_, tables = parts_of(built(lambda: calibration_report.calibration_page(many)), "Were the poses good?")
     assert tables[1].rows == [("a1, d2", f"{0.987 - 0.01 * i:+.3f}") for i in range(8)]
     none = replace(r, quality=replace(r.quality, pairs=[], workspace=None))
-    first, tables = parts_of(built(lambda: calibration_report.calibration_page(none)), "Were the poses good?")
-    assert isinstance(first, tuple) and tables[1] is None
-    assert ranges[0].name == "joint_ranges" and "Where the 60 fitted poses lie" in ranges[0].caption
+    first, *_, tables = parts_of(built(lambda: calibration_report.calibration_page(none)), "Were the poses good?")
+    assert first.name == "joint_coverage" and tables[1] is None
+    assert coverage.name == "joint_coverage" and "How the 60 fitted poses fill" in coverage.caption
     given: list[Any] = []
     monkeypatch.setattr(calibration_report, "uncertainty_map", lambda *arrays: given.extend(arrays))
-    ranges[1].draw()
+    drawn.draw()
     away, height, spread = given
     model, geometry = r.fit.calibration.model, r.fit.identification.geometry
     joints = random_joints(geometry, 6000, np.random.default_rng(0))
@@ -396,8 +398,8 @@ def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: py
     whole_error = 1e3 * r.uncertainty.standard(model, joints)[0]
     assert np.all(spread < whole_error)
     unknown = replace(r, uncertainty=replace(r.uncertainty, covariance=np.full_like(r.uncertainty.covariance, np.nan)))
-    _, ranges, _ = parts_of(built(lambda: calibration_report.calibration_page(unknown)), "Were the poses good?")
-    assert ranges[1] is None
+    parts = parts_of(built(lambda: calibration_report.calibration_page(unknown)), "Were the poses good?")
+    assert "uncertainty_map" not in [getattr(part, "name", "") for part in parts]
 
 
 def test_intervals_may_be_open_or_missing() -> None:

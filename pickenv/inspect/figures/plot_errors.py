@@ -211,7 +211,8 @@ def _axis_text(axes: Axes, view: _View, axis: int) -> None:
     angle = 90.0 - (90.0 - np.degrees(np.arctan2(along[1], along[0]))) % 180.0
     words = f"{'xyz'[axis]} (m): {values[low]:.2f} to {values[high]:.2f}".replace("-", "−")
     look: dict[str, Any] = {"ha": "center", "va": "center", "rotation": angle, "fontsize": 7.5, "zorder": 4.0}
-    axes.text(*(middle + 0.1 * view.radius * outward), words, **look)
+    x, y = middle + 0.1 * view.radius * outward
+    axes.text(x, y, words, **look)
 
 
 def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:

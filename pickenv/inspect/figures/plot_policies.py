@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
 from pickenv.base import InputError
@@ -36,32 +35,10 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
                 distance = np.maximum(distance[:moments], SMALLEST)
                 axes.plot(episodes.period * np.arange(moments), distance, color=colour, linewidth=0.7, alpha=0.7)
             axes.plot([], [], color=colour, linewidth=3.0, label=policy.label)
-        _title_and_tolerance(axes, episodes, summary.outcome_sentence(episodes))
-    return figure
-
-
-def _title_and_tolerance(axes: Any, episodes: RecordedEpisodes, title: str) -> None:
-    """Set a panel's title, and draw what the gripper forgives as a line."""
-    label = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
-    axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=label)
-    axes.set_title(title)
-    style.plain_decades(axes.yaxis)
-
-
-def misses_by_fruit(episodes: RecordedEpisodes) -> Figure:
-    """The miss at each fruit with every policy, fruit in the order of the first policy's miss."""
-    first, last = episodes.policies[0], episodes.policies[-1]
-    order = np.argsort(summary.episode_misses(first))
-    nearer = int(np.sum(summary.episode_misses(last) < summary.episode_misses(first)))
-    words = f"fruit, by the miss of {first.label} (number)", "miss (mm)"
-    with style.new_panel(style.WIDTH, 2.8, *words, legend=len(episodes.policies) + 1) as (figure, axes):
-        axes.set_yscale("log")
-        for policy, colour in zip(episodes.policies, style.rgb(episodes.colours), strict=True):
-            misses = np.maximum(summary.episode_misses(policy)[order], SMALLEST)
-            axes.plot(np.arange(1, len(order) + 1), misses, "o", color=colour, markersize=4, label=policy.label)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        title = f"{last.label} misses less than {first.label} at {nearer} of {len(order)} fruit"
-        _title_and_tolerance(axes, episodes, title)
+        label = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
+        axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=label)
+        axes.set_title(summary.outcome_sentence(episodes))
+        style.plain_decades(axes.yaxis)
     return figure
 
 

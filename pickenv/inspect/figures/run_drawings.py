@@ -47,7 +47,6 @@ CAPTIONS = {
     "view_errors": "The views with the largest errors. Where all arrows of a view agree, its pose is at fault.",
     "joint_coverage": "How the poses fill the joint ranges: each joint's distribution, and each pair of joints.",
     "distance_over_time": "Distance between tool and fruit in every episode, and what the gripper forgives.",
-    "misses_by_fruit": "Where the gripper closed, how far each policy was from the fruit; the same fruit for all.",
     "difference_map": "Which of two policies misses less at each goal, in layers of the workspace seen from above.",
     "pose_accuracy": "Pose accuracy AP and repeatability RP at the five poses of ISO 9283.",
     "drift": "Pose accuracy at P1 over the hours after the cold arm was switched on.",

@@ -17,7 +17,7 @@ from pickenv.calibration.assessment.quality import axis_errors, base_combination
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import SIGMAS, has_moved
-from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
+from pickenv.inspect.figures.plot_calibration import joint_coverage, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
 from pickenv.inspect.reports.report_page import (
@@ -242,7 +242,7 @@ def _parameters(r: Result) -> Section:
 
 def _poses(r: Result, train: Observations) -> Section:
     geometry, observability, over = r.fit.identification.geometry, r.quality.observability, r.quality.workspace
-    caption = f"Where the {len(train.joints)} fitted poses lie within the joint limits."
+    caption = f"How the {len(train.joints)} fitted poses fill the joint ranges."
     indices = (
         ("condition number", figure(observability["condition"]), "how unevenly parameters are seen; near 1 is best"),
         ("O1", figure(observability["o1"]), "mean sensitivity; D-optimal poses maximise it"),
@@ -253,12 +253,12 @@ def _poses(r: Result, train: Observations) -> Section:
     )
     pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
     hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")
-    ranges = Drawing("joint_ranges", caption, lambda: joint_ranges(geometry, train.joints))
+    coverage = Drawing("joint_coverage", caption, lambda: joint_coverage(geometry, {"fitted": train.joints}))
     return Section(
         "Were the poses good?",
         (
             _table(over.block()) if over is not None else "",
-            (ranges, _uncertainty(r)) if r.has_nominal else None,
+            *((coverage, _uncertainty(r)) if r.has_nominal else ()),
             (PageTable("Observability of the parameters", (), indices), hard if pairs else None),
         ),
     )

@@ -21,10 +21,7 @@ def drawings(run: Run) -> Drawings:
 
 def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
     """Every figure of a comparison of policies."""
-    drawings = [
-        captioned("distance_over_time", plot_policies.distance_over_time, episodes),
-        captioned("misses_by_fruit", plot_policies.misses_by_fruit, episodes),
-    ]
+    drawings = [captioned("distance_over_time", plot_policies.distance_over_time, episodes)]
     if not isinstance(episodes, Comparison):
         return [*drawings, Drawing("error_fields", MISSING)]
     drawings.append(

@@ -17,14 +17,13 @@ from pickenv.calibration import Calibration
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.inspect.colours import policy_colours, viridis
-from pickenv.inspect.figures.plot_calibration import joint_ranges
 from pickenv.inspect.figures.plot_errors import field_gain, thinned
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
 from pickenv.inspect.runs.matters import Change, change_cells, gripped, matters, pick_changes
-from pickenv.inspect.runs.number_words import between, named_values, percent, said
+from pickenv.inspect.runs.number_words import between, named_values, said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, load_part, load_result
 from pickenv.inspect.runs.saved import eye_direction
@@ -166,16 +165,6 @@ def within(comparison: Comparison, policy: RecordedPolicy) -> int:
     return int((policy.ends.position_error_mm <= comparison.tolerance_mm).sum())
 
 
-def _share(comparison: Comparison, policy: RecordedPolicy) -> str:
-    picked, total = within(comparison, policy), len(policy.moments)
-    return percent(picked / total, *share_interval(picked, total))
-
-
-def _expected(chances: Array) -> str:
-    """The share of fruit ``(R,)`` that a gripper takes, each with its chance."""
-    return percent(float(chances.mean()), *share_interval(float(chances.sum()), len(chances)))
-
-
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
     first, last = (error_statistics(comparison.policies[i].ends.position_error_mm) for i in (0, -1))
     held_out = [error_statistics(values) for values in norms_mm(trace.errors).values()]
@@ -196,8 +185,11 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
     for policy in comparison.policies:
         ends = policy.ends
         position, attitude = map(error_statistics, (ends.position_error_mm, ends.attitude_error_deg))
-        shares = [_share(comparison, policy), *(_expected(chances[policy.label][name]) for name in grippers)]
-        cells = [share.replace(" %", "") for share in shares]
+        total, taken = len(policy.moments), (float(chances[policy.label][name].sum()) for name in grippers)
+        cells = [
+            said(count / total, share_interval(count, total), 0, 100.0)
+            for count in (within(comparison, policy), *taken)
+        ]
         cells.append(said(position.mean, position.mean_ci95, 3))
         cells += [f"{value:.3f}" for value in (position.rms, position.p95, position.max)]
         cells.append(said(attitude.mean, attitude.mean_ci95, 3))
@@ -260,19 +252,18 @@ def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
 def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, Drawing]) -> report_page.Section:
     dropped = ", ".join(name for name, identified in zip(trace.names, trace.kept, strict=True) if not identified)
     condition = trace.singular_values[0] / trace.singular_values[-1]
-    name, joints = next(iter(trace.sets.items()))
+    poses = len(next(iter(trace.sets.values())))
     kind = "" if calibration.learnt is None else f", then {calibration.record['residual']['kind']} on what remains"
-    caption = f"Where the {len(joints)} poses of the set “{name}” lie within the joint limits."
-    ranges = Drawing("joint_ranges", caption, lambda: joint_ranges(trace.nominal, joints))
     return report_page.Section(
         "How the calibration was found",
         (
-            f"Least squares on {len(joints)} poses{kind}. {int(trace.kept.sum())} of {len(trace.kept)} parameters can "
+            f"Least squares on {poses} poses{kind}. {int(trace.kept.sum())} of {len(trace.kept)} parameters can "
             f"be told apart (condition number {condition:.1f}). These stay at their nominal values, because others "
             f"absorb them: {dropped or 'none'}.",
             drawn["least_squares_convergence"],
             drawn["parameter_spectrum"],
-            (drawn.get("network_convergence"), ranges),
+            drawn.get("network_convergence"),
+            drawn["joint_coverage"],
         ),
     )
 

@@ -161,30 +161,6 @@ def test_joint_coverage_is_framed_by_what_was_measured_in_degrees_and_millimetre
     assert save_figure(figure, tmp_path / "coverage.png").stat().st_size > 0
 
 
-def test_marks_stand_where_the_joints_do_within_their_limits(comparison: Comparison) -> None:
-    geometry = comparison.nominal
-    share = np.linspace(0.0, 1.0, 5)[:, None] * np.ones(geometry.joints)
-    q = geometry.lower + share * (geometry.upper - geometry.lower)
-    (axes,) = plot_calibration.joint_ranges(geometry, q).axes
-    marks = [np.asarray(line.get_xydata()) for line in axes.get_lines()[1::2]]
-    for row, places in enumerate(marks):
-        np.testing.assert_allclose(places[::3, 0], [0.0, 25.0, 50.0, 75.0, 100.0], atol=0.06)
-        assert np.isnan(places[2::3, 1]).all()
-        np.testing.assert_allclose((places[0::3, 1] + places[1::3, 1]) / 2.0, row)
-    named = [label.get_text() for label in axes.get_yticklabels()]
-    assert [name.split("  ")[0] for name in named] == list(geometry.joint_names)
-    assert [name.split()[-1] for name in named] == ["mm" if slides else "deg" for slides in geometry.prismatic]
-
-
-def test_poses_beyond_their_limits_stay_on_the_paper(comparison: Comparison) -> None:
-    geometry = comparison.nominal
-    q = np.stack([2.0 * geometry.lower - geometry.upper, 2.0 * geometry.upper - geometry.lower])
-    (axes,) = plot_calibration.joint_ranges(geometry, q).axes
-    low, high = axes.get_xlim()
-    for line in axes.get_lines():
-        assert ((low <= line.get_xdata()) & (line.get_xdata() <= high)).all()
-
-
 def test_a_cell_of_the_uncertainty_map_is_the_mean_of_its_poses() -> None:
     x, y = RNG.uniform(0.0, 1000.0, 400), RNG.uniform(-200.0, 300.0, 400)
     values = RNG.uniform(0.1, 0.2, 400)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -237,38 +236,6 @@ def test_singular_values_are_numbered_from_one(count: int) -> None:
             plot_calibration.parameter_spectrum(values, kept, names=names)
     (axes,) = plot_calibration.parameter_spectrum(np.zeros(2), [False, False]).axes
     assert np.array_equal(axes.get_lines()[0].get_ydata(), [1e-318, 1e-318])
-
-
-def test_joint_ranges(comparison: Comparison) -> None:
-    geometry = comparison.nominal
-    share = RNG.uniform(0.1, 0.8, (30, 6))
-    share[0], share[1, 2], share[2, 3], share[3, 4] = -0.01, -0.3, 1.4, 0.123456
-    joints = geometry.lower + share * (geometry.upper - geometry.lower)
-    figure = plot_calibration.joint_ranges(geometry, joints)
-    (axes,) = figure.axes
-    assert figure.get_size_inches() == pytest.approx([4.2, 0.6 + 0.28 * 6])
-    assert axes.get_xlabel() == "place within the limits (%)" and axes.get_ylim() == (5.5, -0.5)
-    assert not is_seen(axes.xaxis) and not axes.spines["left"].get_visible()
-    spans = 100 * np.ptp(share, axis=0)
-    said = f"Each joint moves over {spans.min():.0f} to {spans.max():.0f} % of its range"
-    assert axes.get_title("left").replace("\u00a0", " ").split("\n") == wrap(said, int((4.2 - 1.2 - 0.75) / 0.083))
-    for row in range(6):
-        rail, marks = axes.get_lines()[2 * row : 2 * row + 2]
-        assert np.asarray(rail.get_xydata()).tolist() == [[0.0, row], [100.0, row]]
-        wanted = sorted({round(min(max(100 * s, -2.0), 102.0), 1) for s in share[:, row]})
-        found = np.asarray(marks.get_xydata()).reshape(-1, 3, 2)
-        np.testing.assert_allclose(found[:, :2, 0], np.stack([wanted, wanted], axis=1), atol=1e-9)
-        np.testing.assert_allclose(found[:, :, 1], [[row - 0.3, row + 0.3, np.nan]] * len(wanted))
-    scale = np.where(geometry.prismatic, 1e3, 180 / np.pi)
-    units = ["mm" if slides else "deg" for slides in geometry.prismatic]
-    assert [tick.get_text().replace("−", "-") for tick in axes.get_yticklabels()] == [
-        f"{name}  {low:.0f} to {high:.0f} {unit}"
-        for name, low, high, unit in zip(
-            geometry.joint_names, geometry.lower * scale, geometry.upper * scale, units, strict=True
-        )
-    ]
-    sizes = [axis.get_major_ticks()[0].tick1line.get_markersize() for axis in (axes.xaxis, axes.yaxis)]
-    assert sizes[0] > 0.0 and sizes[1] == 0.0
 
 
 def test_uncertainty_map() -> None:
