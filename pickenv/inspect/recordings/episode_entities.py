@@ -44,18 +44,15 @@ class Row(NamedTuple):
         episode: Number of the episode.
         within: Steps since the episode's reset.
         order: Number of episodes of which steps were recorded before this one.
-        reward: Its reward; 0 after a reset.
-        info: Its info.
-        target: Joints at which the controller believes the arm to be; None where the environment does not tell.
+        info: Its info with its ``reward``, 0 after a reset, and as ``joint_target`` the joints at which the controller
+            believes the arm to be, where the environment tells.
     """
 
     moment: int
     episode: int
     within: int
     order: int
-    reward: float
     info: Mapping[str, Any]
-    target: Array | None = None
 
 
 class EpisodeLog:
@@ -103,7 +100,8 @@ class EpisodeLog:
         """Keep the present step."""
         last = self.rows[-1] if self.rows else None
         order = 0 if last is None else last.order + (last.episode != self._episode)
-        self.rows.append(Row(len(self.rows), self._episode, self._within, order, reward, info, target))
+        told = {} if target is None else {"joint_target": target}
+        self.rows.append(Row(len(self.rows), self._episode, self._within, order, {**info, **told, "reward": reward}))
 
 
 @dataclass(frozen=True)
@@ -166,13 +164,12 @@ def last_rows(rows: Sequence[Row]) -> list[Row]:
 
 
 def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Names of the numbers in ``info`` by unit, the reward among them; truth values and arrays are no numbers."""
+    """Names of the numbers in ``info`` by unit; truth values and arrays are no numbers."""
     groups: dict[str, list[str]] = {}
     for name, value in info.items():
         if np.ndim(value) == 0 and isinstance(value, int | float | np.number) and not isinstance(value, bool):
             end = name.rpartition("_")[2]
             groups.setdefault(end if end in UNITS else OTHERS, []).append(name)
-    groups.setdefault(OTHERS, []).append("reward")
     return groups
 
 
@@ -276,8 +273,8 @@ def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence
             level = decades(np.full(len(rows), scene.tolerance_mm))
             scribe.along("distance/tolerance", rr.Scalars.columns(scalars=level))
     for unit, names in number_groups(info).items():
-        values = [[row.reward if name == "reward" else row.info[name] for name in names] for row in rows]
-        _send_numbers(stream, scene, f"metrics/{unit}/{lane(key)}", rows, np.array(values, dtype=float))
+        values = np.stack([column(rows, name) for name in names], axis=1)
+        _send_numbers(stream, scene, f"metrics/{unit}/{lane(key)}", rows, values)
 
 
 def _strung(scene: Scene, rows: Sequence[Row]) -> tuple[NDArray[np.int64], Array]:
@@ -320,7 +317,7 @@ def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
     """
     assert scene.nominal is not None
     command = column(rows, "joint_command")
-    target = command if rows[0].target is None else np.array([row.target for row in rows], dtype=float)
+    target = column(rows, "joint_target") if "joint_target" in rows[0].info else command
     return nominal_points(scene.nominal, target), true_points(scene.nominal, command, column(rows, "tool_position"))
 
 

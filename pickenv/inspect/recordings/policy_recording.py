@@ -55,20 +55,14 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
 
 def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
     """A policy's episodes as recorded steps, with what `info` said of them."""
+    names = ["position_error_mm", "picked", "tool_position", "fruit_position", "joint_target", "reward"]
+    names += ["attitude_error_deg"] * (not np.isnan(policy.attitude_error_deg).all()) + ["joint_command"] * arm
+    told = {name: getattr(policy, name) for name in names} | {"is_success": policy.success}
     rows: list[entities.Row] = []
-    has_attitude = not np.isnan(policy.attitude_error_deg).all()
     for e, moments in enumerate(policy.moments):
         for t in range(int(moments)):
-            info = {
-                "position_error_mm": float(policy.position_error_mm[e, t]),
-                "is_success": bool(policy.success[e, t]),
-                "picked": int(policy.picked[e, t]),
-                "tool_position": policy.tool_position[e, t],
-                "fruit_position": policy.fruit_position[e, t],
-            }
-            info |= {"attitude_error_deg": float(policy.attitude_error_deg[e, t])} if has_attitude else {}
-            info |= {"joint_command": policy.joint_command[e, t]} if arm else {}
-            rows.append(entities.Row(len(rows), e, t, e, float(policy.reward[e, t]), info, policy.joint_target[e, t]))
+            info = {name: values[e, t].item() if values.ndim == 2 else values[e, t] for name, values in told.items()}
+            rows.append(entities.Row(len(rows), e, t, e, info))
     return rows
 
 
