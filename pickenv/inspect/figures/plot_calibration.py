@@ -136,8 +136,8 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
     edges = [v.min() + step * np.arange(int(np.ptp(v) // step) + 2) for v in (x, y)]
     count, total = (np.histogram2d(x, y, edges, weights=weights)[0].T for weights in (None, values))
     mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-    words = "distance from base (mm)", "height (mm)"
-    with style.new_panel(style.COLUMN, 3.0, *words, **{"axes.grid": False}) as (figure, axes):
+    with style.new_panel(style.COLUMN, 3.0, "distance from base (mm)", "height (mm)") as (figure, axes):
+        axes.grid(visible=False)
         middle, most = (style.short(float(v)) for v in (np.median(values), values.max()))
         style.headline(axes, f"Median {middle}, largest {most} mm")
         extent = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])

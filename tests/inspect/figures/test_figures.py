@@ -326,35 +326,37 @@ def test_aggregates_are_numbers_with_their_intervals_and_arrows_where_an_end_is_
     }
     figure = plot_policies.aggregates(given)
     raw, ls = ([part / 255 for part in colour] for colour in policy_colours(["raw", "LS"]))
-    assert [title(axes) for axes in figure.axes] == ["bare: median", "IQM", "leafy: median", "IQM"]
-    assert [axes.get_xlabel() != "" for axes in figure.axes] == [False, False, True, True]
-    for number, axes in enumerate(figure.axes):
-        k = (1.0, 1.1)[number % 2]
-        assert axes.get_ylim() == (1.5, -0.5) and axes.get_xscale() == "log"
-        assert axes.get_yticks().tolist() == [0, 1]
+    assert [title(axes) for axes in figure.axes] == ["median", "IQM"]
+    assert [axes.get_xlabel() for axes in figure.axes] == ["(mm)", "final position error (mm)"]
+    for axes, k in zip(figure.axes, (1.0, 1.1), strict=True):
+        assert axes.get_ylim() == (3.5, -0.5) and axes.get_xscale() == "log"
         drawn = [(to_rgb(line.get_color()), line.get_marker(), *map(np.asarray, line.get_data()))
                  for line in axes.get_lines() if len(np.asarray(line.get_xdata()))]  # fmt: skip
         wanted = [
-            (raw, "None", [1.5 * k, 2.5 * k], -0.09), (raw, "|", [2.0 * k], -0.09),
-            (ls, "None", [0.5 * k, 0.7 * k], 0.09), (ls, "<", [0.5 * k], 0.09), (ls, "|", [0.5 * k], 0.09),
-            (raw, "|", [3.0 * k], 0.91), (ls, "None", [1e-3, 0.2], 1.09), (ls, "|", [1e-3], 1.09),
+            mark
+            for y in (0, 2)
+            for mark in (
+                (raw, "None", [1.5 * k, 2.5 * k], y - 0.2), (raw, "|", [2.0 * k], y - 0.2),
+                (ls, "None", [0.5 * k, 0.7 * k], y + 0.2), (ls, "<", [0.5 * k], y + 0.2), (ls, "|", [0.5 * k], y + 0.2),
+                (raw, "|", [3.0 * k], y + 0.8), (ls, "None", [1e-3, 0.2], y + 1.2), (ls, "|", [1e-3], y + 1.2),
+            )
         ]  # fmt: skip
         assert len(drawn) == len(wanted)
         for (colour, marker, x, y), (its, mark, places, height) in zip(drawn, wanted, strict=True):
             assert colour == pytest.approx(its) and marker == mark
             assert x == pytest.approx(places) and y == pytest.approx([height] * len(places))
-    assert title(figure) == (
-        "scripted on bare: median raw 2.0, LS 0.50 mm scripted on leafy: median raw 2.0, LS 0.50 mm"
-    )
+    places = ["scripted, bare", "ppo, bare", "scripted, leafy", "ppo, leafy"]
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == places
+    assert title(figure) == "median: raw 2.0, LS 0.50"
     for nothing in ({}, {"bare": {}}):
         with pytest.raises(InputError, match="nothing to draw"):
             plot_policies.aggregates(nothing)
 
 
-def test_aggregates_of_one_statistic_stand_in_one_column() -> None:
+def test_aggregates_of_one_statistic_stand_in_one_panel() -> None:
     line = {"scripted": {"raw": (2.0, (1.5, 2.5)), "LS": (0.5, (0.4, 0.7))}}
     figure = plot_policies.aggregates({"bare": {"median": line}, "leafy": {"median": line}})
-    assert [title(axes) for axes in figure.axes] == ["bare: median", "leafy: median"]
+    assert [title(axes) for axes in figure.axes] == ["median"]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["raw", "LS"]
 
 
