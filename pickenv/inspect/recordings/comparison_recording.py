@@ -19,19 +19,7 @@ from rerun.encodings import TensorDimensionIndexSelection
 from pickenv.arm import Array, drawn_parts, nominal_points, true_points
 from pickenv.base import InputError
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_key
-from pickenv.inspect.recordings.details import (
-    ADAPTED,
-    DAY_WORDS,
-    LEGENDS,
-    ArrowTab,
-    Day,
-    arrow_tabs,
-    day_hours,
-    day_of,
-    drifting_plant,
-    send_details,
-    send_voxels,
-)
+from pickenv.inspect.recordings import details
 from pickenv.inspect.recordings.episode_entities import target_view
 from pickenv.inspect.recordings.scribe import (
     Scribe,
@@ -70,7 +58,7 @@ def record_comparison(comparison: Comparison, path: str | Path) -> Path:
             written.
     """
     _check(comparison)
-    arrows, day = arrow_tabs(comparison), day_of(comparison)
+    arrows, day = details.arrow_tabs(comparison), details.day_of(comparison)
     times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
     return write_recording(
         path,
@@ -93,7 +81,7 @@ def _check(comparison: Comparison) -> None:
             raise InputError(f"policy key '{key}' is given twice; give every policy its own key")
 
 
-def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, ArrowTab], day: Day) -> None:
+def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, details.ArrowTab], day: details.Day) -> None:
     plant = comparison.plant
     scribe.properties(
         plant=plant.name,
@@ -114,7 +102,7 @@ def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, ArrowTab]
         _send_tolerance(scribe, comparison)
     _send_histograms(scribe, comparison)
     scribe.document("summary", summary.summary_markdown(comparison))
-    send_details(scribe, comparison, arrows, day)
+    details.send_details(scribe, comparison, arrows, day)
 
 
 def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
@@ -148,7 +136,7 @@ def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
 def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) -> None:
     """One policy's error field as voxels, and as a tensor for slices."""
     magnitude, top = summary.field_mm(policy), summary.colour_scale_mm(comparison)
-    send_voxels(scribe, comparison, f"world/field/{policy.key}/voxels", magnitude, top)
+    details.send_voxels(scribe, comparison, f"world/field/{policy.key}/voxels", magnitude, top)
     index, mean = summary.cell_means(comparison.grid.index, magnitude)
     grid = np.full(comparison.grid.shape, np.nan, dtype=np.float32)
     grid[tuple(index.T)] = mean
@@ -232,13 +220,15 @@ def ghost(comparison: Comparison) -> list[str]:
 REACHES_PER_SECOND = 2.0
 
 
-def comparison_blueprint(comparison: Comparison, arrows: Mapping[str, ArrowTab], day: Day) -> rrb.Blueprint:
+def comparison_blueprint(
+    comparison: Comparison, arrows: Mapping[str, details.ArrowTab], day: details.Day
+) -> rrb.Blueprint:
     """The layout for ``comparison``, whose errors are drawn `GAIN` times too long.
 
     Args:
         comparison: At least one policy.
-        arrows: From `arrow_tabs`.
-        day: From `day_of`.
+        arrows: From `details.arrow_tabs`.
+        day: From `details.day_of`.
     """
     policies, has_reaches = comparison.policies, len(comparison.fruit) > 0
     title = "{} | error magnitude, mm, corner cut away"
@@ -281,7 +271,7 @@ def _arrows(
     comparison: Comparison, name: str, unit: str, top: float, fields: Mapping[str, tuple[str, Array, Array]]
 ) -> Any:
     views = [space(comparison, title, [f"+ /{entity}", *ghost(comparison)]) for entity, (title, *_) in fields.items()]
-    return with_colour_bar(views, LEGENDS[unit], _meaning(unit, top), name)
+    return with_colour_bar(views, details.LEGENDS[unit], _meaning(unit, top), name)
 
 
 def _picking(comparison: Comparison) -> Any:
@@ -370,9 +360,9 @@ def _uncertainty(comparison: Comparison) -> Any:
     return with_colour_bar(views, "uncertainty", meaning, "Predicted uncertainty")
 
 
-def _day(comparison: Comparison, day: Day) -> Any:
-    errors = [errors for key, (_, errors) in day.items() if key != ADAPTED]
-    hours, plant = day_hours(comparison), drifting_plant(comparison.plant)
+def _day(comparison: Comparison, day: details.Day) -> Any:
+    errors = [errors for key, (_, errors) in day.items() if key != details.ADAPTED]
+    hours, plant = details.day_hours(comparison), details.drifting_plant(comparison.plant)
     assert plant is not None
     largest = max(float(np.percentile(line, 95, axis=1).max()) for line in errors)
     plot = view_of(
@@ -383,5 +373,5 @@ def _day(comparison: Comparison, day: Day) -> Any:
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),
     )
-    words = rrb.TextDocumentView(origin=f"/{DAY_WORDS}", contents=[f"+ /{DAY_WORDS}"], name="Why")
+    words = rrb.TextDocumentView(origin=f"/{details.DAY_WORDS}", contents=[f"+ /{details.DAY_WORDS}"], name="Why")
     return rrb.Horizontal(plot, words, column_shares=[3, 1], name="A day in the field")
