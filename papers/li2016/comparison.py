@@ -41,7 +41,7 @@ from pickenv.harvester import (
     zone_work,
 )
 from pickenv.inspect.reports.report_page import PageTable
-from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, picked_tree
+from pickenv.inspect.runs.harvest_trace import HarvestTrace, picked_tree
 
 POSES = 60
 SEED = 2016
@@ -86,8 +86,8 @@ def workspace(machine: Machine, count: int, rng: np.random.Generator) -> Array:
     return machine.tips(joints[:, :3], joints[:, 3:].reshape(count, machine.arms, 3))
 
 
-def curves(machine: Machine) -> JointCurves:
-    """Fig. 9: joint displacements of section 4.2 over time, with the machine's own spacing."""
+def curves(machine: Machine) -> tuple[Array, dict[str, Array], tuple[str, ...]]:
+    """Fig. 9: times, joint displacements of section 4.2 by name with the machine's own spacing, and names that turn."""
     master, slaves = section_4_2(machine)
     start = np.concatenate([machine.master_start, *[machine.slave_home] * machine.arms])
     goal = np.concatenate([master, slaves.clip(machine.slave.lower, machine.slave.upper).ravel()])
@@ -95,7 +95,7 @@ def curves(machine: Machine) -> JointCurves:
     names = [f"master {joint}" for joint in ("theta1", "d2", "d3")]
     names += [f"{arm} {joint}" for arm in ARMS for joint in ("d4", "theta5", "d6")]
     turning = tuple(name for name in names if "theta" in name)
-    return JointCurves(time, dict(zip(names, moved.T, strict=True)), turning)
+    return time, dict(zip(names, moved.T, strict=True)), turning
 
 
 def calibrated_controller(true: TrueMachine, rng: np.random.Generator, *, positions_only: bool = False) -> Controller:

@@ -114,7 +114,6 @@ def figures(
 ) -> None:
     """Draw every figure that a run's numbers allow, for papers and reports; say what is left out."""
     from pickenv.inspect import drawings_of, read_run, write_drawings
-    from pickenv.inspect.figures.run_drawings import NotDrawn
     from pickenv.inspect.runs.run_folder import added_to
 
     record, folder = read_run(run), out or run / "figures"
@@ -127,8 +126,8 @@ def figures(
     for path in written:
         print(f"wrote {path}")
     for drawing in drawings:
-        if isinstance(drawing, NotDrawn):
-            print(f"left out {drawing.name}: {drawing.reason}")
+        if drawing.draw is None:
+            print(f"left out {drawing.name}: {drawing.caption}")
 
 
 def report(

@@ -67,7 +67,7 @@ def _start_viewer() -> None:
     Raises:
         InputError: If there is no screen, or the viewer does not come up.
     """
-    if _listens(LOCAL, VIEWER_PORT):
+    if _listens():
         return
     check_screen()
     command = [*rerun_program(), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", VIEWER_MEMORY]
@@ -80,15 +80,16 @@ def _start_viewer() -> None:
         start_new_session=True,
     )
     deadline = time.monotonic() + START_PATIENCE
-    while not _listens(LOCAL, VIEWER_PORT):
+    while not _listens():
         if time.monotonic() > deadline:
             raise InputError(f"no viewer came up within {START_PATIENCE:g} s; try it by hand: {' '.join(command)}")
         time.sleep(0.1)
 
 
-def _listens(host: str, port: int) -> bool:
+def _listens() -> bool:
+    """Whether a viewer listens on this machine."""
     try:
-        socket.create_connection((host, port), timeout=PATIENCE).close()
+        socket.create_connection((LOCAL, VIEWER_PORT), timeout=PATIENCE).close()
     except OSError:
         return False
     return True

@@ -20,11 +20,15 @@ from pickenv.arm import load_plant
 from pickenv.base import InputError, seed_words, stream
 from pickenv.base.registry import names
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.inspect import Comparison, PickChange, Reaches, ended, field_grid, matters, pick_changes
+from pickenv.inspect import Comparison, Reaches, ended, field_grid, matters, pick_changes
 from pickenv.inspect.runs import matters as matters_module
 from pickenv.inspect.runs.comparison_summary import stage_label
 from pickenv.inspect.runs.matters import PERCEPTION_MM, change_cells, pick_share
 from pickenv.orchard import load_gripper
+
+
+def change(gripper: str, perception_mm: float, before: float, after: float) -> dict[str, Any]:
+    return {"gripper": gripper, "perception_mm": perception_mm, "before": before, "after": after}
 
 
 class Late(gym.Env[Any, Any]):
@@ -289,16 +293,16 @@ def test_a_share_is_the_mean_over_rings_and_spokes(seen: float, monkeypatch: pyt
     assert pick_share(load_gripper("li_cup"), own, seen) == pytest.approx(1e-3 * sum(each) / len(each), rel=1e-9)
     assert PERCEPTION_MM == (0.0, 1.0, 2.0, 3.0, 5.0)
     changes = pick_changes([1.0], [3.0])
-    assert [(c.gripper, c.perception_mm) for c in changes] == [
+    assert [(c["gripper"], c["perception_mm"]) for c in changes] == [
         (name, seen) for name in ("li_cup", "compliant_hand") for seen in PERCEPTION_MM
     ]
-    assert all(c.before < c.after and c.gain == c.after - c.before for c in changes)
-    assert change_cells(PickChange("cup", 2.0, 0.512, 0.4)) == ("cup", "2", "51.2", "40.0", "-11.2")
+    assert all(c["before"] < c["after"] for c in changes)
+    assert change_cells(change("cup", 2.0, 0.512, 0.4)) == ("cup", "2", "51.2", "40.0", "-11.2")
 
 
 def test_what_matters_is_said_at_its_very_limits() -> None:
     def said(*changes: tuple[str, float, float, float]) -> str:
-        return matters("arm", [PickChange(*each) for each in changes])
+        return matters("arm", [change(*each) for each in changes])
 
     assert said(("a", 0.0, 0.0, 0.03), ("b", 2.0, 0.5, 0.48)) == (
         "On arm this changes no more than 3 of 100 picks, with any gripper and however well the fruit is seen; most "

@@ -16,7 +16,6 @@ from pickenv.inspect.colours import RED
 from pickenv.inspect.films import film as film_module
 from pickenv.inspect.films.film import (
     HALF,
-    Attempt,
     Film,
     arm_parts,
     attempts_of,
@@ -77,14 +76,14 @@ def moved(place: Sequence[float], metres: float) -> list[float]:
 @pytest.mark.parametrize(
     ("track", "misses", "picks", "found"),
     [
-        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {5: 1}, [Attempt(0, 3, 5, True), Attempt(6, 8, 8, False)]),
-        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {8: 1}, [Attempt(0, 3, 5, False), Attempt(6, 8, 8, True)]),
-        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {4: 1}, [Attempt(0, 3, 4, True), Attempt(5, 8, 8, False)]),
-        ([A] * 3 + [B] * 5, {3: 7.0}, {}, [Attempt(0, 3, 3, False)]),  # the next fruit at the moment of closing
-        ([A] * 4 + [moved(A, 0.061)] * 3, {2: 7.0}, {}, [Attempt(0, 2, 3, False)]),
-        ([A] * 4 + [moved(A, 0.059)] * 3, {2: 7.0}, {}, [Attempt(0, 2, 2, False)]),  # it swings, and is the same
-        ([A] * 5, {0: 1.0, 4: 3.0}, {0: 1}, [Attempt(0, 0, 0, True), Attempt(1, 4, 4, False)]),
-        ([A] * 5, {4: 3.0}, {4: 2}, [Attempt(0, 4, 4, True)]),
+        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {5: 1}, [(0, 3, 5, True), (6, 8, 8, False)]),
+        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {8: 1}, [(0, 3, 5, False), (6, 8, 8, True)]),
+        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {4: 1}, [(0, 3, 4, True), (5, 8, 8, False)]),
+        ([A] * 3 + [B] * 5, {3: 7.0}, {}, [(0, 3, 3, False)]),  # the next fruit at the moment of closing
+        ([A] * 4 + [moved(A, 0.061)] * 3, {2: 7.0}, {}, [(0, 2, 3, False)]),
+        ([A] * 4 + [moved(A, 0.059)] * 3, {2: 7.0}, {}, [(0, 2, 2, False)]),  # it swings, and is the same
+        ([A] * 5, {0: 1.0, 4: 3.0}, {0: 1}, [(0, 0, 0, True), (1, 4, 4, False)]),
+        ([A] * 5, {4: 3.0}, {4: 2}, [(0, 4, 4, True)]),
         ([A] * 5, {}, {}, []),
     ],
 )
@@ -96,11 +95,11 @@ def test_attempts_begin_after_the_last_and_end_with_the_pick_or_the_next_fruit(t
 def test_the_offset_of_a_grasp_is_from_the_fruit_that_was_gone_for():
     track, close = [A] * 3 + [B] * 5, 3
     policy = of_tracks([track], [{close: 7.0}], [{}])
-    np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(0, 3, 3, False)), np.array(B) + OFF - A, atol=1e-12)
-    np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(4, 5, 5, False)), OFF, atol=1e-12)
-    np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(0, 0, 0, False)), OFF, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(policy, 0, 3), np.array(B) + OFF - A, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(policy, 0, 5), OFF, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(policy, 0, 0), OFF, atol=1e-12)
     swung = of_tracks([[A] * 3 + [moved(A, 0.02)] * 3], [{close: 7.0}], [{}])
-    np.testing.assert_allclose(grasp_offset(swung, 0, Attempt(0, 3, 3, False)), OFF, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(swung, 0, 3), OFF, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -161,8 +160,8 @@ def test_fruit_is_one_where_policies_go_for_it_within_45_mm(film_set):
     assert film_set.shown == [0, 1]
     np.testing.assert_array_equal(film_set.fruit[0], [A, B])
     np.testing.assert_array_equal(film_set.fruit[1], [C])
-    assert film_set.attempts[0][0] == [Attempt(0, 3, 5, True), Attempt(6, 8, 8, False)]
-    assert film_set.attempts[1][0] == [Attempt(0, 3, 3, True), Attempt(4, 8, 8, True)]
+    assert film_set.attempts[0][0] == [(0, 3, 5, True), (6, 8, 8, False)]
+    assert film_set.attempts[1][0] == [(0, 3, 3, True), (4, 8, 8, True)]
     farther = film_set.policies[1].fruit_position.copy()
     farther[0, 4:, 0] = 0.5 + 0.046
     apart = replace(film_set.policies[1], fruit_position=farther)
