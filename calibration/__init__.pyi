@@ -18,12 +18,9 @@ from .delivery.export import export as export
 from .delivery.joint_offsets import joint_offsets as joint_offsets
 from .identification.diagnosis import checked_rows as checked_rows
 from .identification.extended_kalman_filter import (
-    continue_filter as continue_filter,
     filter_measurements as filter_measurements,
-    offset_walk as offset_walk,
     random_walk as random_walk,
     start_filter as start_filter,
-    thermal_walk as thermal_walk,
 )
 from .identification.least_squares import (
     Identifiability as Identifiability,
@@ -60,7 +57,6 @@ from .model.kinds import (
     ReflectorObservations as ReflectorObservations,
     SocketObservations as SocketObservations,
     TiltObservations as TiltObservations,
-    tracker_covariance as tracker_covariance,
 )
 from .model.measurements import (
     InstrumentStation as InstrumentStation,
