@@ -221,7 +221,7 @@ def near_rows(
     model = calibration.model
     if refit:
         model = restationed(calibration, data, refit, max(count, min(len(data) - 3, 4 * count))).calibration.model
-    sigma = sizes_of(model, np.zeros(0), data).sigma
+    sigma, _, _ = sizes_of(model, np.zeros(0), data)
     far = np.flatnonzero(~(sigma <= OUTLIER_SIGMA))
     if len(far) > max(1.0, MANY_FAR * len(data)):
         return data, ()
