@@ -104,6 +104,6 @@ from .reading.read import (
     read_targets as read_targets,
 )
 from .residuals.bpnn import Bpnn as Bpnn, BpnnSettings as BpnnSettings, train_bpnn as train_bpnn
-from .residuals.gate import GateReport as GateReport, GateVerdict as GateVerdict, gate_residuals as gate_residuals
+from .residuals.gate import GateVerdict as GateVerdict, gate_residuals as gate_residuals
 from .residuals.gaussian_process import Fitter as Fitter
 from .residuals.residual_models import LearntResidual as LearntResidual, fit_residual as fit_residual
