@@ -37,12 +37,10 @@ from .identification.term_choice import (
 )
 from .model.arm_model import (
     ArmModel as ArmModel,
-    BendingTerm as BendingTerm,
     ComplianceTerm as ComplianceTerm,
     Conditions as Conditions,
     ErrorModel as ErrorModel,
     GravityTerm as GravityTerm,
-    LeadTerm as LeadTerm,
     PeriodicTerm as PeriodicTerm,
     ThermalTerm as ThermalTerm,
     complete_model as complete_model,

@@ -24,10 +24,8 @@ from pickenv.arm.plant.twin_file import twin_plant
 from pickenv.base import GRAVITY, InputError
 from pickenv.calibration.model.arm_model import (
     ArmModel,
-    BendingTerm,
     ComplianceTerm,
     GravityTerm,
-    LeadTerm,
     PeriodicTerm,
     Term,
 )
@@ -187,7 +185,7 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
     """The layout of a plant's coefficients, and the terms' coefficients as those ``(k, t)``."""
-    kinds: dict[str, list[Any]] = {"leads": [], "harmonics": [], "moments": [], "boom": []}
+    kinds: dict[str, list[Any]] = {"harmonics": [], "moments": []}
     rows: dict[str, list[Array]] = {kind: [] for kind in kinds}
     sizes = [len(term.names(geometry)) for term in terms]
     up = (0.0, 0.0, 1.0)
@@ -195,12 +193,8 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
         unit = np.eye(sum(sizes))[sum(sizes[:number]) : sum(sizes[: number + 1])]
         entries: Sequence[Any]
         match term:
-            case LeadTerm():
-                kind, entries = "leads", term.joints
             case PeriodicTerm():
                 kind, entries = "harmonics", list(zip(term.joints, term.orders, strict=True))
-            case BendingTerm():
-                kind, entries = "boom", [(term.joint, term.length)]
             case GravityTerm() | ComplianceTerm():
                 kind, (entries, weights, up) = "moments", _moments(term, geometry)
                 unit = weights @ unit
@@ -209,8 +203,7 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
         kinds[kind] += entries
         rows[kind] += list(unit)
     every = [row for kind in kinds for row in rows[kind]]
-    leads, harmonics, moments, boom = map(tuple, kinds.values())
-    layout = Layout(leads, harmonics, moments, up, next(iter(boom), None))
+    layout = Layout(harmonics=tuple(kinds["harmonics"]), moments=tuple(kinds["moments"]), up=up)
     return layout, np.array(every).reshape(len(every), sum(sizes))
 
 

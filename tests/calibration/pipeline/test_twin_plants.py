@@ -26,11 +26,9 @@ from pickenv.arm import (
 from pickenv.arm.effects.structure import StickBand
 from pickenv.base import InputError, write_container
 from pickenv.calibration import (
-    BendingTerm,
     Choices,
     ComplianceTerm,
     GravityTerm,
-    LeadTerm,
     Measurements,
     PeriodicTerm,
     ThermalTerm,
@@ -48,15 +46,13 @@ MEDIUM = load_tolerances("medium")
 LOAD = Load((4.0, 3.0, 2.4, 0.9, 0.6, 0.5), tuple((0.05, 0.01 * i, -0.1) for i in range(6)))
 TERMS = {
     "none": (),
-    "lead": (LeadTerm((1, 2)),),
     "periodic": (PeriodicTerm((0, 3, 3), (1.0, 13.5, 2.0)),),
     "gravity": (GravityTerm((0, 3), (0.0, 0.0, 1.0)),),
     "compliance": (ComplianceTerm((0, 2, 3), LOAD),),
     "compliance of measured torques": (
         ComplianceTerm((0, 3), None, GravityTerm((0, 3), (0.0, 0.0, 1.0)), tuple(np.linspace(1.0, 3.0, 43).tolist())),
     ),
-    "bending": (BendingTerm(2, 0.4),),
-    "several": (LeadTerm((1,)), GravityTerm((0,), (0.0, 0.0, 1.0)), PeriodicTerm((5,), (3.0,)), BendingTerm(2, 0.4)),
+    "several": (GravityTerm((0,), (0.0, 0.0, 1.0)), PeriodicTerm((5,), (3.0,))),
 }
 
 

@@ -129,9 +129,7 @@ def test_better_positions_do_not_excuse_worse_attitudes(qiao: Arm, displaced: Di
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (100, 6))
     error = np.repeat([[1e-3] * 3 + [1e-4] * 3], 100, axis=0)
     half: dict[str, Fitter] = {"rbf": lambda *_: Constant(np.array([1e-3] * 3 + [-1e-4] * 3))}
-    (verdict,) = gate_residuals(
-        displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=half
-    )
+    (verdict,) = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=half)
     assert not verdict.accepted
     assert "attitudes lose" in verdict.reason
 
