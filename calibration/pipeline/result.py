@@ -215,8 +215,9 @@ class Result:
             blocks.append(screen.Block(title, (), places, note, "left_out"))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
-            rows = tuple((name, screen.figure(value * scale)) for name, value in self.terms.blocked_rms.items())
-            note = f"{self.terms.chosen}, chosen on blocks of the training rows"
+            names, blocked_rms, _ = self.terms
+            rows = tuple((name, screen.figure(value * scale)) for name, value in blocked_rms.items())
+            note = f"{names}, chosen on blocks of the training rows"
             blocks.append(
                 screen.Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note, "terms")
             )
@@ -380,8 +381,11 @@ class Result:
             **{f"{name}_{unit}": statistics.as_dict() for name, statistics in self.position.items()},
             **{f"{name}_deg": statistics.as_dict() for name, statistics in self.attitude.items()},
         }
-        terms = self.terms
-        tried = {} if terms is None else {name: value * MISS_UNITS[unit] for name, value in terms.blocked_rms.items()}
+        terms = None
+        if self.terms is not None:
+            names, blocked_rms, _ = self.terms
+            tried = {name: value * MISS_UNITS[unit] for name, value in blocked_rms.items()}
+            terms = {"chosen": names, f"blocked_rms_{unit}": tried}
         return {
             "verdict": self.quality.as_dict(),
             "arm": self.arm.name,
@@ -407,7 +411,7 @@ class Result:
             "directions": screen.unknowns_in("1", solution.unknowns),
             "held_out": held_out,
             "noise_floor_mm": None if self.floor is None else floor_record(self.floor),
-            "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
+            "terms": terms,
             "harmonics": {"note": screen.OWN, "found": self.harmonics} if self.harmonics else None,
             "stiffnesses": self.stiffnesses or None,
             "gate": verdicts_record(self.gate),

@@ -537,7 +537,7 @@ def _add_terms(draft: Draft) -> Draft:
     else:
         if pose_count(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
             choice = choose_terms(draft.arm, bare, draft.train)
-        terms = () if choice is None else choice.terms
+        terms = () if choice is None else choice[2]
     while terms:
         solution = identify_terms(terms, bare, draft.train, known_frames)
         if solution.converged:

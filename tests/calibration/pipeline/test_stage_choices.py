@@ -17,7 +17,6 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut
-from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.residuals.gate import AUTO as OURS
 
@@ -52,7 +51,7 @@ def test_forty_training_rows_are_enough_to_choose_terms_on_blocks(dynamic, sets,
     def choosing(arm, bare, data):
         calls.append(len(data))
         assert bare.poses == len(data) and not bare.arm_model.terms
-        return TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3}, weight)
+        return ("gravity", {"none": 2e-3, "gravity": 1e-3}, weight)
 
     monkeypatch.setattr(stages, "choose_terms", choosing)
     draft = stages._add_terms(identified(dynamic, sets, rows))
@@ -166,7 +165,7 @@ def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monke
 
 def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
     """Fits step by step, the choice of terms, the gate's verdicts, rows left out, and what is expected elsewhere."""
-    choice = TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3}, (gravity(dynamic),))
+    choice = ("gravity", {"none": 2e-3, "gravity": 1e-3}, (gravity(dynamic),))
     gate = (verdict("rbf"),)
     monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
     monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: gate)
