@@ -31,6 +31,7 @@ from pickenv.base.intervals import LEAST_RUNS
 from pickenv.calibration import (
     BpnnSettings,
     Compensator,
+    LearntResidual,
     Measurements,
     filter_measurements,
     held_out_r2,
@@ -41,7 +42,6 @@ from pickenv.calibration import (
     simulated_tracker,
     train_bpnn,
 )
-from pickenv.calibration.compensation.compensator import ResidualModel
 from pickenv.calibration.residuals.residual_models import fit_residual
 
 METHODS = ("raw", "EKF", "LS", "RBF", "BPNN", "EKF+RBF", "EKF+BPNN", "LS+BPNN")
@@ -116,7 +116,7 @@ def table_4_run(run: Protocol, settings: BpnnSettings, methods: Sequence[str] = 
     }
     geometries = {name: find(run.identification) for name, find in finders.items() if name in methods}
 
-    def network(kind: str, geometry: Geometry, data: Measurements) -> ResidualModel:
+    def network(kind: str, geometry: Geometry, data: Measurements) -> LearntResidual:
         fitter = (lambda x, y, rng: train_bpnn(x, y, rng, settings)) if kind == "BPNN" else None
         rows = data.joints, data.difference(geometry), nominal.prismatic
         return fit_residual(kind.lower(), *rows, run.rng, fitter=fitter, periodic_span=np.inf)
@@ -130,7 +130,7 @@ def table_4_run(run: Protocol, settings: BpnnSettings, methods: Sequence[str] = 
             geometry = geometries[start] if start else nominal
             learnt = network(kind, geometry, run.network if start else run.alone)
             r2[name] = held_out_r2(run.test.difference(geometry), learnt.predict(run.test.joints))
-        command = Compensator(nominal, geometry, learnt)(run.test.joints)
+        command = Compensator(nominal, geometry, None if learnt is None else learnt.predict)(run.test.joints)
         errors[name] = missed(run, simulated_tracker(run.plant, command, run.rng))
     true = parameter_vector(run.plant.geometry)
     return Left(errors, r2, {name: paper_eta(parameter_vector(found), true) for name, found in geometries.items()})
