@@ -2,7 +2,6 @@ from .assessment.metrics import (
     ErrorStatistics as ErrorStatistics,
     error_statistics as error_statistics,
     held_out_r2 as held_out_r2,
-    paper_eta as paper_eta,
 )
 from .camera.boards import (
     Board as Board,
@@ -18,7 +17,6 @@ from .delivery.export import export as export
 from .delivery.joint_offsets import joint_offsets as joint_offsets
 from .identification.diagnosis import checked_rows as checked_rows
 from .identification.extended_kalman_filter import (
-    filter_measurements as filter_measurements,
     random_walk as random_walk,
     start_filter as start_filter,
 )

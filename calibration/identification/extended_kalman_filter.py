@@ -1,6 +1,6 @@
 """Extended Kalman filter on the identifiable parameters: the recursive twin of the least squares (Qiao 2026, "EKF").
 
-One pose at a time, online, or a whole data set in one pass. Covariances are updated in Joseph's form (Bucy and Joseph
+One pose at a time, online. Covariances are updated in Joseph's form (Bucy and Joseph
 1968), which stays symmetric and positive; drift enters as process noise; an innovation gate may refuse outliers. SI.
 """
 
@@ -17,7 +17,6 @@ from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import identifiability
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, ErrorModel
-from pickenv.calibration.model.measurements import Measurements
 
 PRIOR = 10.0
 """Prior standard deviation of a parameter, in its tolerances: 10 mm and 0.6 deg for geometry."""
@@ -85,7 +84,16 @@ def start_filter(
     Raises:
         InputError: If the poses are so few that they would leave parameters out that others identify.
     """
-    return _diffuse(model, ArmModel.of(start), joints, 6 if full_pose else 3, None, prior)
+    arm, joints, rows = ArmModel.of(start), np.asarray(joints, dtype=float), 6 if full_pose else 3
+    if len(joints) * rows < len(model.columns):
+        raise InputError(
+            f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
+            f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
+        )
+    jacobian = arm.jacobian(joints)[:, :rows, model.columns] * model.tolerance
+    base = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
+    tolerance = model.tolerance[base.kept]
+    return FilterState(arm, model.columns[base.kept], tolerance, np.diag((prior * tolerance) ** 2))
 
 
 def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> FilterState:
@@ -162,42 +170,3 @@ def update(
         innovation=innovation,
         nis=nis,
     )
-
-
-def filter_measurements(
-    model: ErrorModel, start: Geometry | ArmModel, measurements: Measurements, *, gate: float | None = None
-) -> FilterState:
-    """Pass once over a data set, row by row, of an arm that does not drift; else go by `predict` and `update`.
-
-    Args:
-        model: The parameters.
-        start: Geometry, or geometry with terms, to start from; it must lie near the data (see `align`).
-        measurements: Poses or positions; their stated uncertainties are taken as the noise.
-        gate: As in `update`.
-
-    Raises:
-        InputError: If there are too few poses for what is to be identified.
-    """
-    rows, conditions = measurements.rows_per_pose, measurements.conditions
-    state = _diffuse(model, ArmModel.of(start), measurements.joints, rows, conditions, PRIOR)
-    noise = MeasurementNoise(measurements.position_std, measurements.attitude_std)
-    for i in range(len(measurements)):
-        row = measurements.select([i])
-        observed = row.position[0] if row.rotation is None else Pose(row.position[0], row.rotation[0])
-        state = update(state, row.joints[0], observed, noise, conditions=row.conditions, gate=gate)
-    return state
-
-
-def _diffuse(
-    model: ErrorModel, arm: ArmModel, joints: Array, rows: int, conditions: Conditions | None, prior: float
-) -> FilterState:
-    """A wide prior on what ``rows`` coordinates of poses at these joints tell apart, each weighted by its tolerance."""
-    if len(joints) * rows < len(model.columns):
-        raise InputError(
-            f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
-            f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
-        )
-    jacobian = arm.jacobian(np.asarray(joints, dtype=float), conditions)[:, :rows, model.columns] * model.tolerance
-    base = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
-    tolerance = model.tolerance[base.kept]
-    return FilterState(arm, model.columns[base.kept], tolerance, np.diag((prior * tolerance) ** 2))

@@ -19,13 +19,9 @@ from pickenv.arm import (
 )
 from pickenv.base import InputError
 from pickenv.calibration import (
-    ArmModel,
-    Conditions,
     Measurements,
-    ThermalTerm,
     align,
     complete_model,
-    filter_measurements,
     frames_model,
     identify,
     link_model,
@@ -33,7 +29,6 @@ from pickenv.calibration import (
     random_walk,
     simulated_tracker,
     start_filter,
-    with_terms,
 )
 from pickenv.calibration.identification.extended_kalman_filter import FilterState, predict, update
 
@@ -49,11 +44,21 @@ def tracked(plant: Plant, poses: int, seed: int) -> Measurements:
     return simulated_tracker(plant, random_joints(plant.arm.nominal, poses, rng), rng)
 
 
+def filtered_over(model, start, data: Measurements, gate: float | None = None) -> FilterState:
+    """One pass over a data set, with its stated noise."""
+    state = start_filter(model, start, data.joints, full_pose=data.rotation is not None)
+    noise = MeasurementNoise(data.position_std, data.attitude_std)
+    for i in range(len(data)):
+        observed = data.position[i] if data.rotation is None else Pose(data.position[i], data.rotation[i])
+        state = update(state, data.joints[i], observed, noise, gate=gate)
+    return state
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_one_pass_ends_within_5_percent_of_least_squares(dynamic: Plant, seed: int) -> None:
     nominal, data, held_out = dynamic.arm.nominal, tracked(dynamic, 100, seed), tracked(dynamic, 1000, 100 + seed)
     model = link_model(nominal)
-    squares, filtered = identify(model, nominal, data), filter_measurements(model, nominal, data)
+    squares, filtered = identify(model, nominal, data), filtered_over(model, nominal, data)
     assert filtered.names == squares.identifiability.kept_names
     assert mean_error(filtered.geometry, held_out) == pytest.approx(mean_error(squares.geometry, held_out), rel=0.05)
 
@@ -62,7 +67,7 @@ def test_positions_alone_do_as_well(dynamic: Plant) -> None:
     nominal, data = dynamic.arm.nominal, tracked(dynamic, 100, 0).positions_only()
     held_out = tracked(dynamic, 1000, 9)
     model = link_model(nominal)
-    squares, filtered = identify(model, nominal, data), filter_measurements(model, nominal, data)
+    squares, filtered = identify(model, nominal, data), filtered_over(model, nominal, data)
     assert len(filtered.columns) == 14
     assert mean_error(filtered.geometry, held_out) == pytest.approx(mean_error(squares.geometry, held_out), rel=0.05)
 
@@ -73,7 +78,7 @@ def test_a_measured_arm_ends_near_least_squares(measured_ur5: tuple[Geometry, Me
     train, test = data.select(order[:800]), data.select(order[800:])
     start = align(geometry, train, frames_model(geometry)).geometry
     model = complete_model(geometry)
-    squares, filtered = identify(model, start, train), filter_measurements(model, start, train)
+    squares, filtered = identify(model, start, train), filtered_over(model, start, train)
     assert mean_error(filtered.geometry, test) == pytest.approx(mean_error(squares.geometry, test), rel=0.05)
 
 
@@ -84,7 +89,7 @@ def test_the_covariance_tells_the_truth(table_1: Plant) -> None:
     noisy = table_1.with_effect(noise)
     sizes, nis = [], []
     for seed in range(20):
-        filtered = filter_measurements(model, nominal, tracked(noisy, 60, seed))
+        filtered = filtered_over(model, nominal, tracked(noisy, 60, seed))
         probe = random_joints(nominal, 5, np.random.default_rng(seed))
         miss = forward(filtered.geometry, probe).position - forward(table_1.geometry, probe).position
         spread = filtered.pose_covariance(probe)[:, :3, :3]
@@ -122,10 +127,10 @@ def test_the_gate_refuses_outliers(table_1: Plant) -> None:
     position[[50, 120]] += [0.1, 0.0, 0.0]
     spoiled = replace(data, position=position)
     model = link_model(nominal)
-    gated = filter_measurements(model, nominal, spoiled, gate=1 - 1e-6)
+    gated = filtered_over(model, nominal, spoiled, gate=1 - 1e-6)
     assert gated.rejected == 2
     held_out = tracked(table_1, 500, 4)
-    clean, open_ = (filter_measurements(model, nominal, d).geometry for d in (data, spoiled))
+    clean, open_ = (filtered_over(model, nominal, d).geometry for d in (data, spoiled))
     assert mean_error(gated.geometry, held_out) < 1.1 * mean_error(clean, held_out) < mean_error(open_, held_out)
 
 
@@ -151,7 +156,7 @@ def followed(
     rng = np.random.default_rng(seed)
     nominal = plant.arm.nominal
     model = link_model(nominal)
-    state = filter_measurements(model, nominal, simulated_tracker(plant, random_joints(nominal, 100, rng), rng))
+    state = filtered_over(model, nominal, simulated_tracker(plant, random_joints(nominal, 100, rng), rng))
     probe = random_joints(nominal, 100, rng)
     process_noise, period = noise_of(state, probe), 6.0
     before = forward(state.geometry, probe).position
@@ -297,49 +302,6 @@ def test_a_random_walk_adds_its_tolerances_in_an_hour(learned):
         np.testing.assert_allclose(np.diag(gained), seconds / 3600 * (0.3 * learned.tolerance) ** 2, rtol=1e-6)
         np.testing.assert_allclose(gained, np.diag(np.diag(gained)), atol=1e-18)
         assert later.arm_model is learned.arm_model and later.updates == learned.updates
-
-
-@pytest.mark.parametrize("positions", [False, True])
-def test_one_pass_is_row_after_row(qiao, positions):
-    """The same state as by updates by hand; only what is estimated has moved."""
-    nominal, model = qiao.nominal, link_model(qiao.nominal)
-    data = exact_poses(qiao, 25)
-    position = data.position.copy()
-    position[[9, 17]] += 0.2
-    data = replace(data, position=position, position_std=2e-4, attitude_std=5e-4)
-    data = data.positions_only() if positions else data
-    found = filter_measurements(model, nominal, data, gate=0.99999)
-    state = start_filter(model, nominal, data.joints, full_pose=not positions)
-    refused = []
-    for i in range(25):
-        observed = data.position[i] if positions else Pose(data.position[i], data.rotation[i])
-        state = update(state, data.joints[i], observed, NOISE, gate=0.99999)
-        refused.append(state.rejected)
-    np.testing.assert_allclose(found.innovation, state.innovation, atol=1e-15)
-    np.testing.assert_allclose(found.covariance, state.covariance)
-    assert np.flatnonzero(np.diff([0, *refused])).tolist() == [9, 17]
-    assert found.nis == pytest.approx(state.nis) and found.rejected == 2 and found.updates == 23
-    delta = ArmModel.of(nominal).difference(found.arm_model)
-    assert np.delete(delta, found.columns) == pytest.approx(0.0, abs=1e-15)
-
-
-def test_each_pose_is_predicted_at_its_own_temperature(qiao):
-    """Links grow with the temperature of each row; the filter learns by how much, and each innovation shrinks."""
-    start = ArmModel.of(qiao.nominal, (ThermalTerm(),))
-    data = exact_poses(qiao, 40)
-    conditions = Conditions(temperature=np.random.default_rng(1).uniform(-20.0, 20.0, 40))
-    change = np.zeros(len(start.parameter_names))
-    change[start.parameter_names.index("thermal")] = 23e-6
-    pose = start.displaced(change).pose(data.joints, conditions)
-    data = replace(data, position=pose.position, rotation=pose.rotation, conditions=conditions)
-    data = replace(data, position_std=1e-5, attitude_std=1e-5)
-    model = with_terms(link_model(qiao.nominal), start)
-    found = filter_measurements(model, start, data)
-    state = start_filter(link_model(qiao.nominal), qiao.nominal, data.joints)
-    blind = filter_measurements(link_model(qiao.nominal), qiao.nominal, data)
-    assert "thermal" in " ".join(found.names) and "thermal" not in " ".join(state.names)
-    late = [np.abs(each.innovation).max() for each in (found, blind)]
-    assert late[0] < 0.1 * late[1]
 
 
 def test_as_many_coordinates_as_parameters_are_enough_to_choose_from(qiao):
