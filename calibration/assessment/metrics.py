@@ -1,7 +1,7 @@
 """Figures for errors: never one number alone, and always with its interval.
 
-Mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile and maximum; held-out R^2. A paper's "RMSE" that
-lies below its mean cannot be the RMS of the norm (digest, fact 6): print both.
+Mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile and maximum; held-out R^2. A paper's "RMSE"
+that lies below its mean cannot be the RMS of the norm (digest, fact 6): print both.
 """
 
 from __future__ import annotations
