@@ -291,7 +291,7 @@ def test_an_automatic_choice_finds_the_weight_of_a_compliant_arm(dynamic):
     whole = simulated_tracker(dynamic, random_joints(arm.nominal, 250, rng), rng)
     train, test = contiguous_folds(whole.groups, same_poses(whole.joints), 5)[3]
     found = calibrate(arm, whole.select(train), test=whole.select(test), choices=Choices(residual="none"))
-    assert "gravity" in found.terms.chosen and found.best_model == f"geometry+{found.terms.chosen}"
+    assert "gravity" in found.terms[0] and found.best_model == f"geometry+{found.terms[0]}"
     assert found.position[found.best_model].rms < 0.6 * found.position["geometric"].rms
     saved = found.fit.calibration
     left = saved.predict(whole.joints).position - dynamic.tool_pose(whole.joints).position
