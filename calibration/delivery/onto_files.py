@@ -30,7 +30,6 @@ from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import RAD, InputError, M, command_line, one_line, register, shortened
 from pickenv.calibration.delivery import document
 from pickenv.calibration.delivery.corrected_chain import (
-    SameChain,
     Z,
     changed,
     corrected_chain,
@@ -432,7 +431,7 @@ def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
     based = replace(arm, base=identity_pose())
     drawing = zip(UR_LINKS, link_origins(based), strict=True)
     joints = [ChainJoint(link, link, 1.0, 0.0, False, pose, Z) for link, pose in drawing]
-    alike = SameChain(identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS)))
+    alike = identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS))
     robot = calibration.in_own_base
     robot = replace(robot, base=behind(inverse_pose(arm.base), robot.base))
     origins, _ = corrected_chain(based, robot, joints, alike)
