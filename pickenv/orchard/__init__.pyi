@@ -4,13 +4,11 @@ from .camera import (
     camera_frame as camera_frame,
     depth_bias as depth_bias,
     depth_noise as depth_noise,
-    detect as detect,
     detection_probability as detection_probability,
     in_image as in_image,
     load_camera as load_camera,
     measured_positions as measured_positions,
     orchard_frame as orchard_frame,
-    stereo_depth_noise as stereo_depth_noise,
 )
 from .canopy import (
     Canopy as Canopy,
@@ -79,7 +77,6 @@ from .sight import (
 )
 from .vision import (
     CircleSearch as CircleSearch,
-    Detections as Detections,
     StereoCamera as StereoCamera,
     fruit_circles as fruit_circles,
     fruit_mask as fruit_mask,

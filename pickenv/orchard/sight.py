@@ -278,21 +278,21 @@ def picture(
     return render_stereo(camera, camera_frame(fruit, eye, view.looking), diameters, leaves, look, rng)
 
 
-def read_picture(eyes: Eyes, pair: StereoPair) -> stereo.Detections:
-    """Fruit that the detector finds, camera frame."""
+def read_picture(eyes: Eyes, pair: StereoPair) -> Array:
+    """Places of the fruit that the detector finds, camera frame, m, (k, 3)."""
     if eyes.detector == "circles":
-        return stereo.locate_circles(eyes.camera, eyes.search, pair.left, pair.right)
-    return stereo.locate(eyes.camera, pair.left, pair.right)
+        return stereo.locate_circles(eyes.camera, eyes.search, pair.left, pair.right)[0]
+    return stereo.locate(eyes.camera, pair.left, pair.right)[0]
 
 
 def located_fruit(
-    pair: StereoPair, detections: stereo.Detections, places: Array, diameters: ArrayLike
+    pair: StereoPair, detections: Array, places: Array, diameters: ArrayLike
 ) -> tuple[Flags, Array, Array]:
     """Fruit that the detections of a picture locate.
 
     Args:
         pair: The pictures.
-        detections: Of these pictures.
+        detections: What was found in them, camera frame, m, (k, 3).
         places: True centres in the camera frame, m, (n, 3).
         diameters: m, (n,).
 
@@ -303,12 +303,11 @@ def located_fruit(
     located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)
     if not len(visible):
-        return located, positions, detections.positions
+        return located, positions, detections
     matched = stereo.match_detections(detections, places[visible], SAME * float(np.max(diameters)))
-    true = matched.fruit >= 0
-    fruit = visible[matched.fruit[true]]
-    located[fruit], positions[fruit] = True, matched.positions[true]
-    return located, positions, matched.positions[~true]
+    fruit = visible[matched[matched >= 0]]
+    located[fruit], positions[fruit] = True, detections[matched >= 0]
+    return located, positions, detections[matched < 0]
 
 
 def see(

@@ -9,7 +9,6 @@ from pickenv.base import InputError
 from pickenv.orchard import (
     DETECTORS,
     VISIONS,
-    Detections,
     Leaves,
     StereoPair,
     Viewpoint,
@@ -96,14 +95,15 @@ def test_a_rendered_sight_is_its_picture_read():
     found = see(eyes, VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(1), leaves=leaves)
     pair = picture(eyes, VIEW, FRUIT, np.full(5, 0.06), leaves, np.random.default_rng(1))
     places = camera_frame(FRUIT, VIEW.middle - [0.06, 0.0, 0.0], VIEW.looking)  # the left eye, half a base line aside
-    read = match_detections(locate(eyes.camera, pair.left, pair.right), places, 0.06)
-    assert set(np.flatnonzero(found.located)) == set(read.fruit[read.fruit >= 0].tolist())
-    for position, number in zip(read.positions, read.fruit, strict=True):
+    seen, _ = locate(eyes.camera, pair.left, pair.right)
+    read = match_detections(seen, places, 0.06)
+    assert set(np.flatnonzero(found.located)) == set(read[read >= 0].tolist())
+    for position, number in zip(seen, read, strict=True):
         if number >= 0:
             miss = found.believed[number] - FRUIT[number]
             wanted = position - places[number]  # x right, y down, z ahead: x, -z and y of the orchard
             assert miss == pytest.approx([wanted[0], wanted[2], -wanted[1]], abs=1e-9)
-    assert len(found.false) == int((read.fruit < 0).sum())
+    assert len(found.false) == int((read < 0).sum())
     assert np.array_equal(found.in_sight, pair.visible > 0)
 
 
@@ -181,15 +181,15 @@ def test_a_detection_is_of_fruit_in_sight_within_a_diameter_of_it():
     black = np.zeros((2, 2, 3), dtype=np.uint8)
     pair = StereoPair(black, black, np.zeros((2, 2), dtype=np.int64), visible)
     seen = places[[3, 2, 0]] + [[0.0, 0.0601, 0.0], [0.0, 0.0599, 0.0], [0.0, 0.0, 0.0]]
-    found, sizes = Detections(seen, np.full(3, -1), np.ones(3)), [0.02, 0.06, 0.05, 0.03]
-    located, where, false = located_fruit(pair, found, places, sizes)
+    sizes = [0.02, 0.06, 0.05, 0.03]
+    located, where, false = located_fruit(pair, seen, places, sizes)
     assert located.dtype == bool and located.tolist() == [False, True, True, False]
     np.testing.assert_array_equal(where, [places[0], seen[2], seen[1], places[3]])
     np.testing.assert_array_equal(false, seen[:1])
     hidden = replace(pair, visible=np.zeros(4))
-    located, where, false = located_fruit(hidden, found, places, sizes)
+    located, where, false = located_fruit(hidden, seen, places, sizes)
     assert not located.any() and np.array_equal(where, places) and np.array_equal(false, seen)
-    located, where, false = located_fruit(pair, Detections(seen[:0], np.full(0, -1), np.ones(0)), places, sizes)
+    located, where, false = located_fruit(pair, seen[:0], places, sizes)
     assert not located.any() and np.array_equal(where, places) and len(false) == 0
 
 

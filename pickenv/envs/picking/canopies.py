@@ -140,7 +140,7 @@ class Canopies:
 
     def finished(self) -> Flags:
         """Arms with no fruit left to try and an empty gripper."""
-        return (self.held < 0) & (self._waiting() == 0)
+        return np.asarray((self.held < 0) & (self._waiting() == 0))
 
     def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
         """Observations of the controllers, ``(N, n + 17)``."""
