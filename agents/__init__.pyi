@@ -31,7 +31,6 @@ from .policies.scripted import (
 )
 from .training.checkpoints import check_checkpoint as check_checkpoint
 from .training.data_sets import datasets as datasets
-from .training.policy_search import KNOBS as KNOBS, arguments_of as arguments_of, search as search
 from .training.training import Trained as Trained, resumed as resumed, train as train
 from .training.training_setup import (
     HELD_OUT as HELD_OUT,

@@ -172,7 +172,7 @@ class ServoReach(ScriptedReach):
 # A scripted policy for `pickenv/Pick-v0`: from below, wait until the arm has settled, grasp, twist, retreat. It uses
 # the observation alone. It trusts the nominal arm, so what it collects shows what the arm's errors cost. It moves
 # gently enough not to bruise what it meets; `HASTY` does neither and shows what that costs. How it does each is an
-# argument, so that it can be learnt (`pickenv.agents.training.policy_search`). Units: m, rad, s.
+# argument, so that it can be learnt (`scripts/studies/policy_search.py`). Units: m, rad, s.
 
 
 PICK_ARRIVED = 2e-4

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from papers.li2016.cp_sat import cp_sat
 from papers.li2016.equations import ARMS, section_4_2
 from papers.li2016.lab import sample_image, work_images
+from papers.li2016.worth import funnel_shares, summary
 from papers.pages import table
 from pickenv.arm import Array, Plant
 from pickenv.base import InputError
@@ -25,7 +26,6 @@ from pickenv.harvester import (
     TrueMachine,
     assign,
     funnel,
-    funnel_shares,
     load_grid,
     load_machine,
     load_orchard,
@@ -34,7 +34,6 @@ from pickenv.harvester import (
     lower_bound,
     pick_point,
     profile,
-    summary,
     timetable,
     travel_time,
     ultrasonic_hold,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from papers.li2016.lab import work_images
+from papers.li2016.worth import summary
 from pickenv.arm import forward
 from pickenv.base import InputError
 from pickenv.harvester import (
@@ -24,7 +25,6 @@ from pickenv.harvester import (
     load_orchard,
     load_picking,
     load_true_machine,
-    summary,
     work_trees,
 )
 from pickenv.orchard import load_canopy, load_eyes, load_sight_errors
