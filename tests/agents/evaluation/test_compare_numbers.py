@@ -191,14 +191,14 @@ def test_policies_are_paired_with_calibrations_and_named_by_what_differs(
 def test_an_adaptive_policy_trusts_a_calibrated_arm_more(calibration: Calibration) -> None:
     env = gym.make("pickenv/Reach-v0", feedback="camera")
     for noise, compensation, prior in ((2.0, "raw", 1.0), (3.0, "ls", 0.2)):
-        settings = maker_of("adaptive", noise, compensation)(env, 0).settings
-        assert (settings.camera_std, settings.prior) == (pytest.approx(1e-3 * noise), prior)
+        policy = maker_of("adaptive", noise, compensation)(env, 0)
+        assert (policy.camera_std, policy.prior) == (pytest.approx(1e-3 * noise), prior)
     assert CALIBRATED_PRIOR == 0.2
-    assert maker_of("adaptive")(env, 0).settings.camera_std == 0.0
+    assert maker_of("adaptive")(env, 0).camera_std == 0.0
     raw, ls = contenders_of(["adaptive"], [None, calibration], camera_noise_mm=1.5)
     for contender, prior in ((raw, 1.0), (ls, 0.2)):
-        settings = contender.make(env, 0).settings
-        assert (settings.camera_std, settings.prior) == (pytest.approx(1.5e-3), prior)
+        policy = contender.make(env, 0)
+        assert (policy.camera_std, policy.prior) == (pytest.approx(1.5e-3), prior)
     one, other = (maker_of("random")(env, seed) for seed in (3, 4))
     seen = np.zeros((1, *env.observation_space.shape), np.float32)
     again = RandomReach(env, np.random.default_rng(3))
