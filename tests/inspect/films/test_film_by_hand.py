@@ -237,8 +237,8 @@ def test_a_reach_has_its_fruit_with_a_sprig_and_a_crate():
         hanging, held, crate = stage.balls[-3:]
         assert (len(hanging.centre), len(held.centre), len(crate.centre)) == (1 - picked, picked, picked)
         drawn = sprig(np.array(A), 0.06)
-        np.testing.assert_array_equal(stage.rods[-1].start, drawn.rods[0].start)
-        np.testing.assert_array_equal(stage.meshes[-1].corners, drawn.meshes[0].corners)
+        np.testing.assert_array_equal(stage.rods[-1].start, drawn[0][0].start)
+        np.testing.assert_array_equal(stage.meshes[-1].corners, drawn[2][0].corners)
 
 
 @pytest.mark.parametrize(("moment", "closed"), [(4, False), (5, True), (7, True)])
@@ -247,9 +247,9 @@ def test_a_hand_is_closed_from_the_grasp_on(moment, closed):
     episodes = replace(run_of(policy), gripper="compliant_hand")
     found = arm_parts(episodes, policy, 0, moment, (1, 2, 3))
     expected = hand_solids(policy.tool_position[0, moment], UP, 0.0375, closed)
-    np.testing.assert_array_equal(found.rods[0].end, expected.rods[0].end)
+    np.testing.assert_array_equal(found[0][0].end, expected[0][0].end)
     other = hand_solids(policy.tool_position[0, moment], UP, 0.0375, not closed)
-    assert not np.allclose(found.rods[0].end, other.rods[0].end)
+    assert not np.allclose(found[0][0].end, other[0][0].end)
 
 
 def test_the_ghost_stands_where_the_tool_of_the_believed_arm_would_be():
@@ -263,7 +263,7 @@ def test_the_ghost_stands_where_the_tool_of_the_believed_arm_would_be():
     joints = np.broadcast_to(target, (1, 4, 6))
     policy = replace(policy, joint_target=joints, joint_command=joints + 0.01)
     found = arm_parts(replace(run_of(policy), plant=Plant("ur5", arm, nominal)), policy, 0, 2, (1, 2, 3))
-    ghost = next(rods for rods in found.rods if len(rods.colour) and rods.colour[0, 3] < 255)
+    ghost = next(rods for rods in found[0] if len(rods.colour) and rods.colour[0, 3] < 255)
     np.testing.assert_allclose(ghost.end[-1], believed + (1 - GAIN) * 0.002 * SIDE, atol=1e-9)
 
 
