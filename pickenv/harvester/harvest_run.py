@@ -17,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
-from pickenv.arm.plant.plant_batch import leaves
 from pickenv.base import InputError
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
 from pickenv.harvester.machine import Machine, master_time
 from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_points import pick_point
-from pickenv.harvester.picking import Luck, Outcome, Picking, attempt, displacements, draw_luck
+from pickenv.harvester.picking import Luck, Picking, attempt, displacements, draw_luck
 from pickenv.harvester.trees import Orchard, Tree, sample_tree, tree_leaves
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
@@ -72,7 +71,7 @@ class Round:
         times: When each pick happened.
         closest: Least distance between the centre lines of two arms, m; infinite for one arm.
         skipped: Tree numbers of fruit located but out of every arm's reach.
-        outcome: What became of each pick, once they are done.
+        collected: Whether each pick brought an undamaged fruit into a tube, once they are done, (picks,).
     """
 
     zone: Zone
@@ -84,7 +83,7 @@ class Round:
     times: Timetable
     closest: float
     skipped: tuple[int, ...]
-    outcome: Outcome = field(init=False)
+    collected: Flags = field(init=False)
 
     @property
     def fruit(self) -> NDArray[np.int64]:
@@ -249,27 +248,27 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     rng, times, numbers = state.rng, plan.times, plan.fruit
     arm = times.arm
     tips = tips + rng.normal(size=(len(arm), 2, 3)).sum(axis=1) * true.repeatability
-    outcome = _outcome(model, state, numbers, tips, times.start + plan.work.out[arm, times.fruit])
+    attached, detached, collected = _outcome(model, state, numbers, tips, times.start + plan.work.out[arm, times.fruit])
     hung = numbers >= 0
     fruit = numbers[hung]
     state.repicks += int(state.attempted[fruit].sum())
     state.misled += int((~hung).sum())
     state.attempted[fruit] = True
-    state.attached[fruit] |= outcome.attached[hung]
-    state.detached[fruit] = outcome.detached[hung]  # only what hangs is picked
-    state.collected[fruit] = outcome.collected[hung]
+    state.attached[fruit] |= attached[hung]
+    state.detached[fruit] = detached[hung]  # only what hangs is picked
+    state.collected[fruit] = collected[hung]
     state.by_arm[fruit] = arm[hung]
-    np.add.at(state.load, arm[outcome.collected], 1)
-    plan.outcome = outcome
+    np.add.at(state.load, arm[collected], 1)
+    plan.collected = collected
     state.rounds.append(plan)
     state.spend("pick", times.makespan)
     if strategy.unload_full and state.load.max() >= true.machine.cycle.tube_fruit:
         _unload(true.machine, state)
-    return bool((~outcome.detached).any())
+    return bool((~detached).any())
 
 
-def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: Array, entry: Array) -> Outcome:
-    """Outcome of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
+def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: Array, entry: Array) -> Flags:
+    """What `attempt` says (3, picks) of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
 
     A cup that was sent where no fruit is comes back empty, but pushes the foliage all the same.
     """
@@ -286,14 +285,9 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
     real_luck = Luck(*(values[real] for values in luck))
     diameters = tree.diameters[numbers[mine]]
     done = attempt(model, tips[mine], places[mine], shifts[real], diameters, tree.fruit[hanging], real_luck)
-    empty = Outcome(
-        lateral=np.full(len(numbers), np.inf),
-        displaced=np.linalg.norm(shifts, axis=-1)[np.argsort(order)],
-        **{name: np.zeros(len(numbers), dtype=bool) for name in ("attached", "detached", "collected")},
-    )
-    for mine_too, values in zip(leaves(empty), leaves(done), strict=True):
-        mine_too[mine] = values
-    return empty
+    flags = np.zeros((3, len(numbers)), dtype=bool)
+    flags[:, mine] = done
+    return flags
 
 
 def _unload(machine: Machine, state: Harvest) -> None:

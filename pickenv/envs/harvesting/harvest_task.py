@@ -428,8 +428,8 @@ def attempts(
         others = state.status[machine] == HANGING
         others[some] = False
         luck = draw_luck(rngs[machine], len(some))
-        outcome = attempt(model, tips[machine, arms], fruit[some], offsets, diameters, fruit[others], luck)
-        became = np.where(outcome.collected, COLLECTED, np.where(outcome.detached, LOST, HANGING))
+        _, detached, whole = attempt(model, tips[machine, arms], fruit[some], offsets, diameters, fruit[others], luck)
+        became = np.where(whole, COLLECTED, np.where(detached, LOST, HANGING))
         state.attempts[machine] += len(some)
         state.tried[machine, arms], state.busy[machine, arms] = some, task.lead
         state.status[machine, some] = became

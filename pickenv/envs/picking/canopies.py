@@ -74,10 +74,10 @@ class Canopies:
             self.fruit[:, : before.shape[1]] = before
             for other, there in enumerate(self.scenes):
                 if there is not None:
-                    there.keep(self.fruit[other, : self.present[other]])
+                    there.fruit = self.fruit[other, : self.present[other]]
         self.fruit[row] = ABSENT
         self.fruit[row, :n] = scene.fruit
-        scene.keep(self.fruit[row, :n])
+        scene.fruit = self.fruit[row, :n]
         self.scenes[row], self.present[row] = scene, n
         self._note(row)
 
