@@ -41,6 +41,7 @@ from .fruit import (
     sample_diameters as sample_diameters,
     sample_strength as sample_strength,
     swing as swing,
+    swung as swung,
 )
 from .gripper import (
     CompliantHand as CompliantHand,

@@ -227,7 +227,12 @@ def swing(
     x = checks.points("the displacement of fruit", displacement)
     speed = checks.points("the velocity of fruit", velocity)
     time = checks.numbers("the time step (s)", dt, lowest=0.0)[..., None]
-    omega, zeta = natural_frequencies(branch, mass), branch.damping_ratio
+    return swung(branch, x, speed, natural_frequencies(branch, mass), time)
+
+
+def swung(branch: Branch, x: Array, speed: Array, omega: Array, time: Array) -> tuple[Array, Array]:
+    """`swing` of numbers that are known to be sound, with `natural_frequencies` and times (..., 1)."""
+    zeta = branch.damping_ratio
     if zeta < 1.0:
         damped = omega * np.sqrt(1.0 - zeta**2)
         decay = np.exp(-zeta * omega * time)

@@ -98,9 +98,11 @@ class Canopies:
         swinging = fruit["displacement"].any(axis=(1, 2)) | fruit["velocity"].any(axis=(1, 2))
         rows = np.flatnonzero(going & swinging)
         if rows.size:
-            apart, speed, masses = (fruit[name][rows] for name in ("displacement", "velocity", "masses"))
-            fruit["displacement"][rows], fruit["velocity"][rows] = trees.swing(
-                self.orchard.branch, apart, speed, masses, period[rows, None]
+            some = slice(None) if rows.size == self.count else rows
+            apart, speed, masses = (fruit[name][some] for name in ("displacement", "velocity", "masses"))
+            omega = trees.natural_frequencies(self.orchard.branch, masses)
+            fruit["displacement"][some], fruit["velocity"][some] = trees.swung(
+                self.orchard.branch, apart, speed, omega, period[some, None, None]
             )
         point, axis = self.sight[TOOL][9:].T.copy(), self.sight[TOOL][6:9].T.copy()
         moved = point - before
