@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from pickenv.arm import Array, Geometry
 from pickenv.arm.kinematics.forward import drawn_parts, nominal_points, true_points
 from pickenv.pictures.solids import ring_around, turned
-from pickenv.pictures.stage import Balls, Mesh, Rgb, Rods, rgba
+from pickenv.pictures.stage import Mesh, Rgb, Rods, rgba, spheres
 
 GAIN = 20
 """The ghost stands so many times as far from the arm as the arm is from where its controller believes it to be."""
@@ -36,7 +36,7 @@ FOOT = 1.9
 TAPER, TELESCOPE, CAP = 0.5, 0.55, 1.28
 
 
-Solids = tuple[tuple[Rods, ...], tuple[Balls, ...], tuple[Mesh, ...]]
+Solids = tuple[tuple[Rods, ...], tuple[Rods, ...], tuple[Mesh, ...]]
 """Parts of a picture, in the order in which a `pickenv.pictures.stage.Stage` takes them."""
 
 
@@ -94,7 +94,7 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
     reach = np.minimum(1.0, look.sleeve / length)[:, None]
     sleeve = (start + along * reach)[outer]
     tubes = Rods(start[outer], sleeve, look.radius[outer], rgba(accent or LINK, len(sleeve)))
-    joints = Balls(start, CAP * look.radius, rgba(JOINT, len(start)))
+    joints = spheres(start, CAP * look.radius, rgba(JOINT, len(start)))
     return (inner, tubes), (joints,), ()
 
 
@@ -106,7 +106,7 @@ def ghost_points(geometry: Geometry, command: ArrayLike, tool: Array, believed: 
 def ghost_solids(look: ArmLook, points: Array) -> Solids:
     """An arm that is seen through."""
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
-    tip = Balls(points[-1:], 0.95 * look.radius[-1:], rgba(GHOST, 1, FAINT))
+    tip = spheres(points[-1:], 0.95 * look.radius[-1:], rgba(GHOST, 1, FAINT))
     return (Rods(start, end, 0.8 * look.radius, rgba(GHOST, len(start), FAINT)),), (tip,), ()
 
 
@@ -127,7 +127,7 @@ def hand_solids(tool: Array, axis: Array, radius: float, closed: bool) -> Solids
     middle = tool + (1.1 if closed else 1.4) * radius * out - 0.7 * radius * axis
     start, end = np.concatenate([knuckle, middle]), np.concatenate([middle, tip])
     fingers = Rods(start, end, np.full(6, 0.2 * radius), rgba(GRIPPER, 6))
-    return (fingers,), (Balls(palm[None], np.array([0.75 * radius]), rgba(JOINT, 1)),), ()
+    return (fingers,), (spheres(palm[None], np.array([0.75 * radius]), rgba(JOINT, 1)),), ()
 
 
 def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], length: float, colour: Rgb) -> Solids:

@@ -15,7 +15,7 @@ from pickenv.arm import Array
 from pickenv.orchard import load_look, sample_leaves
 from pickenv.pictures.arm_shapes import JOINT, Solids
 from pickenv.pictures.solids import chequered, leaf_mesh, rod_triangles, turned
-from pickenv.pictures.stage import Balls, Eye, Mesh, Rods, rgba
+from pickenv.pictures.stage import Eye, Mesh, Rods, rgba, spheres
 
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
 BARK, STEM = (122, 92, 66), (104, 84, 52)
@@ -33,7 +33,7 @@ def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, stems: boo
     """Fruit at ``places`` (N, 3) in colours (N, 3), each on its stem."""
     radius = np.broadcast_to(np.asarray(diameters, dtype=float) / 2, len(places))
     shades = np.column_stack([colours, np.full(len(places), 255)]).astype(np.uint8).reshape(-1, 4)
-    balls = Balls(places, radius, shades)
+    balls = spheres(places, radius, shades)
     if not stems:
         return (), (balls,), ()
     top = places + radius[:, None] * [0.0, 0.0, 0.9]

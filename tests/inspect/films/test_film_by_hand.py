@@ -207,9 +207,9 @@ def test_each_fruit_hangs_is_held_gone_or_missed_as_the_policy_left_it(
     stage = film_stage(film_set, number, side)
     assert [words.large for words in stage.words[:4]] == [True, False, False, False]  # the policy's name
     drawn, loose, crate = stage.balls[-3:]
-    np.testing.assert_allclose(drawn.centre.reshape(-1, 3), np.reshape(hanging, (-1, 3)), atol=1e-12)
-    np.testing.assert_allclose(loose.centre.reshape(-1, 3), np.reshape(held, (-1, 3)), atol=1e-12)
-    assert len(crate.centre) == film_set.stated(number)[side].picked and (drawn.radius == 0.03).all()
+    np.testing.assert_allclose(drawn.start.reshape(-1, 3), np.reshape(hanging, (-1, 3)), atol=1e-12)
+    np.testing.assert_allclose(loose.start.reshape(-1, 3), np.reshape(held, (-1, 3)), atol=1e-12)
+    assert len(crate.start) == film_set.stated(number)[side].picked and (drawn.radius == 0.03).all()
     assert sum(len(rods.radius) for rods in stage.rods if (rods.radius == 0.004).all()) == len(hanging)  # their stems
     colours = [tuple(colour) for colour in drawn.colour[:, :3].tolist()]
     assert colours.count(tuple(MISSED_FRUIT)) == missed and colours.count(tuple(RIPE)) == len(hanging) - missed
@@ -235,7 +235,7 @@ def test_a_reach_has_its_fruit_with_a_sprig_and_a_crate():
     for moment, picked in ((0, 0), (5, 1)):
         stage = film_stage(plan, plan.frames.index((0, moment)), 0)
         hanging, held, crate = stage.balls[-3:]
-        assert (len(hanging.centre), len(held.centre), len(crate.centre)) == (1 - picked, picked, picked)
+        assert (len(hanging.start), len(held.start), len(crate.start)) == (1 - picked, picked, picked)
         drawn = sprig(np.array(A), 0.06)
         np.testing.assert_array_equal(stage.rods[-1].start, drawn[0][0].start)
         np.testing.assert_array_equal(stage.meshes[-1].corners, drawn[2][0].corners)
