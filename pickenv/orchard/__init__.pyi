@@ -70,6 +70,7 @@ from .sight import (
     Viewpoint as Viewpoint,
     draw_chances as draw_chances,
     foliage as foliage,
+    left_eye as left_eye,
     load_eyes as load_eyes,
     load_sight_errors as load_sight_errors,
     next_picture as next_picture,

@@ -247,7 +247,7 @@ def test_a_second_look_meets_the_luck_of_the_first_as_far_as_it_lasts(machine, t
     given, looked = [], module.see
 
     def see(eyes, view, fruit, *more, chances, **named):
-        given.append((tuple(view.middle), dict(zip(map(tuple, fruit), chances[:, 0], strict=True))))
+        given.append((tuple(view[0]), dict(zip(map(tuple, fruit), chances[:, 0], strict=True))))
         return looked(eyes, view, fruit, *more, chances=chances, **named)
 
     monkeypatch.setattr(module, "see", see)

@@ -364,6 +364,6 @@ def test_a_machine_as_drawn_has_no_spread_and_its_own_arms(true):
 
 def test_a_zone_is_looked_at_from_before_its_middle():
     view = Zone("", -0.5, 0.1, 1.0, 1.6).view
-    np.testing.assert_allclose(view.middle, [-0.2, 0.0, 1.3])
-    np.testing.assert_array_equal(view.looking, [0.0, -1.0, 0.0])
+    np.testing.assert_allclose(view[0], [-0.2, 0.0, 1.3])
+    np.testing.assert_array_equal(view[1], [0.0, -1.0, 0.0])
     np.testing.assert_array_equal(AHEAD, [0.0, -1.0, 0.0])

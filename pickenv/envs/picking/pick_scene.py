@@ -339,8 +339,8 @@ def looked_at(
     viewpoint, ahead = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2]), np.array([0.0, 1.0, 0.0])
     if orchard.eyes is not None:
         leaves = trees.foliage(orchard.eyes, rng)
-        view = trees.Viewpoint(viewpoint, ahead)
-        sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=orchard.looks)
+        view, looks = (viewpoint, ahead), orchard.looks
+        sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=looks)
         return sight.believed, sight.located
     visible, visible_side = trees.occlusion(canopy, positions, diameters, viewpoint)
     probability = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), visible)
