@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from papers.li2016.cp_sat import cp_sat
 from papers.li2016.equations import ARMS, section_4_2
 from papers.li2016.lab import sample_image, work_images
+from papers.li2016.worth import funnel_shares, summary
 from papers.pages import table
 from pickenv.arm import Array, Plant
 from pickenv.base import InputError
@@ -24,7 +26,6 @@ from pickenv.harvester import (
     TrueMachine,
     assign,
     funnel,
-    funnel_shares,
     load_grid,
     load_machine,
     load_orchard,
@@ -33,7 +34,6 @@ from pickenv.harvester import (
     lower_bound,
     pick_point,
     profile,
-    summary,
     timetable,
     travel_time,
     ultrasonic_hold,
@@ -182,7 +182,8 @@ def assignments(machine: Machine, zones: int, fruit: int, rng: np.random.Generat
         for name in names:
             try:
                 hold = ultrasonic_hold(machine, work, rng) if name == "li" else None
-                makespans[name] += timetable(work, assign(work, name), hold=hold).makespan / zones
+                plan = cp_sat(work) if name == "cp-sat" else assign(work, name)
+                makespans[name] += timetable(work, plan, hold=hold).makespan / zones
             except InputError:  # OR-Tools is an extra
                 makespans[name] = float("nan")
     return makespans

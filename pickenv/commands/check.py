@@ -293,7 +293,6 @@ def kinds() -> dict[str, Any]:
     from pickenv.harvester.pick_points import Search
     from pickenv.harvester.trees import Lab, Orchard
     from pickenv.orchard import Station
-    from pickenv.orchard.camera import CameraFile
     from pickenv.orchard.gripper import gripper_file
 
     return {
@@ -304,7 +303,7 @@ def kinds() -> dict[str, Any]:
         "board": toml_table(make_dataclass("BoardFile", [("board", Board)])),
         "study": StudyConfig,
         "branch": orchard.Branch,
-        "camera": CameraFile,
+        "camera": orchard.Camera,
         "canopy": orchard.Canopy,
         "detachment": orchard.Detachment,
         "fruit": orchard.FruitMap,

@@ -81,7 +81,7 @@ def picked_tree(harvest: Harvest) -> PickedTree:
         start=_joined([r.begin + r.times.start for r in rounds]),
         end=_joined([r.begin + r.times.end for r in rounds]),
         held=_joined([r.times.held for r in rounds]),
-        got=_joined([r.outcome.collected for r in rounds]).astype(bool),
+        got=_joined([r.collected for r in rounds]).astype(bool),
     )
 
 

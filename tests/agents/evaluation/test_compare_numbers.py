@@ -72,7 +72,7 @@ def test_a_comparison_of_an_environment_without_an_arm() -> None:
         "tests/Late-v0", "", "li_cup", 0, 0.1,
     )  # fmt: skip
     assert whole.seeds == episode_seeds(0, 20) and whole.tolerance_mm == 5.0
-    assert (whole.plant, whole.nominal, found.comparison) == (None, None, None)
+    assert (whole.plant, whole.nominal) == (None, None) and not isinstance(whole, Comparison)
     (policy,) = whole.policies
     np.testing.assert_allclose(policy.position_error_mm, 5.0)
     np.testing.assert_array_equal(policy.moments, [4] * 20)
@@ -125,8 +125,8 @@ def test_a_comparison_of_arms_has_fields_ends_and_grasps(calibration: Calibratio
         *(("any, episodes", done, 3) for done in (1, 2, 3)),
         *(("error fields", done, 2) for done in (1, 2)),
     ]
-    assert found.comparison is not None and "--grid-step 0.4" in found.command
-    plant, comparison = load_plant("qiao2026"), found.comparison
+    assert isinstance(found.episodes, Comparison) and "--grid-step 0.4" in found.command
+    plant, comparison = load_plant("qiao2026"), found.episodes
     assert (comparison.seed, comparison.tolerance_mm) == (4, found.episodes.tolerance_mm)
     grid = field_grid(plant.arm.nominal, 0.4, 4)
     np.testing.assert_array_equal(comparison.grid.joints, grid.joints)
@@ -195,14 +195,14 @@ def test_policies_are_paired_with_calibrations_and_named_by_what_differs(
 def test_an_adaptive_policy_trusts_a_calibrated_arm_more(calibration: Calibration) -> None:
     env = gym.make("pickenv/Reach-v0", feedback="camera")
     for noise, compensation, prior in ((2.0, "raw", 1.0), (3.0, "ls", 0.2)):
-        settings = maker_of("adaptive", noise, compensation)(env, 0).settings
-        assert (settings.camera_std, settings.prior) == (pytest.approx(1e-3 * noise), prior)
+        policy = maker_of("adaptive", noise, compensation)(env, 0)
+        assert (policy.camera_std, policy.prior) == (pytest.approx(1e-3 * noise), prior)
     assert CALIBRATED_PRIOR == 0.2
-    assert maker_of("adaptive")(env, 0).settings.camera_std == 0.0
+    assert maker_of("adaptive")(env, 0).camera_std == 0.0
     raw, ls = contenders_of(["adaptive"], [None, calibration], camera_noise_mm=1.5)
     for contender, prior in ((raw, 1.0), (ls, 0.2)):
-        settings = contender.make(env, 0).settings
-        assert (settings.camera_std, settings.prior) == (pytest.approx(1.5e-3), prior)
+        policy = contender.make(env, 0)
+        assert (policy.camera_std, policy.prior) == (pytest.approx(1.5e-3), prior)
     one, other = (maker_of("random")(env, seed) for seed in (3, 4))
     seen = np.zeros((1, *env.observation_space.shape), np.float32)
     again = RandomReach(env, np.random.default_rng(3))
