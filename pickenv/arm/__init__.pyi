@@ -85,6 +85,7 @@ from .plant.campaign import (
     measured_poses as measured_poses,
     moved as moved,
     normal_draws as normal_draws,
+    shares_report as shares_report,
     shipped_instruments as shipped_instruments,
     switched_on as switched_on,
 )

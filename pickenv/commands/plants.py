@@ -50,7 +50,7 @@ def effects(
     import numpy as np
 
     from pickenv.arm import load_plant
-    from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares
+    from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares, shares_report
 
     check_limit("--reaches", reaches, "reaches")
     check_limit("--dwell", dwell, "dwell_s")
@@ -59,7 +59,7 @@ def effects(
     machine = load_plant(plant)
     joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
     shares = effect_shares(machine, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
-    deliver([(json_file, shares.as_dict())], shares.report())
+    deliver([(json_file, shares)], shares_report(shares))
 
 
 def iso9283(
