@@ -16,9 +16,8 @@ from pickenv.base import absent_extras, command_for, folded, locked, screen_widt
 from pickenv.commands import check, comparing, corrections, experiments, inspection, learning, plants
 from pickenv.commands.bench import bench
 from pickenv.commands.calibrate import calibrate
-from pickenv.commands.examples import examples, pages_address
 from pickenv.commands.guard import INTERRUPTED, guarded
-from pickenv.commands.showing import WIDTH, CommandOfNames, print_table, progress_bars
+from pickenv.commands.showing import WIDTH, CommandOfNames, help_of, pages_address, print_table, progress_bars
 
 app = typer.Typer(
     name="pickenv",
@@ -50,7 +49,14 @@ def demo(
     quick: Annotated[bool, Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
     no_network: Annotated[bool, Option("--no-network", help="Least squares alone, as where torch is missing.")] = False,
 ) -> None:
-    """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
+    """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording.
+
+    Examples:
+        pickenv demo --quick
+        pickenv inspect runs/demo
+
+    More: quickstart.md
+    """
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run
 
     settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
@@ -154,7 +160,8 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
         cls = comparing.SeveralValues if _command is comparing.compare else CommandOfNames
-        app.command(rich_help_panel=_purpose, epilog=examples(_command.__name__.replace("_", "-")), cls=cls)(_command)
+        _help, _examples = help_of(_command)
+        app.command(rich_help_panel=_purpose, help=_help, epilog=_examples, cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
 

@@ -112,6 +112,12 @@ def calibrate(
     """Identify a real arm from measurements of any kind and judge it on held-out rows.
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
+
+    Examples:
+        pickenv calibrate tracker.csv --arm ur5e --out my_arm.npz --report my_arm.html
+        pickenv calibrate views.csv --arm so101 --columns webcam.toml --out so101.npz
+
+    More: calibrating-a-robot.md
     """
     typed = dict(locals())
     from pickenv.calibration import Choices, calibrate as calibrated

@@ -57,7 +57,14 @@ def check(
     ],
     json_file: Annotated[Path | None, Option("--json", help="Write what was found to this file.")] = None,
 ) -> None:
-    """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
+    """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign.
+
+    Examples:
+        pickenv check runs/demo
+        pickenv check my_arm.npz
+
+    More: figures-and-reports.md
+    """
     separate({}, {"--json": json_file})
     findings = []
     for path in paths:
@@ -266,7 +273,13 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
 
 
 def schema(kind: Annotated[str, Argument(help="arm, plant, description, study, …")]) -> None:
-    """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones."""
+    """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones.
+
+    Examples:
+        pickenv schema description
+
+    More: column-descriptions.md
+    """
     from pickenv.base import json_schema  # late: it loads pydantic
 
     classes = kinds()

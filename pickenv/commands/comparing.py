@@ -68,7 +68,13 @@ def compare(
     out: Annotated[Path | None, Option(help="Run folder: recording, page, figures, every episode.")] = None,
     json_file: Annotated[Path | None, Option("--json", help="Write the numbers to this file.")] = None,
 ) -> None:
-    """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter."""
+    """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter.
+
+    Examples:
+        pickenv compare scripted scripted --compensate none my_arm.npz --episodes 20 --out runs/compare
+
+    More: comparing-policies.md
+    """
     from pickenv.agents import compare as run
     from pickenv.agents.evaluation.compare import write_comparison
     from pickenv.inspect.runs.comparison_summary import content_of_comparison
@@ -123,7 +129,13 @@ def film(
     fps: Annotated[int, Option(help="Frames per second.")] = 10,
     dark: Annotated[bool, Option("--dark", help="Draw on a dark background.")] = False,
 ) -> None:
-    """Make a film of a comparison: two policies side by side at the same fruit, with misses in mm and fruit picked."""
+    """Make a film of a comparison: two policies side by side at the same fruit, with misses in mm and fruit picked.
+
+    Examples:
+        pickenv film runs/compare --out film.gif
+
+    More: films.md
+    """
     from pickenv.inspect import film as make_film
     from pickenv.pictures.drawers import why_plain
 

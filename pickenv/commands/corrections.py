@@ -30,7 +30,13 @@ def board(
     ],
     out: Annotated[Path, Option(help="Write the page to this file (.pdf, .svg).")] = Path("board.pdf"),
 ) -> None:
-    """Print a calibration board to true scale, with a rule to check the printer by."""
+    """Print a calibration board to true scale, with a rule to check the printer by.
+
+    Examples:
+        pickenv board charuco_a4 --out board.pdf
+
+    More: so101.md
+    """
     from pickenv.calibration.camera.boards import load_board, write_board
 
     separate({"FILE": file}, {"--out": out})
@@ -77,7 +83,13 @@ def plan_poses(
     out: Annotated[Path | None, Option(help="Write the joints in measuring order (.csv).")] = None,
     json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
 ) -> None:
-    """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel."""
+    """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel.
+
+    Examples:
+        pickenv plan-poses --arm ur5e --n 40 --out poses.csv
+
+    More: calibrating-a-robot.md
+    """
     from pickenv.arm import load_arm
     from pickenv.calibration import given_arm, given_rows, plan_poses as plan, pool_of, read_targets
     from pickenv.calibration.model.measurements import POSITION_STD
@@ -155,6 +167,11 @@ def verify(
     Still good, worse than nominal, drifted, outside what was measured, another station or another arm.
 
     The verdict comes first; unless it is "still good" the exit code is 3.
+
+    Examples:
+        pickenv verify my_arm.npz new_poses.csv --refit base
+
+    More: calibrating-a-robot.md
     """
     from pickenv.calibration import Calibration, read_observations
     from pickenv.calibration.pipeline.verification import frames_and_rows, verify as verified
@@ -185,6 +202,11 @@ def apply(
     """Turn nominal joint or pose targets into corrected joint commands, with the error and uncertainty to expect.
 
     Where a target cannot be reached its command stays empty, and the exit code is 3.
+
+    Examples:
+        pickenv apply my_arm.npz targets.csv --arm ur5e --out commands.csv
+
+    More: applying-a-calibration.md
     """
     from pickenv.arm import load_arm
     from pickenv.calibration import Calibration, apply_calibration, read_targets
@@ -231,7 +253,13 @@ def export(
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
-    """Hand the calibration over to the robot's own files, its controller, or other programs."""
+    """Hand the calibration over to the robot's own files, its controller, or other programs.
+
+    Examples:
+        pickenv export my_arm.npz --onto robot.urdf --out robot_calibrated.urdf
+
+    More: applying-a-calibration.md
+    """
     from pickenv.arm import load_arm
     from pickenv.calibration import Calibration, export as exported
     from pickenv.calibration.delivery.onto_files import mjcf_files
@@ -267,6 +295,11 @@ def twin(
     """Make a plant whose truth is what a calibration found, and whose arms are drawn from what its data allow.
 
     Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another arm of them.
+
+    Examples:
+        pickenv twin my_arm.npz --out twin.toml
+
+    More: twin.md
     """
     from pickenv.arm import load_arm, write_twin
     from pickenv.calibration import Calibration, Measurements, read_observations, twin as as_plant

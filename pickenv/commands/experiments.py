@@ -40,7 +40,13 @@ def experiment(
     table: Annotated[Path | None, Option(help="Write the rows as .csv or .parquet.")] = None,
     figures: Annotated[Path | None, Option(help="Folder for the file's figures.")] = None,
 ) -> None:
-    """Measure units at every combination of factors, and print the numbers that the file asks for."""
+    """Measure units at every combination of factors, and print the numbers that the file asks for.
+
+    Examples:
+        pickenv experiment noise_cost.toml --quick --json noise_cost.json
+
+    More: experiments.md
+    """
     from pickenv.experiments import run
     from pickenv.experiments.engine import RECORD, write_rows
     from pickenv.experiments.experiment_file import held_by_seeds, load_experiment, number_table, plain_estimates
@@ -135,7 +141,13 @@ def study(
         int, Option(help="Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.", min=0)
     ] = 2048,
 ) -> None:
-    """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
+    """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count.
+
+    Examples:
+        pickenv study scripts/tolerance_study.toml --quick --out runs/study
+
+    More: tolerance-studies.md
+    """
     require("pyarrow", "joblib")
     from pickenv.experiments import load_study, run_study, write_outputs
 

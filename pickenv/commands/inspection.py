@@ -26,7 +26,14 @@ def inspect(
     serve: Annotated[int | None, Option(help="Serve it to viewers that connect to this port.")] = None,
     policy: Annotated[str | None, Option(help="Policy of an evaluation to show; its first if left out.")] = None,
 ) -> None:
-    """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet."""
+    """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet.
+
+    Examples:
+        pickenv inspect runs/demo
+        pickenv inspect runs/demo --web
+
+    More: recordings.md
+    """
     from pickenv.inspect.recordings import open_recording as opening
 
     if web + (connect is not None) + (serve is not None) > 1:
@@ -112,7 +119,13 @@ def figures(
     out: Annotated[Path | None, Option(help="Folder for the figures; RUN/figures if left out.")] = None,
     formats: Annotated[str, Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
 ) -> None:
-    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out."""
+    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out.
+
+    Examples:
+        pickenv figures runs/demo --format pdf --out figures
+
+    More: figures-and-reports.md
+    """
     from pickenv.inspect import drawings_of, read_run, write_drawings
     from pickenv.inspect.figures.run_drawings import NotDrawn
     from pickenv.inspect.runs.run_folder import added_to
@@ -138,7 +151,13 @@ def report(
         bool, Option("--picture/--no-picture", help="Show the recording as its viewer draws it.")
     ] = True,
 ) -> None:
-    """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
+    """Write a run's report: one HTML file that needs no network, verdict first, then the evidence.
+
+    Examples:
+        pickenv report runs/demo
+
+    More: figures-and-reports.md
+    """
     from pickenv.inspect import page_of, read_run
     from pickenv.inspect.recordings.open_recording import viewer_picture
     from pickenv.inspect.runs.run_folder import added_to

@@ -49,7 +49,13 @@ def train(
     out: Annotated[Path, Option(help="Run folder to write.")] = Path("runs/train"),
     resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")] = False,
 ) -> None:
-    """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs."""
+    """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs.
+
+    Examples:
+        pickenv train --steps 100000 --compensate my_arm.npz --out runs/policy
+
+    More: commands.md
+    """
     from pickenv.agents import Training, train as run
     from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training_setup import words_of
@@ -170,6 +176,11 @@ def evaluate(
 
     On each of 64 arms, least squares take 0.1 s of processor time, a Gaussian process 3 s and a network 3 s: with all
     defaults about ten minutes on two cores; fewer --arms or --compensation take less, --cache keeps them.
+
+    Examples:
+        pickenv evaluate --policy runs/policy --out runs/comparison
+
+    More: findings.md
     """
     from pickenv.agents.evaluation.contenders import kind_of
     from pickenv.base import require
@@ -251,7 +262,14 @@ def datasets(
     json_file: Annotated[Path | None, Option("--json", help="Write the cards to this file.")] = None,
     out: Annotated[Path, Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
 ) -> None:
-    """Record Minari data sets of good, middling and random policies; those that are there are kept."""
+    """Record Minari data sets of good, middling and random policies; those that are there are kept.
+
+    Examples:
+        pickenv datasets --out runs/datasets
+        pickenv datasets --task pick --quality expert
+
+    More: clients.md
+    """
     from pickenv.agents import datasets as record
     from pickenv.agents.training.data_sets import QUALITIES
 

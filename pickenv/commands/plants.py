@@ -14,7 +14,13 @@ JsonFile = Annotated[Path | None, Option("--json", help="Write the figures to th
 
 
 def arms(json_file: JsonFile = None) -> None:
-    """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from."""
+    """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from.
+
+    Examples:
+        pickenv arms
+
+    More: commands.md
+    """
     from pickenv.arm import load_arm, shipped_arms
     from pickenv.arm.kinematics.inverse import farthest
 
@@ -46,7 +52,13 @@ def effects(
     seed: Annotated[int, Option(help="Seed of the reaches.", min=0)] = 0,
     json_file: JsonFile = None,
 ) -> None:
-    """Each effect's share of the tip error of a simulated arm, in mm: alone, what is left without it, and all."""
+    """Each effect's share of the tip error of a simulated arm, in mm: alone, what is left without it, and all.
+
+    Examples:
+        pickenv effects --plant orchard
+
+    More: commands.md
+    """
     import numpy as np
 
     from pickenv.arm import load_plant
@@ -75,7 +87,13 @@ def iso9283(
     json_file: JsonFile = None,
     out: Annotated[Path | None, Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
 ) -> None:
-    """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated."""
+    """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated.
+
+    Examples:
+        pickenv iso9283 --plant qiao2026 --out runs/iso
+
+    More: commands.md
+    """
     typed = dict(locals())
     import numpy as np
 
@@ -132,7 +150,13 @@ def conditions(
     json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
     out: Annotated[Path | None, Option(help="Run folder with figure and page.")] = None,
 ) -> None:
-    """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves."""
+    """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves.
+
+    Examples:
+        pickenv conditions orchard --out runs/conditions
+
+    More: conditions.md
+    """
     typed = dict(locals())
     from pickenv.arm import load_plant
     from pickenv.calibration import Calibration

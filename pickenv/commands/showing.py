@@ -1,12 +1,14 @@
 """The words of commands: progress bars on standard error, so that standard output stays clean, tables, names in help.
 
-The library names its parameters, in backticks; commands print options in their place (`with_options`). Results are
-saved first, then printed, so that a screen that fails costs nothing (`deliver`).
+A command's docstring is its help, and holds the examples that end it (`help_of`). The library names its parameters, in
+backticks; commands print options in their place (`with_options`). Results are saved first, then printed, so that a
+screen that fails costs nothing (`deliver`).
 """
 
 from __future__ import annotations
 
 import ast
+import inspect
 import re
 import shlex
 import sys
@@ -14,6 +16,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
+from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeAlias, get_type_hints
 
@@ -22,6 +25,24 @@ from typer.models import ArgumentInfo
 
 from pickenv.base import InputError, command_line, screen_width, side_by_side, write_json, write_text
 from pickenv.base.registry import names
+
+
+def help_of(command: Callable[..., None]) -> tuple[str, str]:
+    """What a command's docstring says, and how its help ends: commands as they are typed, and where to read more."""
+    text, mark, end = (inspect.getdoc(command) or "").partition("\n\nExamples:\n")
+    lines, _, page = end.partition("\n\nMore: ")
+    typed = [f"[bold]{line.strip()}[/bold]" for line in lines.split("\n")]
+    return text, "\n\n".join(["Examples:", *typed, f"More: {pages_address()}/{page}"]) if mark else ""
+
+
+def pages_address() -> str:
+    """Where the pages stand: the address that the package itself names, or the folder of a checkout."""
+    try:
+        addresses = metadata.metadata("pickenv").get_all("Project-URL") or []
+    except metadata.PackageNotFoundError:
+        addresses = []
+    return next((text.partition(", ")[2] for text in addresses if text.startswith("Documentation, ")), "docs")
+
 
 WIDTH = 150
 """Characters of a table that goes elsewhere than to a terminal."""
