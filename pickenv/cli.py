@@ -17,7 +17,7 @@ from pickenv.commands import check, comparing, corrections, experiments, inspect
 from pickenv.commands.bench import bench
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.guard import INTERRUPTED, guarded
-from pickenv.commands.showing import WIDTH, CommandOfNames, help_of, pages_address, print_table, progress_bars
+from pickenv.commands.showing import WIDTH, CommandOfNames, pages_address, print_table, progress_bars
 
 app = typer.Typer(
     name="pickenv",
@@ -44,12 +44,18 @@ def _front(
 
 
 def demo(
-    out: Annotated[Path, Option(help="Run folder to write.")] = Path("runs/demo"),
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    quick: Annotated[bool, Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
-    no_network: Annotated[bool, Option("--no-network", help="Least squares alone, as where torch is missing.")] = False,
+    out: Path = Path("runs/demo"),
+    seed: Annotated[int, Option(min=0)] = 0,
+    quick: Annotated[bool, Option("--quick")] = False,
+    no_network: Annotated[bool, Option("--no-network")] = False,
 ) -> None:
     """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording.
+
+    Args:
+        out: Run folder to write.
+        seed: Seed of everything random.
+        quick: Fewer reaches and epochs; worse figures, sooner.
+        no_network: Least squares alone, as where torch is missing.
 
     Examples:
         pickenv demo --quick
@@ -160,8 +166,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
         cls = comparing.SeveralValues if _command is comparing.compare else CommandOfNames
-        _help, _examples = help_of(_command)
-        app.command(rich_help_panel=_purpose, help=_help, epilog=_examples, cls=cls)(_command)
+        app.command(rich_help_panel=_purpose, cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
 

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, make_dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Option
 
 from pickenv.base import InputError, check_sealed_parquet, read_container, refusing_damage, separate, write_json
 
@@ -51,13 +51,12 @@ class Finding:
         return f"sound    {self.path}: {self.what}{version}{', ' if self.about else ''}{self.about}"
 
 
-def check(
-    paths: Annotated[
-        list[Path], Argument(help="Calibrations, policies, checkpoints, chunks, traces, or whole folders.")
-    ],
-    json_file: Annotated[Path | None, Option("--json", help="Write what was found to this file.")] = None,
-) -> None:
+def check(paths: list[Path], json_file: Annotated[Path | None, Option("--json")] = None) -> None:
     """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign.
+
+    Args:
+        paths: Calibrations, policies, checkpoints, chunks, traces, or whole folders.
+        json_file: Write what was found to this file.
 
     Examples:
         pickenv check runs/demo
@@ -272,8 +271,11 @@ _READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
 """How each kind of file is verified: its version, and a few words about it."""
 
 
-def schema(kind: Annotated[str, Argument(help="arm, plant, description, study, …")]) -> None:
+def schema(kind: str) -> None:
     """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones.
+
+    Args:
+        kind: arm, plant, description, study, …
 
     Examples:
         pickenv schema description

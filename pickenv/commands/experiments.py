@@ -8,7 +8,7 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from typer import Argument, Option
+from typer import Option
 
 from pickenv.base import InputError, check_limit, locked, require, separate, unseen_share
 from pickenv.commands.showing import Save, deliver, print_table, progress_bars, with_options
@@ -22,25 +22,32 @@ TERMINAL = 80
 
 
 def experiment(
-    file: Annotated[Path, Argument(help="Experiment (.toml); the Python code that it names is executed.")],
-    quick: Annotated[bool, Option("--quick", help="The file's own small sizes: minutes.")] = False,
-    seed: Annotated[int | None, Option(help="Seed of everything random; the file's if left out.", min=0)] = None,
-    seeds: Annotated[
-        int, Option(help="Seeds to run at; how often intervals of one hold the numbers of another is said.", min=1)
-    ] = 1,
-    change: Annotated[
-        list[str] | None, Option("--set", help='A unit, factor or setting: arm=20, method=["raw"]; may be repeated.')
-    ] = None,
-    executor: Annotated[str, Option(help="What computes: serial, loky, ray, dask; no number changes.")] = "loky",
-    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
-    out: Annotated[
-        Path | None, Option(help="Folder for what is done; what was cut off goes on. runs/NAME if left out.")
-    ] = None,
-    json_file: Annotated[Path | None, Option("--json", help="Write the numbers to this file.")] = None,
-    table: Annotated[Path | None, Option(help="Write the rows as .csv or .parquet.")] = None,
-    figures: Annotated[Path | None, Option(help="Folder for the file's figures.")] = None,
+    file: Path,
+    quick: Annotated[bool, Option("--quick")] = False,
+    seed: Annotated[int | None, Option(min=0)] = None,
+    seeds: Annotated[int, Option(min=1)] = 1,
+    change: Annotated[list[str] | None, Option("--set")] = None,
+    executor: str = "loky",
+    workers: Annotated[int | None, Option(min=1)] = None,
+    out: Path | None = None,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    table: Path | None = None,
+    figures: Path | None = None,
 ) -> None:
     """Measure units at every combination of factors, and print the numbers that the file asks for.
+
+    Args:
+        file: Experiment (.toml); the Python code that it names is executed.
+        quick: The file's own small sizes: minutes.
+        seed: Seed of everything random; the file's if left out.
+        seeds: Seeds to run at; how often intervals of one hold the numbers of another is said.
+        change: A unit, factor or setting: arm=20, method=["raw"]; may be repeated.
+        executor: What computes: serial, loky, ray, dask; no number changes.
+        workers: Processes; one per core if left out.
+        out: Folder for what is done; what was cut off goes on. runs/NAME if left out.
+        json_file: Write the numbers to this file.
+        table: Write the rows as .csv or .parquet.
+        figures: Folder for the file's figures.
 
     Examples:
         pickenv experiment noise_cost.toml --quick --json noise_cost.json
@@ -124,24 +131,30 @@ def _change(text: str) -> tuple[str, Any]:
 
 
 def study(
-    config: Annotated[Path, Argument(help="Study (.toml); scripts/tolerance_study.toml shows every key.")],
-    quick: Annotated[bool, Option("--quick", help="40 arms and 20 fruit at most.")] = False,
-    executor: Annotated[
-        Literal["serial", "joblib", "ray", "batched"], Option(help="What computes the arms.")
-    ] = "joblib",
-    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
-    device: Annotated[Literal["cpu", "cuda"], Option(help="Where batched computes.")] = "cpu",
-    out: Annotated[Path, Option(help="Results folder; a study that it holds already goes on.")] = Path("runs/study"),
-    json_file: Annotated[Path | None, Option("--json", help="Write the summary to this file.")] = None,
-    report: Annotated[
-        bool, Option("--report/--no-report", help="Figures, report.html and arms.rrd in the results folder.")
-    ] = True,
-    sobol: Annotated[bool, Option("--sobol", help="Sobol indices of the tolerances, which need further arms.")] = False,
-    samples: Annotated[
-        int, Option(help="Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.", min=0)
-    ] = 2048,
+    config: Path,
+    quick: Annotated[bool, Option("--quick")] = False,
+    executor: Literal["serial", "joblib", "ray", "batched"] = "joblib",
+    workers: Annotated[int | None, Option(min=1)] = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    out: Path = Path("runs/study"),
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    report: Annotated[bool, Option("--report/--no-report")] = True,
+    sobol: Annotated[bool, Option("--sobol")] = False,
+    samples: Annotated[int, Option(min=0)] = 2048,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count.
+
+    Args:
+        config: Study (.toml); scripts/tolerance_study.toml shows every key.
+        quick: 40 arms and 20 fruit at most.
+        executor: What computes the arms.
+        workers: Processes; one per core if left out.
+        device: Where batched computes.
+        out: Results folder; a study that it holds already goes on.
+        json_file: Write the summary to this file.
+        report: Figures, report.html and arms.rrd in the results folder.
+        sobol: Sobol indices of the tolerances, which need further arms.
+        samples: Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.
 
     Examples:
         pickenv study scripts/tolerance_study.toml --quick --out runs/study

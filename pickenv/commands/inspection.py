@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from typer import Argument, Option
+from typer import Option
 
 from pickenv.base import InputError, separate, write_text
 
@@ -16,17 +16,22 @@ if TYPE_CHECKING:
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
 """Suffixes of pages and pictures, which may be made again."""
 
-RUN = Argument(help="Run folder.")
-
 
 def inspect(
-    run: Annotated[Path, Argument(help="Run folder, or a recording (.rrd).")],
-    web: Annotated[bool, Option("--web", help="Serve it to a browser on this machine.")] = False,
-    connect: Annotated[str | None, Option(help="Send it to the viewer at this address.")] = None,
-    serve: Annotated[int | None, Option(help="Serve it to viewers that connect to this port.")] = None,
-    policy: Annotated[str | None, Option(help="Policy of an evaluation to show; its first if left out.")] = None,
+    run: Path,
+    web: Annotated[bool, Option("--web")] = False,
+    connect: str | None = None,
+    serve: int | None = None,
+    policy: str | None = None,
 ) -> None:
     """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet.
+
+    Args:
+        run: Run folder, or a recording (.rrd).
+        web: Serve it to a browser on this machine.
+        connect: Send it to the viewer at this address.
+        serve: Serve it to viewers that connect to this port.
+        policy: Policy of an evaluation to show; its first if left out.
 
     Examples:
         pickenv inspect runs/demo
@@ -114,12 +119,13 @@ def _record_evaluation(run: Run, policy: str | None) -> Path:
     )
 
 
-def figures(
-    run: Annotated[Path, RUN],
-    out: Annotated[Path | None, Option(help="Folder for the figures; RUN/figures if left out.")] = None,
-    formats: Annotated[str, Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
-) -> None:
+def figures(run: Path, out: Path | None = None, formats: Annotated[str, Option("--format")] = "svg,png") -> None:
     """Draw every figure that a run's numbers allow, for papers and reports; say what is left out.
+
+    Args:
+        run: Run folder.
+        out: Folder for the figures; RUN/figures if left out.
+        formats: Formats, joined by commas: svg, png, pdf.
 
     Examples:
         pickenv figures runs/demo --format pdf --out figures
@@ -145,13 +151,16 @@ def figures(
 
 
 def report(
-    run: Annotated[Path, RUN],
-    out: Annotated[Path | None, Option(help="File to write (.html); RUN/report.html if left out.")] = None,
-    picture: Annotated[
-        bool, Option("--picture/--no-picture", help="Show the recording as its viewer draws it.")
-    ] = True,
+    run: Path,
+    out: Path | None = None,
+    picture: Annotated[bool, Option("--picture/--no-picture")] = True,
 ) -> None:
     """Write a run's report: one HTML file that needs no network, verdict first, then the evidence.
+
+    Args:
+        run: Run folder.
+        out: File to write (.html); RUN/report.html if left out.
+        picture: Show the recording as its viewer draws it.
 
     Examples:
         pickenv report runs/demo

@@ -24,32 +24,41 @@ NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback ca
 
 def train(
     context: typer.Context,
-    algo: Annotated[
-        Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"],
-        Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
-    ] = "ppo",
-    env: Annotated[str, Option(help="Id of the environment.")] = "pickenv/Reach-v0",
-    compensate: Annotated[Path | None, Option(help="Calibration file (.npz) to train behind.")] = None,
-    allow: Annotated[
-        list[str] | None, Option(help="Train behind the calibration in spite of this: fitted-frames, do-not-use.")
-    ] = None,
-    plant: Annotated[str | None, Option(help="Plant preset or plant file; the environment's if left out.")] = None,
-    feedback: Annotated[
-        Literal["encoders", "camera"], Option(help="What the policy sees beside its joints.")
-    ] = "encoders",
-    camera_noise: Annotated[float, Option(help="Noise of the camera's view of the gap, mm per axis.")] = 0.0,
-    fruit_noise: Annotated[float, Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
-    randomise: Annotated[
-        str | None, Option(help="Tolerance class: a new arm of it in every episode (domain randomisation).")
-    ] = None,
-    steps: Annotated[int | None, Option(help="Environment steps; the tuned number if left out.", min=1)] = None,
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    checkpoint_every: Annotated[int, Option(help="Steps between checkpoints.", min=1)] = 50_000,
-    evaluate_every: Annotated[int, Option(help="Steps between evaluations.", min=1)] = 50_000,
-    out: Annotated[Path, Option(help="Run folder to write.")] = Path("runs/train"),
-    resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")] = False,
+    algo: Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"] = "ppo",
+    env: str = "pickenv/Reach-v0",
+    compensate: Path | None = None,
+    allow: list[str] | None = None,
+    plant: str | None = None,
+    feedback: Literal["encoders", "camera"] = "encoders",
+    camera_noise: float = 0.0,
+    fruit_noise: float = 0.0,
+    randomise: str | None = None,
+    steps: Annotated[int | None, Option(min=1)] = None,
+    seed: Annotated[int, Option(min=0)] = 0,
+    checkpoint_every: Annotated[int, Option(min=1)] = 50_000,
+    evaluate_every: Annotated[int, Option(min=1)] = 50_000,
+    out: Path = Path("runs/train"),
+    resume: Annotated[bool, Option("--resume")] = False,
 ) -> None:
     """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs.
+
+    Args:
+        context: The command line as it was typed.
+        algo: Algorithm; the last two remember past picks and learn on many fruit of one arm.
+        env: Id of the environment.
+        compensate: Calibration file (.npz) to train behind.
+        allow: Train behind the calibration in spite of this: fitted-frames, do-not-use.
+        plant: Plant preset or plant file; the environment's if left out.
+        feedback: What the policy sees beside its joints.
+        camera_noise: Noise of the camera's view of the gap, mm per axis.
+        fruit_noise: Noise of the fruit's position, mm per axis.
+        randomise: Tolerance class: a new arm of it in every episode (domain randomisation).
+        steps: Environment steps; the tuned number if left out.
+        seed: Seed of everything random.
+        checkpoint_every: Steps between checkpoints.
+        evaluate_every: Steps between evaluations.
+        out: Run folder to write.
+        resume: Go on from the folder's checkpoint, as it was begun.
 
     Examples:
         pickenv train --steps 100000 --compensate my_arm.npz --out runs/policy
@@ -144,38 +153,50 @@ def _was_given(context: typer.Context, name: str) -> bool:
 
 def evaluate(
     context: typer.Context,
-    policy: Annotated[
-        list[str] | None,
-        Option(
-            help="{policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated."
-        ),
-    ] = None,
-    compensation: Annotated[
-        list[str] | None, Option(help="raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated.")
-    ] = None,
-    feedback: Annotated[list[str] | None, Option(help="encoders, camera; may be repeated.")] = None,
-    plant: Annotated[list[str] | None, Option(help="Plant preset; may be repeated.")] = None,
-    gripper: Annotated[
-        list[str] | None, Option(help="Gripper, by name or as a file of kind {gripper}; may be repeated.")
-    ] = None,
-    arms: Annotated[int, Option(help="Arms drawn for each plant.", min=1)] = 64,
-    episodes: Annotated[int, Option(help="Fruits per arm.", min=1)] = 32,
-    tolerances: Annotated[str, Option(help="Tolerance class of the arms.")] = "coarse",
-    camera_noise: Annotated[float, Option(help="Noise of the camera's view of the gap, mm per axis.")] = 1.0,
-    fruit_noise: Annotated[float, Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
-    epochs: Annotated[int, Option(help="Epochs of each arm's network.", min=1)] = 100,
-    seed: Annotated[int, Option(help="Seed of arms, fruit, pictures and calibrations.", min=0)] = 0,
-    json_file: Annotated[Path | None, Option("--json", help="Write the rows to this file.")] = None,
-    table: Annotated[Path | None, Option(help="Write the rows as .csv or .parquet as well.")] = None,
-    figures: Annotated[Path | None, Option(help="Folder for the figures.")] = None,
-    cache: Annotated[Path | None, Option(help="Folder that keeps the arms' calibrations.")] = None,
-    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
-    out: Annotated[Path | None, Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
+    policy: list[str] | None = None,
+    compensation: list[str] | None = None,
+    feedback: list[str] | None = None,
+    plant: list[str] | None = None,
+    gripper: list[str] | None = None,
+    arms: Annotated[int, Option(min=1)] = 64,
+    episodes: Annotated[int, Option(min=1)] = 32,
+    tolerances: str = "coarse",
+    camera_noise: float = 1.0,
+    fruit_noise: float = 0.0,
+    epochs: Annotated[int, Option(min=1)] = 100,
+    seed: Annotated[int, Option(min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    table: Path | None = None,
+    figures: Path | None = None,
+    cache: Path | None = None,
+    workers: Annotated[int | None, Option(min=1)] = None,
+    out: Path | None = None,
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit.
 
     On each of 64 arms, least squares take 0.1 s of processor time, a Gaussian process 3 s and a network 3 s: with all
     defaults about ten minutes on two cores; fewer --arms or --compensation take less, --cache keeps them.
+
+    Args:
+        context: The command line as it was typed.
+        policy: {policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated.
+        compensation: raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated.
+        feedback: encoders, camera; may be repeated.
+        plant: Plant preset; may be repeated.
+        gripper: Gripper, by name or as a file of kind {gripper}; may be repeated.
+        arms: Arms drawn for each plant.
+        episodes: Fruits per arm.
+        tolerances: Tolerance class of the arms.
+        camera_noise: Noise of the camera's view of the gap, mm per axis.
+        fruit_noise: Noise of the fruit's position, mm per axis.
+        epochs: Epochs of each arm's network.
+        seed: Seed of arms, fruit, pictures and calibrations.
+        json_file: Write the rows to this file.
+        table: Write the rows as .csv or .parquet as well.
+        figures: Folder for the figures.
+        cache: Folder that keeps the arms' calibrations.
+        workers: Processes; one per core if left out.
+        out: Run folder for `pickenv figures` and `pickenv report`.
 
     Examples:
         pickenv evaluate --policy runs/policy --out runs/comparison
@@ -251,18 +272,22 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
 
 
 def datasets(
-    task: Annotated[list[str] | None, Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
-    quality: Annotated[
-        list[str] | None, Option(help="expert, medium, random; may be repeated. All if left out.")
-    ] = None,
-    episodes: Annotated[
-        int | None, Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)
-    ] = None,
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    json_file: Annotated[Path | None, Option("--json", help="Write the cards to this file.")] = None,
-    out: Annotated[Path, Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
+    task: list[str] | None = None,
+    quality: list[str] | None = None,
+    episodes: Annotated[int | None, Option(min=1)] = None,
+    seed: Annotated[int, Option(min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    out: Path = Path("runs/datasets"),
 ) -> None:
     """Record Minari data sets of good, middling and random policies; those that are there are kept.
+
+    Args:
+        task: reach, pick; may be repeated. Reach if left out.
+        quality: expert, medium, random; may be repeated. All if left out.
+        episodes: Episodes of each; 256 reaches or 32 canopies if left out.
+        seed: Seed of everything random.
+        json_file: Write the cards to this file.
+        out: Folder to write, as Minari's.
 
     Examples:
         pickenv datasets --out runs/datasets

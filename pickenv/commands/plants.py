@@ -5,16 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Option
 
 from pickenv.base import check_limit, obey, separate, write_json
 from pickenv.commands.showing import command_of, deliver, print_table, progress_bars, with_options
 
-JsonFile = Annotated[Path | None, Option("--json", help="Write the figures to this file.")]
 
-
-def arms(json_file: JsonFile = None) -> None:
+def arms(json_file: Annotated[Path | None, Option("--json")] = None) -> None:
     """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from.
+
+    Args:
+        json_file: Write the figures to this file.
 
     Examples:
         pickenv arms
@@ -45,14 +46,22 @@ def arms(json_file: JsonFile = None) -> None:
 
 
 def effects(
-    plant: Annotated[str, Option(help="Plant preset or plant file (.toml).")] = "orchard",
-    reaches: Annotated[int, Option(help="Reaches to average over.", min=2)] = 300,
-    dwell: Annotated[float, Option(help="Waiting time after arrival, s.", min=0.0)] = 0.5,
-    hours: Annotated[float, Option(help="Time since the machine was switched on, h.", min=0.0)] = 2.0,
-    seed: Annotated[int, Option(help="Seed of the reaches.", min=0)] = 0,
-    json_file: JsonFile = None,
+    plant: str = "orchard",
+    reaches: Annotated[int, Option(min=2)] = 300,
+    dwell: Annotated[float, Option(min=0.0)] = 0.5,
+    hours: Annotated[float, Option(min=0.0)] = 2.0,
+    seed: Annotated[int, Option(min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
     """Each effect's share of the tip error of a simulated arm, in mm: alone, what is left without it, and all.
+
+    Args:
+        plant: Plant preset or plant file (.toml).
+        reaches: Reaches to average over.
+        dwell: Waiting time after arrival, s.
+        hours: Time since the machine was switched on, h.
+        seed: Seed of the reaches.
+        json_file: Write the figures to this file.
 
     Examples:
         pickenv effects --plant orchard
@@ -75,19 +84,28 @@ def effects(
 
 
 def iso9283(
-    plant: Annotated[str, Option(help="Plant preset or plant file (.toml).")] = "orchard",
-    calibration: Annotated[Path | None, Option(help="Fitted calibration (.npz) to test as well.")] = None,
-    allow: Annotated[
-        list[str] | None, Option(help="Test the calibration in spite of this: fitted-frames, do-not-use.")
-    ] = None,
-    cycles: Annotated[int, Option(help="Measurements per pose; 30 by the standard.", min=2)] = 30,
-    speed: Annotated[float, Option(help="Share of the largest speed.", min=0.01, max=1.0)] = 1.0,
-    dwell: Annotated[float, Option(help="Waiting time before each measurement, s.", min=0.0)] = 2.0,
-    seed: Annotated[int, Option(help="Seed of friction and instrument noise.", min=0)] = 0,
-    json_file: JsonFile = None,
-    out: Annotated[Path | None, Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
+    plant: str = "orchard",
+    calibration: Path | None = None,
+    allow: list[str] | None = None,
+    cycles: Annotated[int, Option(min=2)] = 30,
+    speed: Annotated[float, Option(min=0.01, max=1.0)] = 1.0,
+    dwell: Annotated[float, Option(min=0.0)] = 2.0,
+    seed: Annotated[int, Option(min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    out: Path | None = None,
 ) -> None:
     """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated.
+
+    Args:
+        plant: Plant preset or plant file (.toml).
+        calibration: Fitted calibration (.npz) to test as well.
+        allow: Test the calibration in spite of this: fitted-frames, do-not-use.
+        cycles: Measurements per pose; 30 by the standard.
+        speed: Share of the largest speed.
+        dwell: Waiting time before each measurement, s.
+        seed: Seed of friction and instrument noise.
+        json_file: Write the figures to this file.
+        out: Run folder for `pickenv figures` and `pickenv report`.
 
     Examples:
         pickenv iso9283 --plant qiao2026 --out runs/iso
@@ -133,24 +151,38 @@ WIDE = 170
 
 
 def conditions(
-    subject: Annotated[str, Argument(help="Plant preset or plant file (.toml), or fitted calibration (.npz).")],
-    plant: Annotated[str, Option(help="The simulated arm that a calibration is judged on.")] = "orchard",
-    payload: Annotated[float, Option(help="Largest payload, kg.", min=0.0)] = 0.5,
-    weather: Annotated[float, Option(help="How much cooler or warmer a day may be, K.", min=0.0)] = 10.0,
-    hours: Annotated[float, Option(help="Length of a working day, h.", min=0.0)] = 8.0,
-    arms: Annotated[int, Option(help="Drawn arms; fewer than 10 have no intervals.", min=1)] = 10,
-    tolerances: Annotated[str, Option(help="Tolerance class that arms are drawn from.")] = "medium",
-    sessions: Annotated[int, Option(help="Training sessions, each under other conditions.", min=2)] = 12,
-    poses: Annotated[int, Option(help="Poses of a session.", min=5)] = 25,
-    residual: Annotated[str, Option(help="What learns the rest: {residual}.")] = "rbf",
-    allow: Annotated[
-        list[str] | None, Option(help="Judge the calibration in spite of this: fitted-frames, do-not-use.")
-    ] = None,
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
-    out: Annotated[Path | None, Option(help="Run folder with figure and page.")] = None,
+    subject: str,
+    plant: str = "orchard",
+    payload: Annotated[float, Option(min=0.0)] = 0.5,
+    weather: Annotated[float, Option(min=0.0)] = 10.0,
+    hours: Annotated[float, Option(min=0.0)] = 8.0,
+    arms: Annotated[int, Option(min=1)] = 10,
+    tolerances: str = "medium",
+    sessions: Annotated[int, Option(min=2)] = 12,
+    poses: Annotated[int, Option(min=5)] = 25,
+    residual: str = "rbf",
+    allow: list[str] | None = None,
+    seed: Annotated[int, Option(min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    out: Path | None = None,
 ) -> None:
     """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves.
+
+    Args:
+        subject: Plant preset or plant file (.toml), or fitted calibration (.npz).
+        plant: The simulated arm that a calibration is judged on.
+        payload: Largest payload, kg.
+        weather: How much cooler or warmer a day may be, K.
+        hours: Length of a working day, h.
+        arms: Drawn arms; fewer than 10 have no intervals.
+        tolerances: Tolerance class that arms are drawn from.
+        sessions: Training sessions, each under other conditions.
+        poses: Poses of a session.
+        residual: What learns the rest: {residual}.
+        allow: Judge the calibration in spite of this: fitted-frames, do-not-use.
+        seed: Seed of everything random.
+        json_file: Write the figures to this file.
+        out: Run folder with figure and page.
 
     Examples:
         pickenv conditions orchard --out runs/conditions

@@ -1,14 +1,13 @@
 """The words of commands: progress bars on standard error, so that standard output stays clean, tables, names in help.
 
-A command's docstring is its help, and holds the examples that end it (`help_of`). The library names its parameters, in
-backticks; commands print options in their place (`with_options`). Results are saved first, then printed, so that a
-screen that fails costs nothing (`deliver`).
+A command's docstring is its help (`CommandOfNames`). The library names its parameters, in backticks; commands print
+options in their place (`with_options`). Results are saved first, then printed, so that a screen that fails costs
+nothing (`deliver`).
 """
 
 from __future__ import annotations
 
 import ast
-import inspect
 import re
 import shlex
 import sys
@@ -17,22 +16,15 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from importlib import metadata
+from inspect import signature
 from pathlib import Path
 from typing import Any, TypeAlias, get_type_hints
 
 from typer.core import TyperArgument, TyperCommand, TyperOption
-from typer.models import ArgumentInfo
+from typer.models import ArgumentInfo, OptionInfo
 
 from pickenv.base import InputError, command_line, screen_width, side_by_side, write_json, write_text
 from pickenv.base.registry import names
-
-
-def help_of(command: Callable[..., None]) -> tuple[str, str]:
-    """What a command's docstring says, and how its help ends: commands as they are typed, and where to read more."""
-    text, mark, end = (inspect.getdoc(command) or "").partition("\n\nExamples:\n")
-    lines, _, page = end.partition("\n\nMore: ")
-    typed = [f"[bold]{line.strip()}[/bold]" for line in lines.split("\n")]
-    return text, "\n\n".join(["Examples:", *typed, f"More: {pages_address()}/{page}"]) if mark else ""
 
 
 def pages_address() -> str:
@@ -49,7 +41,23 @@ WIDTH = 150
 
 
 class CommandOfNames(TyperCommand):
-    """A command whose help says ``{residual}`` where the names of all registered residual models belong."""
+    """A command whose help is its docstring: options by "Args:", and "Examples:" and "More:" at the end.
+
+    It says ``{residual}`` where the names of all registered residual models belong.
+    """
+
+    def __init__(self, *args: Any, help: str | None, params: list[Any], **more: Any) -> None:
+        """Take the docstring apart."""
+        text, _, end = (help or "").partition("\n\nExamples:\n")
+        text, _, options = text.partition("\n\nArgs:\n")
+        helps = dict(re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", options, re.MULTILINE))
+        for param in params:
+            param.help = " ".join(helps.get(param.name, "").split()) or param.help
+        if end:
+            lines, _, page = end.partition("\n\nMore: ")
+            typed = [f"[bold]{line.strip()}[/bold]" for line in lines.split("\n")]
+            more["epilog"] = "\n\n".join(["Examples:", *typed, f"More: {pages_address()}/{page}"])
+        super().__init__(*args, help=text, params=params, **more)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Put the names in, which are looked for only now."""
@@ -137,14 +145,17 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
         values: Values by parameter.
     """
     words, options = ["pickenv", command.__name__.replace("_", "-")], dict[str, Any]()
+    parameters = signature(command).parameters
     for name, hint in get_type_hints(command, include_extras=True).items():
         if name in WRITTEN or name == "return":
             continue
-        declared, value = hint.__metadata__[0], values[name]
-        if isinstance(declared, ArgumentInfo):
+        declared, value = next(iter(getattr(hint, "__metadata__", ())), None), values[name]
+        required = parameters[name].default is parameters[name].empty
+        if isinstance(declared, ArgumentInfo) or (required and not isinstance(declared, OptionInfo)):
             words += value if isinstance(value, list) else [value]
             continue
-        option, _, opposite = (declared.default if isinstance(declared.default, str) else name).partition("/")
+        given = getattr(declared, "default", None)
+        option, _, opposite = (given if isinstance(given, str) else name).partition("/")
         options |= {opposite.strip("-"): not value} if opposite else {option.strip("-"): value}
     return command_line(*words, **options)
 

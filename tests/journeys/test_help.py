@@ -34,6 +34,13 @@ def test_every_command_has_examples_and_a_page() -> None:
     assert {name for name, _ in LINES} == set(EXAMPLES)
 
 
+def test_every_argument_and_option_is_explained() -> None:
+    bench = COMMANDS["bench"].commands
+    params = [(name, param) for name, one in {**COMMANDS, **bench}.items() for param in one.params if one.callback]
+    assert [f"{name} {param.name}" for name, param in params if not param.help and param.name != "context"] == []
+    assert [name for name, param in params if "Args:" in (param.help or "")] == []
+
+
 @pytest.mark.parametrize(("name", "line"), LINES, ids=[line for _, line in LINES])
 def test_an_example_is_what_its_command_takes(name: str, line: str) -> None:
     assert name in {shlex.split(line)[1], "demo"}  # the demonstration is looked at with another command
