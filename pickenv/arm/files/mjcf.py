@@ -27,16 +27,7 @@ from pickenv.arm.files.xml_values import Element, numbers_text, xml_number, xml_
 from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.base import (
-    InputError,
-    decimal_number,
-    is_file,
-    listed,
-    one_line,
-    register,
-    shortened,
-    toml_tables,
-)
+from pickenv.base import InputError, decimal_number, is_file, listed, one_line, register, shortened, toml_tables
 
 # MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
 # kinematics are exact. Masses are not known of an arm's table: each link is a rod of `DENSITY`, so that inertias are
