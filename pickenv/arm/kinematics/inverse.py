@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import binary_erosion
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
@@ -341,18 +342,11 @@ def _samples(geometry: Geometry) -> Array:
 
 def _largest_filled(filled: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:
     """Lower corner and size, in grid steps, of the largest cube of grid points that are all filled."""
-    corner: tuple[int, ...] = (0, 0, 0)
-    size, corners = 0, filled  # corners: which points are the lower corner of a filled cube of this size
-    while corners.any():
-        choices = np.argwhere(corners)
-        corner = tuple(choices[len(choices) // 2].tolist())
-        shape = np.array(corners.shape) - 1
-        if (shape < 1).any():
-            break
-        grown = np.ones(shape, dtype=bool)
-        for shift in np.ndindex(2, 2, 2):
-            grown &= corners[tuple(slice(s, s + n) for s, n in zip(shift, shape, strict=True))]
-        if not grown.any():
-            break
-        size, corners = size + 1, grown
-    return corner, size
+    size, grown = -1, filled
+    while grown.any():
+        size, corners = size + 1, grown  # the points that are the lower corner of a filled cube of this size
+        grown = binary_erosion(corners, np.ones((2, 2, 2), dtype=bool), origin=-1)
+    if size < 0:
+        return (0, 0, 0), 0
+    choices = np.argwhere(corners)
+    return tuple(choices[len(choices) // 2].tolist()), size

@@ -52,18 +52,8 @@ class Operation(NamedTuple):
     detail: Any = None
 
 
-class Call(NamedTuple):
-    """A function of whole arrays, called between two loops.
-
-    Attributes:
-        function: The function.
-        values: What it is given.
-        rows: How many numbers it makes of them.
-    """
-
-    function: Fill
-    values: Sequence[Scalar]
-    rows: int
+Call = tuple[Fill, Sequence[Scalar], int]
+"""A function of whole arrays, called between two loops; what it is given; how many numbers it makes of them."""
 
 
 class Trace:
@@ -238,7 +228,7 @@ def _outside(function: Fill, values: Sequence[Scalar], rows: int) -> list[Traced
     trace = _trace_of(values)
     if trace is None:
         return None
-    trace.calls.append(Call(function, values, rows))
+    trace.calls.append((function, values, rows))
     return trace.inputs(f"found{len(trace.calls) - 1}", rows)
 
 
@@ -311,7 +301,7 @@ class Compiled:
 
     def __init__(self, trace: Trace, outputs: Sequence[Outputs], count: int) -> None:
         self._calls = trace.calls
-        loops = [[Outputs(f"given{i}", call.values)] for i, call in enumerate(trace.calls)] + [list(outputs)]
+        loops = [[Outputs(f"given{i}", values)] for i, (_, values, _) in enumerate(trace.calls)] + [list(outputs)]
         goals = [[goal for out in loop for goal in out.goals(trace)] for loop in loops]
         read = (operation.detail[0] for operation in trace.operations if operation.name == "input")
         self._arrays = tuple(dict.fromkeys((*read, *(out.array for loop in loops for out in loop))))
@@ -324,16 +314,16 @@ class Compiled:
     def run(self, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
         """Compute outputs from inputs: arrays ``(rows, count)`` by name, whose rows lie one after the other."""
         if self._calls and (not self._between or self._between["given0"].shape[1] != count):
-            for i, call in enumerate(self._calls):
-                self._between[f"given{i}"] = np.empty((len(call.values), count))
-                self._between[f"found{i}"] = np.empty((call.rows, count))
+            for i, (_, values, rows) in enumerate(self._calls):
+                self._between[f"given{i}"] = np.empty((len(values), count))
+                self._between[f"found{i}"] = np.empty((rows, count))
         arrays = {**arrays, **self._between}
         addresses = (arrays[name].__array_interface__["data"][0] for name in self._arrays)
         bases = (ctypes.c_void_p * len(self._arrays))(*addresses)
         for i, loop in enumerate(self._loops):
             loop(bases, count)
             if i < len(self._calls):
-                self._calls[i].function(arrays[f"given{i}"], arrays[f"found{i}"])
+                self._calls[i][0](arrays[f"given{i}"], arrays[f"found{i}"])
 
 
 Goals = Sequence[tuple[int, str, int]]

@@ -72,6 +72,11 @@ def plant_file(effects: tuple[str, ...]) -> Any:
     return toml_tables.toml_table(make_dataclass("PlantFile", members, frozen=True))
 
 
+def any_plant_file() -> Any:
+    """The type of a plant file that may have tables of every effect that is registered."""
+    return plant_file(tuple(registry.load_all("effect")))
+
+
 def shipped_effects() -> tuple[str, ...]:
     """The names of the effects that come with pickenv."""
     return tuple(name for name in registry.names("effect") if registry.origin("effect", name).package == "pickenv")
