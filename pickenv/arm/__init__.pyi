@@ -28,7 +28,6 @@ from .kinematics.forward import (
     chain_of as chain_of,
     drawn_parts as drawn_parts,
     forward as forward,
-    forward_torch as forward_torch,
     frame_of as frame_of,
     frames as frames,
     geometry_from_axes as geometry_from_axes,

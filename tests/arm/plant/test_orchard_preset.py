@@ -117,8 +117,8 @@ def test_three_executors_walk_the_same_way(orchard, draw):
             for mine, theirs in zip(one[0], many[0], strict=True):
                 np.testing.assert_allclose(mine, [value[arm] for value in theirs], rtol=0, atol=1e-12)
     settled = orchard.tool_pose(ways[0])
-    torched = pose_of(orchard.tool_frame(torch, torch.from_numpy(ways[0]).unbind(-1)), torch)
-    np.testing.assert_allclose(torched.position.numpy(), settled.position, rtol=0, atol=1e-12)
+    torched = pose_of(orchard.tool_frame(torch, torch.from_numpy(ways[0]).unbind(-1)))
+    np.testing.assert_allclose(torched.position, settled.position, rtol=0, atol=1e-12)
     floats = [orchard.tool_frame(math, q)[9:] for q in ways[0].tolist()]
     np.testing.assert_allclose(floats, settled.position, rtol=0, atol=1e-12)
 
