@@ -13,7 +13,7 @@ import typer
 from typer import Option
 
 from pickenv.base import InputError, separate
-from pickenv.commands.showing import deliver, print_table, progress_bars
+from pickenv.commands.showing import PARAMETERS, deliver, print_table, progress_bars
 
 if TYPE_CHECKING:
     from pickenv.agents import Training
@@ -117,27 +117,15 @@ def train(
 
 def _refuse_changes(context: typer.Context, begun: Training, out: Path) -> None:
     """Refuse options on the command line that say something else than the training that is to go on."""
-    options = {
-        "algo": begun.algorithm,
-        "env": begun.env_id,
-        "compensate": begun.compensate,
-        "allow": begun.allow,
-        "plant": begun.arguments.get("plant"),
-        "feedback": begun.arguments.get("feedback", "encoders"),
-        "camera_noise": begun.arguments.get("camera_noise_mm", 0.0),
-        "fruit_noise": begun.arguments.get("fruit_noise_mm", 0.0),
-        "randomise": begun.arguments.get("tolerances"),
-        "steps": begun.total,
-        "seed": begun.seed,
-        "checkpoint_every": begun.checkpoint_every,
-        "evaluate_every": begun.evaluate_every,
-    }
-    changed = [
-        f"without --{word}" if value is None else f"with --{word} {value}, not {value_now}"
-        for name, value in options.items()
-        for word, value_now in [(name.replace("_", "-"), context.params[name])]
-        if _was_given(context, name) and (str(value_now) if isinstance(value_now, Path) else value_now) != value
-    ]
+    usual = {"plant": None, "feedback": "encoders", "camera_noise_mm": 0.0, "fruit_noise_mm": 0.0, "tolerances": None}
+    said = usual | vars(begun) | begun.arguments | {"steps": begun.total}
+    said = {PARAMETERS.get(name, name): value for name, value in said.items()} | {"randomise": said["tolerances"]}
+    changed = []
+    for name in (str(param.name) for param in context.command.params):
+        value = str(context.params[name]) if isinstance(context.params[name], Path) else context.params[name]
+        if name in said and _was_given(context, name) and value != said[name]:
+            word = name.replace("_", "-")
+            changed.append(f"without --{word}" if said[name] is None else f"with --{word} {said[name]}, not {value}")
     if changed:
         raise InputError(
             f"the training in {out} was begun {', '.join(changed)}; leave out what was not said then, or give "
@@ -216,13 +204,13 @@ def evaluate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
         {"--out": written, "--json": json_file, "--table": table},
     )
-    typed: dict[str, Any] = {
+    typed = {
         "policies": policy,
         "compensations": compensation,
         "feedback": feedback,
         "plants": plant,
+        "grippers": gripper,
     }
-    typed["grippers"] = gripper
     names: dict[str, Any] = {key: tuple(value) for key, value in typed.items() if value}
     settings = PolicySettings(
         arms=arms,
