@@ -5,16 +5,14 @@ from __future__ import annotations
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer import Option
 
+import pickenv
 from pickenv.base import npz_path, require, separate, write_json
 from pickenv.commands.showing import command_of, deliver, fields_among, progress_bars
-
-if TYPE_CHECKING:
-    from pickenv.calibration import Result
 
 DO_NOT_USE = 3
 """Exit code of a calibration whose verdict is "do not use", and of targets that cannot be reached."""
@@ -142,7 +140,7 @@ def calibrate(
         raise typer.Exit(DO_NOT_USE)
 
 
-def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
+def write_run(folder: Path, command: str, seed: int, result: pickenv.Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
     from pickenv.inspect import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of, views_of

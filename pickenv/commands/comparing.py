@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
+import pickenv
 from pickenv.base import separate, write_json
 from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
-
-if TYPE_CHECKING:
-    from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 
 SEVERAL = ("--compensate", "--label")
 """Options that may be followed by several values."""
@@ -106,7 +104,7 @@ def compare(
     )
 
 
-def _print_comparison(episodes: RecordedEpisodes) -> None:
+def _print_comparison(episodes: pickenv.inspect.RecordedEpisodes) -> None:
     from pickenv.inspect.runs import comparison_summary
 
     rows, lines = comparison_summary.policy_cells(episodes), comparison_summary.difference_cells(episodes)

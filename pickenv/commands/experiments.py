@@ -6,16 +6,13 @@ import sys
 from functools import partial
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from typer import Option
 
+import pickenv
 from pickenv.base import InputError, check_limit, locked, require, separate, unseen_share
 from pickenv.commands.showing import Save, deliver, print_table, progress_bars, with_options
-
-if TYPE_CHECKING:
-    from pickenv.experiments import StudyConfig
-
 
 TERMINAL = 80
 """Characters of a line of the usual terminal."""
@@ -190,7 +187,7 @@ def study(
         deliver(saves, lambda: _print(settings, summary))
 
 
-def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
+def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any]) -> None:
     """The yields, what their differences come from, and where the rest stands; 80 characters wide."""
     from pickenv.experiments.study_findings import study_verdict
     from pickenv.inspect.runs.number_words import between

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from typer import Option
 
+import pickenv
 from pickenv.base import InputError, separate, write_text
-
-if TYPE_CHECKING:
-    from pickenv.inspect import Run
-
 
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
 """Suffixes of pages and pictures, which may be made again."""
@@ -75,7 +72,7 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
         return [_record(record, policy)]
 
 
-def _record(run: Run, policy: str | None) -> Path:
+def _record(run: pickenv.inspect.Run, policy: str | None) -> Path:
     from pickenv.inspect import Comparison, RecordedEpisodes, record_comparison
     from pickenv.inspect.runs.run_folder import load_part
 
@@ -96,7 +93,7 @@ def _record(run: Run, policy: str | None) -> Path:
     raise InputError(f"a run of kind '{run.kind}' has no recording; see its figures with `pickenv report {run.folder}`")
 
 
-def _record_evaluation(run: Run, policy: str | None) -> Path:
+def _record_evaluation(run: pickenv.inspect.Run, policy: str | None) -> Path:
     """One policy's compensations side by side, on the first plant and with the first feedback."""
     from pickenv.arm import load_plant
     from pickenv.experiments.policies import reaches_in

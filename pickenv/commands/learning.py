@@ -7,17 +7,14 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer import Option
 
+import pickenv
 from pickenv.base import InputError, separate
 from pickenv.commands.showing import PARAMETERS, deliver, print_table, progress_bars
-
-if TYPE_CHECKING:
-    from pickenv.agents import Training
-
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
 
@@ -115,7 +112,7 @@ def train(
         print(f"wrote {path}")
 
 
-def _refuse_changes(context: typer.Context, begun: Training, out: Path) -> None:
+def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out: Path) -> None:
     """Refuse options on the command line that say something else than the training that is to go on."""
     usual = {"plant": None, "feedback": "encoders", "camera_noise_mm": 0.0, "fruit_noise_mm": 0.0, "tolerances": None}
     said = usual | vars(begun) | begun.arguments | {"steps": begun.total}

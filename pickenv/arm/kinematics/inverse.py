@@ -164,7 +164,7 @@ def _cost(solution: InverseSolution) -> Array:
 
 def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> Array:
     """Joints of the ``count`` poses of an even spread that stand nearest to each target (targets * count, n)."""
-    joints = spread_joints(geometry, POOL)
+    joints = halton_joints(geometry, POOL)
     pool = forward(geometry, joints)
     size = max(float(pool.position.std(axis=0).max()), 1e-6)
 
@@ -294,7 +294,7 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
     """
     if rotation is None:
         rotation = forward(geometry, (geometry.lower + geometry.upper) / 2.0).rotation
-    joints = spread_joints(geometry, SAMPLES)
+    joints = halton_joints(geometry, SAMPLES)
     points = forward(geometry, joints).position
     low, high = points.min(axis=0), points.max(axis=0)
     step = float((high - low).max()) / steps
@@ -322,7 +322,7 @@ def farthest(geometry: Geometry) -> float:
 
     The best of the samples is driven on to a maximum.
     """
-    joints = spread_joints(geometry, SAMPLES)
+    joints = halton_joints(geometry, SAMPLES)
     foot = geometry.base.position
 
     def nearness(q: Array) -> float:
@@ -333,7 +333,7 @@ def farthest(geometry: Geometry) -> float:
     return -float(minimize(nearness, first, bounds=limits).fun)
 
 
-def spread_joints(geometry: Geometry, count: int) -> Array:
+def halton_joints(geometry: Geometry, count: int) -> Array:
     """Joints ``(count, n)`` spread evenly within the limits, rad or m: a Halton sequence."""
     shares = qmc.Halton(geometry.joints, scramble=False).random(count)
     return np.asarray(geometry.lower + (geometry.upper - geometry.lower) * shares)

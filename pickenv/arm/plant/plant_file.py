@@ -22,7 +22,7 @@ from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.arm_file import load_arm, shipped_arms
 from pickenv.arm.kinematics.forward import chain_of, frames
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.arm.kinematics.inverse import spread_joints
+from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.arm.plant.plant import Plant, Unmeasured
 from pickenv.arm.plant.tolerances import SizesTable, Tolerances, draw_plants, load_tolerances, shipped_tolerances
 from pickenv.arm.plant.twin_file import read_twin
@@ -284,7 +284,7 @@ def rods(arm: Arm) -> Load:
 def _largest_torques(arm: Arm, load: Load) -> Array:
     """Size of each joint's largest torque or force under gravity (n,), N*m or N."""
     chain = chain_of(arm.nominal)
-    torques = gravity_torques(chain, frames(np, chain, list(spread_joints(arm.nominal, SAMPLES).T)), load)
+    torques = gravity_torques(chain, frames(np, chain, list(halton_joints(arm.nominal, SAMPLES).T)), load)
     return np.array([np.abs(torque).max() for torque in torques])
 
 
