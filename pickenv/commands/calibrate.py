@@ -91,7 +91,6 @@ def calibrate(
     More: calibrating-a-robot.md
     """
     typed = dict(locals())
-    from pickenv.calibration import Choices, calibrate as calibrated
     from pickenv.calibration.camera.boards import write_lens
     from pickenv.calibration.pipeline.fitting import lens_of
     from pickenv.calibration.pipeline.verification import frames_and_rows
@@ -110,9 +109,9 @@ def calibrate(
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
     frames_moved, count = frames_and_rows(refit, refit_rows)
-    choices = Choices(**fields_among(Choices, typed) | {"refit": frames_moved, "refit_rows": count})
+    choices = pickenv.Choices(**fields_among(pickenv.Choices, typed) | {"refit": frames_moved, "refit_rows": count})
     with progress_bars() if sys.stderr.isatty() else nullcontext() as progress:
-        result = calibrated(
+        result = pickenv.calibrate(
             arm,
             files,
             columns=columns,
@@ -142,7 +141,6 @@ def calibrate(
 
 def write_run(folder: Path, command: str, seed: int, result: pickenv.Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
-    from pickenv.inspect import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of, views_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
 
@@ -156,5 +154,5 @@ def write_run(folder: Path, command: str, seed: int, result: pickenv.Result, see
             result.calibration.save(folder / "calibration"),
             save_part(folder, trace, seed),
             write_json(folder / "figures.json", result.as_dict()),
-            write_calibration_report(folder / REPORT, result, seeds),
+            pickenv.inspect.write_calibration_report(folder / REPORT, result, seeds),
         ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, make_dataclass
 from inspect import isfunction
 from pathlib import Path
@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 from typer import Option
 
+import pickenv
 from pickenv.base import InputError, check_sealed_parquet, read_container, refusing_damage, separate, write_json
 
 REFUSED = 3
@@ -96,7 +97,6 @@ def findings_of(path: Path) -> list[Finding]:
 
 def folder_findings(folder: Path) -> list[Finding]:
     """What is found about every file of a run, of a study, or of another folder that holds runs or sealed files."""
-    from pickenv.experiments import check_experiment
     from pickenv.experiments.engine import RECORD as EXPERIMENT
     from pickenv.experiments.policy_tables import EPISODES
     from pickenv.inspect.runs.run_folder import LIST, PARTS, RECORD, STUDY
@@ -106,14 +106,12 @@ def folder_findings(folder: Path) -> list[Finding]:
     if (folder / LIST).exists():
         return listed_findings(folder)
     if (folder / EXPERIMENT).exists():
-        return [Finding(str(path), "file of an experiment", reason=reason) for path, reason in check_experiment(folder)]
+        return _faults("file of an experiment", pickenv.experiments.check_experiment(folder))
     pages = [name for name in BENCH_PAGES if (folder / name).exists()]
     if pages:
         return [Finding(str(folder / LIST), "list of files", reason=f"is missing beside {pages[0]}; {REMAKE}")]
     if (folder / STUDY).exists():
-        from pickenv.experiments import check_folder
-
-        return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
+        return _faults("file of a study", pickenv.experiments.check_folder(folder))
     runs = {record.parent for name in (RECORD, LIST, EXPERIMENT) for record in folder.rglob(name)}
     runs = {run for run in runs if not runs & set(run.parents)}
     sealed = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
@@ -126,6 +124,11 @@ def folder_findings(folder: Path) -> list[Finding]:
         reason = f"its run is not complete: {path.parent / RECORD} is missing; {REMAKE}"
         findings.append(Finding(str(path), "file of a run", reason=reason) if lost else file_finding(path))
     return findings
+
+
+def _faults(what: str, faults: Iterable[tuple[Path, str | None]]) -> list[Finding]:
+    """What is found about files of which it is known whether they are sound."""
+    return [Finding(str(path), what, reason=reason) for path, reason in faults]
 
 
 def listed_findings(folder: Path) -> list[Finding]:
@@ -151,12 +154,11 @@ def _of_files(faults: Sequence[tuple[Path, str | None]]) -> list[Finding]:
 
 def run_findings(folder: Path) -> list[Finding]:
     """What is found about a run folder's record and every file that it lists or that lies beside it."""
-    from pickenv.inspect import read_run
     from pickenv.inspect.runs.run_folder import FORMAT, RECORD, faults_of
 
     record = str(folder / RECORD)
     try:
-        run = read_run(folder)
+        run = pickenv.inspect.read_run(folder)
     except InputError as error:
         return [Finding(record, "record of a run", reason=str(error))]
     return [
@@ -199,16 +201,12 @@ def _verified(path: Path, kind: str) -> str:
         case "calibration":
             return _calibration(path)
         case "twin":
-            from pickenv.arm import read_twin
-
-            plant = read_twin(path)
+            plant = pickenv.arm.read_twin(path)
             assert plant.posterior is not None
             count = plant.posterior.factor.shape[1]
             return f"of arm '{plant.arm.name}', {count} parameters with their covariance"
         case "policy" | "policy with a memory":
-            from pickenv.agents import load_policy, load_remembering
-
-            policy = load_policy(path) if kind == "policy" else load_remembering(path)
+            policy = pickenv.load_policy(path) if kind == "policy" else pickenv.agents.load_remembering(path)
             return f"{policy.algorithm} on arm '{policy.arm}'"
         case "checkpoint":
             from pickenv.agents.training.checkpoints import check_checkpoint
@@ -223,20 +221,17 @@ def _verified(path: Path, kind: str) -> str:
             check_sealed_parquet(content, path, remake)
             return "whether it belongs to its study is found by checking the study's folder"
         case "CalibrationTrace" | "Comparison" | "HarvestTrace" | "RecordedEpisodes":
-            from pickenv.inspect import CalibrationTrace, Comparison, HarvestTrace, RecordedEpisodes
             from pickenv.inspect.runs.saved import load_numbers
 
-            kinds: tuple[type, ...] = (CalibrationTrace, Comparison, HarvestTrace, RecordedEpisodes)
-            load_numbers(path, next(k for k in kinds if k.__name__ == kind), "the command that wrote it")
+            load_numbers(path, getattr(pickenv.inspect, kind), "the command that wrote it")
             return "the numbers behind figures"
     raise InputError(f"{path} holds a {kind[:40]}, which this program does not know; update pickenv")
 
 
 def _calibration(path: Path) -> str:
-    from pickenv.calibration import Calibration
     from pickenv.experiments.methods import ORIGIN
 
-    calibration = Calibration.load(path)
+    calibration = pickenv.Calibration.load(path)
     origin = calibration.record.get(ORIGIN)
     key = re.search("-([0-9a-f]{16})$", path.stem)  # as `pickenv evaluate --cache` names them
     if origin is not None and key is not None and not str(origin).startswith(key[1]):

@@ -73,7 +73,6 @@ def compare(
 
     More: comparing-policies.md
     """
-    from pickenv.agents import compare as run
     from pickenv.agents.evaluation.compare import write_comparison
     from pickenv.inspect.runs.comparison_summary import content_of_comparison
     from pickenv.inspect.runs.run_folder import RECORD
@@ -82,7 +81,7 @@ def compare(
     separate({"POLICY": read, "--plant": plant}, {"--out": None if out is None else out / RECORD, "--json": json_file})
     arguments: dict[str, Any] = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
     with progress_bars() as report:
-        comparison = run(
+        comparison = pickenv.compare(
             policies,
             env,
             compensate=compensate or (),
@@ -139,12 +138,11 @@ def film(
 
     More: films.md
     """
-    from pickenv.inspect import film as make_film
     from pickenv.pictures.drawers import why_plain
 
     separate({}, {"--out": out})
     with progress_bars("frames") as report:
-        movie = make_film(
+        movie = pickenv.film(
             run, out, policies=policy or (), seconds=seconds, frames_per_second=fps, dark=dark, progress=report
         )
     plain = why_plain()

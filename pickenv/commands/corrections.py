@@ -11,6 +11,7 @@ import numpy as np
 import typer
 from typer import Option
 
+import pickenv
 from pickenv.base import DO_NOT_USE, InputError, check_limit, npz_path, obey, separate
 from pickenv.commands.showing import deliver
 
@@ -86,20 +87,18 @@ def plan_poses(
 
     More: calibrating-a-robot.md
     """
-    from pickenv.arm import load_arm
-    from pickenv.calibration import given_arm, given_rows, plan_poses as plan, pool_of, read_targets
     from pickenv.calibration.model.measurements import POSITION_STD
     from pickenv.calibration.model.prior import prior_model
     from pickenv.calibration.planning.like import plan_like
     from pickenv.calibration.reading.read import joints_of
 
     separate({"--at": at, "--arm": arm, "--from": pool, "--like": like}, {"--out": out, "--json": json_file})
-    robot = load_arm(arm)
+    robot = pickenv.load_arm(arm)
     if columns is not None and pool is None and like is None:
         raise InputError("--columns describes the file of --like or --from; give that too")
     if noise_mm is not None:
         check_limit("--noise-mm", noise_mm, "scatter_mm")
-    test_joints = None if at is None else joints_of(read_targets(at, robot.nominal), robot.nominal)
+    test_joints = None if at is None else joints_of(pickenv.calibration.read_targets(at, robot.nominal), robot.nominal)
     rng = np.random.default_rng(seed)
     prior = prior_model(
         robot.name,
@@ -109,11 +108,14 @@ def plan_poses(
         tolerances=tolerances or robot.tolerance_class,
         scale=prior_scale,
     )
+    joints: Any = candidates
+    lines = None
+    if pool is not None:
+        joints, lines = pickenv.calibration.pool_of(pool, robot.nominal, columns if like is None else None)
     if like is not None:
         if kind is not None or noise_mm is not None or frames == "known":
             raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
-        first, _ = given_rows(given_arm(robot, columns), like, columns)
-        joints, lines = (candidates, None) if pool is None else pool_of(pool, robot.nominal)
+        first, _ = pickenv.calibration.given_rows(pickenv.calibration.given_arm(robot, columns), like, columns)
         planned = plan_like(
             robot,
             first,
@@ -127,8 +129,7 @@ def plan_poses(
             prior=prior if prior.proper else None,
         )
     else:
-        joints, lines = (candidates, None) if pool is None else pool_of(pool, robot.nominal, columns)
-        planned = plan(
+        planned = pickenv.calibration.plan_poses(
             robot,
             prior if prior.proper else prior.parameters,
             n,
@@ -173,12 +174,11 @@ def verify(
 
     More: calibrating-a-robot.md
     """
-    from pickenv.calibration import Calibration, read_observations
     from pickenv.calibration.pipeline.verification import frames_and_rows, verify as verified
 
     separate({"CALIBRATION": calibration, "FILES": files, "--columns": columns}, {"--json": json_file})
-    old = Calibration.load(calibration)
-    data = read_observations(files, old.arm, columns).observations
+    old = pickenv.Calibration.load(calibration)
+    data = pickenv.calibration.read_observations(files, old.arm, columns).observations
     verdict = verified(old, data, *frames_and_rows(refit, refit_rows))
     deliver([(json_file, verdict.as_dict())], verdict.text())
     if verdict.status != "still good":
@@ -216,8 +216,6 @@ def apply(
 
     More: applying-a-calibration.md
     """
-    from pickenv.arm import load_arm
-    from pickenv.calibration import Calibration, apply_calibration, read_targets
     from pickenv.calibration.model.arm_model import Conditions
 
     separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
@@ -225,15 +223,15 @@ def apply(
     for option, (value, quantity) in limits.items():
         if value is not None:
             check_limit(option, value, quantity)
-    robot = load_arm(arm)
-    loaded = Calibration.load(calibration, robot, unit)
+    robot = pickenv.load_arm(arm)
+    loaded = pickenv.Calibration.load(calibration, robot, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
     conditions = Conditions(
         payload=None if payload_kg is None else np.array(payload_kg),
         temperature=None if temperature_k is None else np.array(temperature_k),
     )
-    commands = apply_calibration(
-        loaded, robot, read_targets(targets, robot.nominal), frame=frame, conditions=conditions
+    commands = pickenv.calibration.apply_calibration(
+        loaded, robot, pickenv.calibration.read_targets(targets, robot.nominal), frame=frame, conditions=conditions
     )
     deliver([(out, commands.write_csv)], commands.report())
     if not commands.reached.all():
@@ -274,18 +272,16 @@ def export(
 
     More: applying-a-calibration.md
     """
-    from pickenv.arm import load_arm
-    from pickenv.calibration import Calibration, export as exported
     from pickenv.calibration.delivery.onto_files import mjcf_files
 
     files = (
         mjcf_files(out, sample) if onto is None and (kind == "mjcf" or (out.suffix == ".xml" and kind is None)) else out
     )
     separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": files, "--json": json_file})
-    robot = None if arm is None else load_arm(arm)
-    loaded = Calibration.load(calibration, robot, unit)
+    robot = None if arm is None else pickenv.load_arm(arm)
+    loaded = pickenv.Calibration.load(calibration, robot, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
-    done = exported(
+    done = pickenv.calibration.export(
         loaded, out, kind=kind, onto=onto, arm=robot, counts_per_turn=counts_per_turn, sample=sample, seed=seed
     )
     written = [str(path) for path in (done.path, *done.beside)]
@@ -324,20 +320,17 @@ def twin(
 
     More: twin.md
     """
-    from pickenv.arm import load_arm, write_twin
-    from pickenv.calibration import Calibration, Measurements, read_observations, twin as as_plant
-
     if columns is not None and rows is None:
         raise InputError("--columns describes the files of --rows; give those too")
     path = npz_path(out)
     separate({"CALIBRATION": calibration, "--arm": arm, "--rows": rows or []}, {"--out": path, "--json": json_file})
-    loaded = Calibration.load(calibration, None, unit)
-    robot = load_arm(arm or loaded.arm_name)
+    loaded = pickenv.Calibration.load(calibration, None, unit)
+    robot = pickenv.load_arm(arm or loaded.arm_name)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
-    data = None if not rows else read_observations(rows, robot.nominal, columns).observations
-    if data is not None and not isinstance(data, Measurements):
+    data = None if not rows else pickenv.calibration.read_observations(rows, robot.nominal, columns).observations
+    if data is not None and not isinstance(data, pickenv.calibration.Measurements):
         raise InputError(f"--rows holds {data.kind}, not poses or positions; leave it out")
-    plant = as_plant(loaded, robot, data, name=path.stem, seed=seed)
+    plant = pickenv.calibration.twin(loaded, robot, data, name=path.stem, seed=seed)
     assert plant.posterior is not None
     posterior = plant.posterior
     content: dict[str, Any] = {
@@ -349,4 +342,4 @@ def twin(
     }
     head = f"{plant.name}: {content['parameters']} parameters of arm '{robot.name}' as found, "
     lines = [f"{head}{content['not_identified']} that were not identified", *(f"  {note}" for note in posterior.notes)]
-    deliver([(path, lambda file: write_twin(plant, file)), (json_file, content)], "\n".join(lines))
+    deliver([(path, lambda file: pickenv.arm.write_twin(plant, file)), (json_file, content)], "\n".join(lines))

@@ -51,7 +51,6 @@ def experiment(
 
     More: experiments.md
     """
-    from pickenv.experiments import run
     from pickenv.experiments.engine import RECORD, write_rows
     from pickenv.experiments.experiment_file import held_by_seeds, load_experiment, number_table, plain_estimates
 
@@ -60,13 +59,14 @@ def experiment(
     changes = dict(map(_change, change or []))
     definition = load_experiment(file, quick=quick, seed=seed, changes=changes)
     first = definition.experiment.seed
+    run = partial(pickenv.experiments.run, folder=folder, backend=executor, workers=workers)
     others: list[list[dict[str, Any]]] = []
     with progress_bars() as report:
         for further in range(first + seeds - 1, first, -1):  # the first comes last, so that the folder's rows are its
             repeat = load_experiment(file, quick=quick, seed=further, changes=changes)
-            others.insert(0, repeat.estimates(run(repeat.experiment, folder, backend=executor, workers=workers)))
+            others.insert(0, repeat.estimates(run(repeat.experiment)))
             report("seeds", len(others), seeds)
-        rows = run(definition.experiment, folder, backend=executor, workers=workers, progress=report)
+        rows = run(definition.experiment, progress=report)
     tables = definition.estimates(rows)
     counts = held_by_seeds([tables, *others])
     content = {
@@ -99,7 +99,6 @@ def experiment(
                 print(f"{title}: {count} of {of} intervals hold another seed's number; about 83 % are due")
 
     def draw(place: Path) -> list[Path]:
-        from pickenv.inspect import save_figure
         from pickenv.inspect.figures.plot_estimates import estimates_figure
 
         drawings = {name: function(rows) for name, function in definition.figures.items()}
@@ -109,7 +108,7 @@ def experiment(
                 drawings[number.figure] = estimates_figure(
                     estimates["rows"], number.title, number.by, **axes, log=number.log, scale=number.scale
                 )
-        return [save_figure(figure, place / f"{name}.png") for name, figure in drawings.items()]
+        return [pickenv.inspect.save_figure(figure, place / f"{name}.png") for name, figure in drawings.items()]
 
     deliver([(json_file, content), (table, partial(write_rows, rows=rows)), (figures, draw)], show)
 
@@ -159,10 +158,9 @@ def study(
     More: tolerance-studies.md
     """
     require("pyarrow", "joblib")
-    from pickenv.experiments import load_study, run_study, write_outputs
 
     check_limit("--samples", samples, "samples")
-    full_study = load_study(config)
+    full_study = pickenv.experiments.load_study(config)
     separate(
         {"CONFIG": [config, full_study.plant, *full_study.tolerances]},
         {"--out": [out / name for name in ("summary.json", "report.html", "arms.rrd")], "--json": json_file},
@@ -170,7 +168,7 @@ def study(
     settings = full_study.quick() if quick else full_study
     with locked(out):
         with progress_bars("arms") as report_progress:
-            summary = run_study(
+            summary = pickenv.experiments.run_study(
                 settings,
                 out,
                 executor=executor,
@@ -182,7 +180,10 @@ def study(
         saves: list[Save] = [
             (out / "summary.json", lambda path: path),  # written by the study, as its last file
             (json_file, summary),
-            (out if report else None, lambda folder: write_outputs(folder, samples if sobol else 0)),
+            (
+                out if report else None,
+                partial(pickenv.experiments.write_outputs, sobol_samples=samples if sobol else 0),
+            ),
         ]
         deliver(saves, lambda: _print(settings, summary))
 

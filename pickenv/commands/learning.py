@@ -62,7 +62,6 @@ def train(
 
     More: commands.md
     """
-    from pickenv.agents import Training, train as run
     from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training_setup import words_of
 
@@ -84,7 +83,7 @@ def train(
             "arms": None if randomise is None else "per_episode",
             "tolerances": randomise,
         }
-        training = Training(
+        training = pickenv.agents.Training(
             algorithm=algo,
             env_id=env,
             steps=steps,
@@ -96,7 +95,7 @@ def train(
             evaluate_every=evaluate_every,
         )
     try:
-        done = run(training, out, resume=resume, progress=sys.stderr.isatty())
+        done = pickenv.agents.train(training, out, resume=resume, progress=sys.stderr.isatty())
     except KeyboardInterrupt:
         print(
             f"interrupted; `pickenv train --resume --out {shlex.quote(str(out))}` goes on from its last checkpoint",
@@ -190,10 +189,9 @@ def evaluate(
     """
     from pickenv.agents.evaluation.contenders import kind_of
     from pickenv.base import require
-    from pickenv.experiments import CalibrationPlan, PolicySettings, policy_tables as tables, run_policies
+    from pickenv.experiments import policy_tables as tables
     from pickenv.experiments.engine import write_rows
     from pickenv.experiments.methods import residual_of
-    from pickenv.inspect import write_drawings
     from pickenv.inspect.runs.run_folder import RECORD
 
     written = [] if out is None else [out / name for name in (RECORD, tables.EPISODES, tables.ROWS)]
@@ -209,14 +207,14 @@ def evaluate(
         "grippers": gripper,
     }
     names: dict[str, Any] = {key: tuple(value) for key, value in typed.items() if value}
-    settings = PolicySettings(
+    settings = pickenv.experiments.PolicySettings(
         arms=arms,
         episodes=episodes,
         seeds=(seed,),
         tolerances=tolerances,
         camera_noise_mm=camera_noise,
         fruit_noise_mm=fruit_noise,
-        plan=CalibrationPlan(epochs=epochs),
+        plan=pickenv.experiments.CalibrationPlan(epochs=epochs),
         **names,
     )
 
@@ -227,14 +225,16 @@ def evaluate(
     workers = workers or os.cpu_count() or 1
     backend = "loky" if workers > 1 and any(map(residual_of, settings.compensations)) else "serial"
     with progress_bars() as report:
-        rows = run_policies(settings, cache=cache, backend=backend, workers=workers, progress=report)
+        rows = pickenv.experiments.run_policies(
+            settings, cache=cache, backend=backend, workers=workers, progress=report
+        )
     content = tables.evaluation_content(settings, rows)
     deliver(
         [
             (json_file, content),
             (table, lambda path: write_rows(path, tables.flat_rows(content["rows"]))),
             (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
-            (figures, lambda folder: write_drawings(tables.evaluation_drawings(rows), folder)),
+            (figures, lambda folder: pickenv.inspect.write_drawings(tables.evaluation_drawings(rows), folder)),
         ],
         lambda: _print(**content),
     )
@@ -280,12 +280,13 @@ def datasets(
 
     More: clients.md
     """
-    from pickenv.agents import datasets as record
     from pickenv.agents.training.data_sets import QUALITIES
 
     separate({}, {"--json": json_file})
     with progress_bars() as report:
-        cards = record(out, task or ("reach",), quality or QUALITIES, episodes=episodes, seed=seed, progress=report)
+        cards = pickenv.agents.datasets(
+            out, task or ("reach",), quality or QUALITIES, episodes=episodes, seed=seed, progress=report
+        )
     deliver([(json_file, cards)], lambda: _print_cards(cards, out))
 
 

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from typer import Option
 
+import pickenv
 from pickenv.base import check_limit, obey, separate, write_json
 from pickenv.commands.showing import command_of, deliver, print_table, progress_bars, with_options
 
@@ -22,13 +23,12 @@ def arms(json_file: Annotated[Path | None, Option("--json")] = None) -> None:
 
     More: commands.md
     """
-    from pickenv.arm import load_arm, shipped_arms
     from pickenv.arm.kinematics.inverse import farthest
 
     separate({}, {"--json": json_file})
     table: list[dict[str, Any]] = []
-    for name in shipped_arms():
-        arm = load_arm(name)
+    for name in pickenv.arm.shipped_arms():
+        arm = pickenv.load_arm(name)
         kinds = "".join("P" if slides else "R" for slides in arm.nominal.prismatic)
         reach = round(1e3 * farthest(arm.nominal), 1)
         table.append({"name": name, "joints": kinds, "reach_mm": reach, "source": arm.source})
@@ -70,14 +70,13 @@ def effects(
     """
     import numpy as np
 
-    from pickenv.arm import load_plant
     from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares, shares_report
 
     check_limit("--reaches", reaches, "reaches")
     check_limit("--dwell", dwell, "dwell_s")
     check_limit("--hours", hours, "hours")
     separate({"--plant": plant}, {"--json": json_file})
-    machine = load_plant(plant)
+    machine = pickenv.load_plant(plant)
     joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
     shares = effect_shares(machine, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
     deliver([(json_file, shares)], shares_report(shares))
@@ -115,10 +114,8 @@ def iso9283(
     typed = dict(locals())
     import numpy as np
 
-    from pickenv.arm import load_plant
     from pickenv.arm.plant.campaign import Pace
     from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283 as test
-    from pickenv.calibration import Calibration
     from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
 
     check_limit("--cycles", cycles, "cycles")
@@ -127,8 +124,8 @@ def iso9283(
         {"--plant": plant, "--calibration": [] if calibration is None else [calibration, f"{calibration}.npz"]},
         {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},
     )
-    machine = load_plant(plant)
-    fitted = Calibration.load(calibration, machine.arm) if calibration is not None else None
+    machine = pickenv.load_plant(plant)
+    fitted = pickenv.Calibration.load(calibration, machine.arm) if calibration is not None else None
     if fitted is not None:
         obey(fitted.reservations(), allow or ())
     result = test(
@@ -190,8 +187,6 @@ def conditions(
     More: conditions.md
     """
     typed = dict(locals())
-    from pickenv.arm import load_plant
-    from pickenv.calibration import Calibration
     from pickenv.experiments.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
@@ -202,8 +197,8 @@ def conditions(
     is_calibration = subject.endswith(".npz")
     folder = [] if out is None else [out / RECORD, out / CONDITIONS]
     separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
-    machine = load_plant(plant if is_calibration else subject)
-    fitted = Calibration.load(subject, machine.arm) if is_calibration else None
+    machine = pickenv.load_plant(plant if is_calibration else subject)
+    fitted = pickenv.Calibration.load(subject, machine.arm) if is_calibration else None
     if fitted is not None:
         obey(fitted.reservations(), allow or ())
     ranges = ConditionRanges(payload, weather, hours)
@@ -213,12 +208,11 @@ def conditions(
 
     def write_run(folder: Path) -> list[Path]:
         from pickenv.base import write_text
-        from pickenv.inspect import write_drawings
         from pickenv.inspect.reports.conditions_report import drawings, page
 
         with recorded_run(folder, "conditions", command_of(conditions, typed), seed) as run:
             written = [write_json(folder / CONDITIONS, result)]
-            written += write_drawings(drawings(run), folder / "figures")
+            written += pickenv.inspect.write_drawings(drawings(run), folder / "figures")
             return [*written, write_text(folder / REPORT, page(run))]
 
     def show() -> None:
