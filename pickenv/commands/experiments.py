@@ -165,7 +165,7 @@ def study(
         {"CONFIG": [config, full_study.plant, *full_study.tolerances]},
         {"--out": [out / name for name in ("summary.json", "report.html", "arms.rrd")], "--json": json_file},
     )
-    settings = full_study.quick() if quick else full_study
+    settings, sobol_samples = full_study.quick() if quick else full_study, samples if sobol else 0
     with locked(out):
         with progress_bars("arms") as report_progress:
             summary = pickenv.experiments.run_study(
@@ -180,10 +180,7 @@ def study(
         saves: list[Save] = [
             (out / "summary.json", lambda path: path),  # written by the study, as its last file
             (json_file, summary),
-            (
-                out if report else None,
-                partial(pickenv.experiments.write_outputs, sobol_samples=samples if sobol else 0),
-            ),
+            (out if report else None, partial(pickenv.experiments.write_outputs, sobol_samples=sobol_samples)),
         ]
         deliver(saves, lambda: _print(settings, summary))
 
