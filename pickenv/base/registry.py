@@ -19,28 +19,24 @@ from typing import Any, TypeVar
 
 from pickenv.base.errors import InputError
 
-KINDS = (
-    *("arm_format", "instrument", "observation", "residual", "effect"),
-    *("exporter", "report", "gripper", "policy", "backend"),
-)
-"""Every kind of extension; `docs/extending.md` says what a thing of each must have."""
-
 SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        **dict.fromkeys(KINDS, ()),
         "arm_format": ("pickenv.arm.files.arm_file", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
-        "backend": ("pickenv.envs.reaching.vector",),
-        "effect": tuple(f"pickenv.arm.effects.{name}" for name in ("structure", "drives", "ground", "residual_field")),
-        "exporter": tuple(f"pickenv.calibration.delivery.{name}" for name in ("onto_files", "joint_offsets", "export")),
-        "gripper": ("pickenv.orchard.gripper",),
         "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
         "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),
-        "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
-        "report": ("pickenv.inspect.runs.run_folder",),
         "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
+        "effect": tuple(f"pickenv.arm.effects.{name}" for name in ("structure", "drives", "ground", "residual_field")),
+        "exporter": tuple(f"pickenv.calibration.delivery.{name}" for name in ("onto_files", "joint_offsets", "export")),
+        "report": ("pickenv.inspect.runs.run_folder",),
+        "gripper": ("pickenv.orchard.gripper",),
+        "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
+        "backend": ("pickenv.envs.reaching.vector",),
     }
 )
 """The modules that register what ships, by kind; the order of names is theirs."""
+
+KINDS = tuple(SHIPPED)
+"""Every kind of extension; `docs/extending.md` says what a thing of each must have."""
 
 Thing = TypeVar("Thing", bound=Callable[..., Any])
 
