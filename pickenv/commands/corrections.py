@@ -12,8 +12,8 @@ import typer
 from typer import Option
 
 import pickenv
-from pickenv.base import DO_NOT_USE, InputError, check_limit, npz_path, obey, separate
-from pickenv.commands.showing import deliver
+from pickenv.base import DO_NOT_USE, InputError, npz_path, obey, separate
+from pickenv.commands.showing import deliver, limited
 
 NOT_GOOD = 3
 """Exit code where targets cannot be reached, and where an old calibration is not what it was."""
@@ -51,7 +51,7 @@ def plan_poses(
     pool: Annotated[Path | None, Option("--from")] = None,
     like: Path | None = None,
     columns: str | None = None,
-    noise_mm: float | None = None,
+    noise_mm: Annotated[float | None, Option(callback=limited("scatter_mm"))] = None,
     fit: Literal["auto", "offsets", "full"] = "auto",
     tolerances: str | None = None,
     prior_scale: Annotated[float, Option(min=1e-3, max=1e3)] = 1.0,
@@ -96,8 +96,6 @@ def plan_poses(
     robot = pickenv.load_arm(arm)
     if columns is not None and pool is None and like is None:
         raise InputError("--columns describes the file of --like or --from; give that too")
-    if noise_mm is not None:
-        check_limit("--noise-mm", noise_mm, "scatter_mm")
     test_joints = None if at is None else joints_of(pickenv.calibration.read_targets(at, robot.nominal), robot.nominal)
     rng = np.random.default_rng(seed)
     prior = prior_model(
@@ -191,8 +189,8 @@ def apply(
     arm: Annotated[str, Option()],
     out: Path = Path("commands.csv"),
     frame: Literal["controller", "instrument"] = "controller",
-    payload_kg: float | None = None,
-    temperature_k: float | None = None,
+    payload_kg: Annotated[float | None, Option(callback=limited("payload_kg"))] = None,
+    temperature_k: Annotated[float | None, Option(callback=limited("temperature_K"))] = None,
     unit: str | None = None,
     allow: list[str] | None = None,
 ) -> None:
@@ -219,10 +217,6 @@ def apply(
     from pickenv.calibration.model.arm_model import Conditions
 
     separate({"CALIBRATION": calibration, "TARGETS": targets, "--arm": arm}, {"--out": out})
-    limits = {"--payload-kg": (payload_kg, "payload_kg"), "--temperature-k": (temperature_k, "temperature_K")}
-    for option, (value, quantity) in limits.items():
-        if value is not None:
-            check_limit(option, value, quantity)
     robot = pickenv.load_arm(arm)
     loaded = pickenv.Calibration.load(calibration, robot, unit)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))

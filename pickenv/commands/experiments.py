@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 from typer import Option
 
 import pickenv
-from pickenv.base import InputError, check_limit, locked, require, separate, unseen_share
-from pickenv.commands.showing import Save, deliver, print_table, progress_bars, with_options
+from pickenv.base import InputError, locked, require, separate, unseen_share
+from pickenv.commands.showing import Save, deliver, limited, print_table, progress_bars, with_options
 
 TERMINAL = 80
 """Characters of a line of the usual terminal."""
@@ -136,7 +136,7 @@ def study(
     json_file: Annotated[Path | None, Option("--json")] = None,
     report: Annotated[bool, Option("--report/--no-report")] = True,
     sobol: Annotated[bool, Option("--sobol")] = False,
-    samples: Annotated[int, Option(min=0)] = 2048,
+    samples: Annotated[int, Option(min=0, callback=limited("samples"))] = 2048,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count.
 
@@ -159,7 +159,6 @@ def study(
     """
     require("pyarrow", "joblib")
 
-    check_limit("--samples", samples, "samples")
     full_study = pickenv.experiments.load_study(config)
     separate(
         {"CONFIG": [config, full_study.plant, *full_study.tolerances]},

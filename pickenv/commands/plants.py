@@ -8,8 +8,8 @@ from typing import Annotated, Any
 from typer import Option
 
 import pickenv
-from pickenv.base import check_limit, obey, separate, write_json
-from pickenv.commands.showing import command_of, deliver, print_table, progress_bars, with_options
+from pickenv.base import obey, separate, write_json
+from pickenv.commands.showing import command_of, deliver, limited, print_table, progress_bars, with_options
 
 
 def arms(json_file: Annotated[Path | None, Option("--json")] = None) -> None:
@@ -47,9 +47,9 @@ def arms(json_file: Annotated[Path | None, Option("--json")] = None) -> None:
 
 def effects(
     plant: str = "orchard",
-    reaches: Annotated[int, Option(min=2)] = 300,
-    dwell: Annotated[float, Option(min=0.0)] = 0.5,
-    hours: Annotated[float, Option(min=0.0)] = 2.0,
+    reaches: Annotated[int, Option(min=2, callback=limited("reaches"))] = 300,
+    dwell: Annotated[float, Option(min=0.0, callback=limited("dwell_s"))] = 0.5,
+    hours: Annotated[float, Option(min=0.0, callback=limited("hours"))] = 2.0,
     seed: Annotated[int, Option(min=0)] = 0,
     json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
@@ -72,9 +72,6 @@ def effects(
 
     from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares, shares_report
 
-    check_limit("--reaches", reaches, "reaches")
-    check_limit("--dwell", dwell, "dwell_s")
-    check_limit("--hours", hours, "hours")
     separate({"--plant": plant}, {"--json": json_file})
     machine = pickenv.load_plant(plant)
     joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
@@ -86,9 +83,9 @@ def iso9283(
     plant: str = "orchard",
     calibration: Path | None = None,
     allow: list[str] | None = None,
-    cycles: Annotated[int, Option(min=2)] = 30,
+    cycles: Annotated[int, Option(min=2, callback=limited("cycles"))] = 30,
     speed: Annotated[float, Option(min=0.01, max=1.0)] = 1.0,
-    dwell: Annotated[float, Option(min=0.0)] = 2.0,
+    dwell: Annotated[float, Option(min=0.0, callback=limited("dwell_s"))] = 2.0,
     seed: Annotated[int, Option(min=0)] = 0,
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
@@ -118,8 +115,6 @@ def iso9283(
     from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283 as test
     from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
 
-    check_limit("--cycles", cycles, "cycles")
-    check_limit("--dwell", dwell, "dwell_s")
     separate(
         {"--plant": plant, "--calibration": [] if calibration is None else [calibration, f"{calibration}.npz"]},
         {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},
@@ -150,16 +145,16 @@ WIDE = 170
 def conditions(
     subject: str,
     plant: str = "orchard",
-    payload: Annotated[float, Option(min=0.0)] = 0.5,
-    weather: Annotated[float, Option(min=0.0)] = 10.0,
-    hours: Annotated[float, Option(min=0.0)] = 8.0,
-    arms: Annotated[int, Option(min=1)] = 10,
+    payload: Annotated[float, Option(min=0.0, callback=limited("payload_kg"))] = 0.5,
+    weather: Annotated[float, Option(min=0.0, callback=limited("weather_K"))] = 10.0,
+    hours: Annotated[float, Option(min=0.0, callback=limited("hours"))] = 8.0,
+    arms: Annotated[int, Option(min=1, callback=limited("arms"))] = 10,
     tolerances: str = "medium",
-    sessions: Annotated[int, Option(min=2)] = 12,
-    poses: Annotated[int, Option(min=5)] = 25,
+    sessions: Annotated[int, Option(min=2, callback=limited("poses"))] = 12,
+    poses: Annotated[int, Option(min=5, callback=limited("poses"))] = 25,
     residual: str = "rbf",
     allow: list[str] | None = None,
-    seed: Annotated[int, Option(min=0)] = 0,
+    seed: Annotated[int, Option(min=0, callback=limited("seed"))] = 0,
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
 ) -> None:
@@ -190,10 +185,6 @@ def conditions(
     from pickenv.experiments.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
-    numbers = {"--payload": (payload, "payload_kg"), "--hours": (hours, "hours"), "--arms": (arms, "arms")}
-    numbers |= {"--weather": (weather, "weather_K"), "--poses": (poses, "poses"), "--sessions": (sessions, "poses")}
-    for option, (value, quantity) in (numbers | {"--seed": (seed, "seed")}).items():
-        check_limit(option, value, quantity)
     is_calibration = subject.endswith(".npz")
     folder = [] if out is None else [out / RECORD, out / CONDITIONS]
     separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})

@@ -20,10 +20,11 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeAlias, get_type_hints
 
+from typer import CallbackParam
 from typer.core import TyperArgument, TyperCommand, TyperOption
 from typer.models import ArgumentInfo, OptionInfo
 
-from pickenv.base import InputError, command_line, screen_width, side_by_side, write_json, write_text
+from pickenv.base import InputError, check_limit, command_line, screen_width, side_by_side, write_json, write_text
 from pickenv.base.registry import names
 
 
@@ -163,6 +164,17 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
 def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     """The values whose names are those of fields of a dataclass."""
     return {attribute.name: values[attribute.name] for attribute in fields(kind) if attribute.name in values}
+
+
+def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:
+    """What an option calls back to refuse a number beyond the limits of its quantity (`pickenv.base.LIMITS`)."""
+
+    def checked(param: CallbackParam, value: Any) -> Any:
+        if value is not None:
+            check_limit(param.opts[0], value, quantity)
+        return value
+
+    return checked
 
 
 Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]] | str | Mapping[str, Any] | list[Any]]
