@@ -279,13 +279,13 @@ class Compensator:
         require("llvmlite")
         if self.single_precision:
             return self
-        from pickenv.arm.kinematics.machine_code import FLAG, SYMBOLS, Compiled, Outputs, Trace
+        from pickenv.arm.kinematics.machine_code import FLAG, SYMBOLS, Compiled, Trace
 
         trace, limits = Trace(), zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
         corrections = self._corrected(SYMBOLS, trace.inputs("targets", self.nominal.joints))
         outputs = [clipped(SYMBOLS, q, *limit) for q, limit in zip(corrections, limits, strict=True)]
         doubts = reduce(or_, trace.exceptions, False)
-        code = Compiled(trace, [Outputs("commands", outputs), Outputs("doubts", [doubts], FLAG)], count)
+        code = Compiled(trace, trace.outputs("commands", outputs) + trace.outputs("doubts", [doubts], FLAG), count)
 
         def run(joints: ArrayLike) -> Array:
             joints = self.checked(joints)

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import Arm, Geometry, Pose, draw_plants, identity_pose, load_tolerances, plant_at, rotation_vector
 from pickenv.arm.files.arm_file import UR_KEYS, UR_LINKS, ur_row
 from pickenv.arm.files.joint_chain import ChainJoint, link_origins
-from pickenv.arm.files.mjcf import ORIENTATIONS, MjcfValues, mjcf_row, mjcf_text, truth
+from pickenv.arm.files.mjcf import ORIENTATIONS, MjcfValues, mjcf_row, mjcf_text
 from pickenv.arm.files.urdf import leading_links, roll_pitch_yaw, urdf_row, urdf_text
 from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
@@ -338,7 +338,7 @@ def _files(tags: list[document.StartTag]) -> list[str]:
         if tag.name == "compiler":
             compiler |= tag.attributes
     folder = compiler.get("meshdir", compiler.get("assetdir", ""))
-    strips = truth(compiler.get("strippath", "false"))
+    strips = compiler.get("strippath", "false") == "true"
     files = []
     for tag in tags:
         name = tag.attributes.get("file", "")

@@ -35,11 +35,11 @@ MARKS = "os^Dv"
 INK, SOFT, RULE, PAPER = "#1c2024", "#5b6470", "#dde1e6", "#ffffff"
 """Text and marks; axes and what stands back; grid lines; behind it all. Pages put their own in place of these."""
 
-THEME: dict[str, str] = {INK: "--ink", SOFT: "--soft", RULE: "--rule", PAPER: "--paper"} | {
+THEME: dict[str, str] = {INK: "ink", SOFT: "soft", RULE: "rule", PAPER: "paper"} | {
     "#{:02x}{:02x}{:02x}".format(*colour): variable
-    for colour, variable in ((BLUE, "--after"), (GREEN, "--best"), (RED, "--bad"))
+    for colour, variable in ((BLUE, "after"), (GREEN, "best"), (RED, "bad"))
 }
-"""Colours of figures that a page's style sheet replaces, by its variable; all others are seen on both backgrounds."""
+"""Colours of figures that a page's style sheet replaces, by its variable; all others fit both backgrounds."""
 STYLE: dict[str, Any] = {
     "font.size": 8.0,
     "axes.titlesize": 9.0,

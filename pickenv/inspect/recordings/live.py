@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pickenv.base import InputError, command_line
+from pickenv.base import InputError, command_line, command_words
 
 VIEWER_PORT = 9876
 """Port at which rerun's viewer listens unless told otherwise."""
@@ -70,10 +70,10 @@ def _start_viewer() -> None:
     if _listens():
         return
     check_screen()
-    command = [*rerun_program(), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", VIEWER_MEMORY]
+    command = rerun_command(bind=LOCAL, port=VIEWER_PORT, memory_limit=VIEWER_MEMORY)
     quiet = subprocess.DEVNULL
     subprocess.Popen(
-        [*command, "--hide-welcome-screen", "--expect-data-soon"],
+        command_words(*command, hide_welcome_screen=True, expect_data_soon=True),
         env=viewer_environment(),
         stdout=quiet,
         stderr=quiet,
@@ -95,12 +95,12 @@ def _listens() -> bool:
     return True
 
 
-def rerun_program() -> list[str]:
-    """The command that starts the installed rerun, whose version fits the recordings.
+def rerun_command(*words: object, **options: object) -> list[str]:
+    """The command that starts the installed rerun, whose version fits the recordings, with arguments and options.
 
     This Python's module, and not a program beside it: packages may lie elsewhere (pip --user, system site packages).
     """
-    return [sys.executable, "-m", "rerun_cli"]
+    return command_words(sys.executable, "-m", "rerun_cli", *words, **options)
 
 
 def telemetry_wanted() -> bool:

@@ -187,7 +187,7 @@ def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
     text = re.sub(r'href="#', f'href="#{name}-', text)
     text = text.replace("url(#", f"url(#{name}-")
     for colour, variable in THEME.items():
-        text = text.replace(colour, f"var({variable})")
+        text = text.replace(colour, f"var(--{variable})")
     text = re.sub(r"\s*\n\s*", "\n", text)
     width, height = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text).groups()  # type: ignore[union-attr]
     inside = text[text.index(">") + 1 : text.rindex("</svg>")].strip()

@@ -143,7 +143,7 @@ def test_contrast_is_that_of_wcag() -> None:
 def test_the_dark_colours_are_those_of_pages() -> None:
     dark = re.search(r"prefers-color-scheme: dark\) \{ :root \{(.*?)\}", CSS.read_text(encoding="utf-8"), flags=re.S)
     assert dark is not None
-    variables = dict(re.findall(r"(--\w+):\s*(#\w+)", dark[1]))
+    variables = dict(re.findall(r"--(\w+):\s*(#\w+)", dark[1]))
     assert {style.THEME[colour]: shown for colour, shown in DARK.items()} == {
         name: variables[name] for name in style.THEME.values()
     }
