@@ -429,11 +429,11 @@ class GravityTerm(JointTerm):
         return np.array([i for i, _, _ in self.moments(geometry)])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Each moment's torque."""
+        """The joint of each coefficient ``(k,)``, and the torque of its moment ``(N, k)``, as from `torques`."""
         return self.owners(geometry).tolist(), self.torques(geometry, joints, conditions)
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Torque of each moment on its joint, per unit of it ``(N, k)``."""
+        """Torques ``(N, k)`` of the moments, each on its own joint, per unit of the moment."""
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = chain_of(geometry)

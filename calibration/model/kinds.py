@@ -619,7 +619,7 @@ class TiltObservations(Observations):
         )
 
     def readings(self) -> Array:
-        """The components."""
+        """The measured components ``(N, K)``."""
         return self.components
 
     def start(self, model: ArmModel) -> Array:

@@ -461,7 +461,7 @@ class Stacked(Observations):
         return self.parts[0].rough_poses(prismatic)
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Of all stations, each by its own tool."""
+        """Derivatives ``(E, 6)`` of all stations' equations, each by the pose of its station's own tool."""
         stations = self._with(unknowns)
         return np.concatenate([part.data.by_tool(*part.seen(model, values)) / part.scale for part, values in stations])
 

@@ -94,7 +94,7 @@ def fit(
 
 
 def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | None:
-    """Base and tool, fitted from anywhere with the data's own unknowns; None where they are known.
+    """Base, tool and the data's own unknowns, fitted without a first guess; None for poses in known frames.
 
     Raises:
         InputError: If the data do not fit the arm.
