@@ -264,9 +264,9 @@ def twin(
     unit: Annotated[str | None, UNIT] = None,
     allow: Annotated[list[str] | None, ALLOW] = None,
 ) -> None:
-    """Make a plant whose truth is what a calibration found, and whose arms are drawn from what its data allow.
+    """Make a plant from a calibration: its truth is the arm found, and its arms are drawn from what the data allow.
 
-    Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another arm of them.
+    Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another of its arms.
     """
     from pickenv.arm import load_arm, write_twin
     from pickenv.calibration import Calibration, Measurements, read_observations, twin as as_plant

@@ -198,7 +198,7 @@ def blocked_gains(
     arms: int = ARMS,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[BlockedGain]:
-    """What a network removes of blocks held out, on arms drawn from designs.
+    """How much of the errors on held-out blocks a network removes, on arms drawn from each design.
 
     Args:
         designs: Plants by name, and the seed of arms, noise and networks of each.
