@@ -77,7 +77,7 @@ class Situation:
 
     @property
     def late(self) -> bool:
-        """Whether anything is remembered from one period to the next."""
+        """Whether readings or actions can be late, so that some must be remembered from one period to the next."""
         return self.latency.high + self.delay.high > 0
 
     @property
