@@ -257,7 +257,7 @@ class Filtered:
 
     @property
     def standard_deviation(self) -> Array:
-        """Of every model parameter, m or rad, under the noise that was assumed; NaN for dropped ones."""
+        """Standard deviation of every model parameter, m or rad, under the assumed noise; NaN for dropped ones."""
         return self.identifiability.of_all(self.state.standard_deviation)
 
     @property

@@ -548,7 +548,7 @@ class ErrorModel:
     tolerance: Array
 
     def some(self, kept: NDArray[np.bool_]) -> ErrorModel:
-        """Those of these parameters ``(P,)`` that are marked."""
+        """The model of only the parameters that ``kept`` ``(P,)`` marks."""
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         return ErrorModel(self.columns[kept], names, self.tolerance[kept])
 

@@ -374,7 +374,7 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """The errors that an identified arm leaves of data, likewise."""
+    """The errors that an identified arm leaves of data, in the shapes and axes of `what_is_left`."""
     tracked = tracked_rows(found, data)
     if tracked is None:
         return data.misses(found.arm_model, unknowns_of(found, data))
@@ -414,7 +414,7 @@ def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[
 
 
 def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
-    """The same as a table; ``names`` are the views held out."""
+    """`pixel_figures` as a table; ``names`` are the views held out."""
     by_view, ends = figures["leave_one_out_view_rms_px"], figures["leave_one_out_mean_ci95_px"]
     worst = int(np.argmax(by_view))
     between = "no interval: too few views"
