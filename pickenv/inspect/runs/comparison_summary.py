@@ -212,7 +212,7 @@ def _across(policy: RecordedPolicy) -> Array:
 
 
 def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """All of it, for JSON."""
+    """The whole comparison, for JSON."""
     return {
         "environment": episodes.env_id,
         "plant": episodes.plant_name,
