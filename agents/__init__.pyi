@@ -6,7 +6,7 @@ from .evaluation.reaches import (
     run_reaches as run_reaches,
 )
 from .evaluation.rollout import Rollout as Rollout, roll_out as roll_out
-from .policies.adaptive import AdaptiveReach as AdaptiveReach, AdaptiveSettings as AdaptiveSettings
+from .policies.adaptive import AdaptiveReach as AdaptiveReach
 from .policies.foreign import foreign_policy as foreign_policy
 from .policies.learned import (
     BASELINES as BASELINES,
@@ -31,7 +31,6 @@ from .policies.scripted import (
 )
 from .training.checkpoints import check_checkpoint as check_checkpoint
 from .training.data_sets import datasets as datasets
-from .training.policy_search import KNOBS as KNOBS, arguments_of as arguments_of, search as search
 from .training.training import Trained as Trained, resumed as resumed, train as train
 from .training.training_setup import (
     HELD_OUT as HELD_OUT,

@@ -2,7 +2,6 @@ from .assessment.metrics import (
     ErrorStatistics as ErrorStatistics,
     error_statistics as error_statistics,
     held_out_r2 as held_out_r2,
-    paper_eta as paper_eta,
 )
 from .camera.boards import (
     Board as Board,
@@ -18,12 +17,8 @@ from .delivery.export import export as export
 from .delivery.joint_offsets import joint_offsets as joint_offsets
 from .identification.diagnosis import checked_rows as checked_rows
 from .identification.extended_kalman_filter import (
-    continue_filter as continue_filter,
-    filter_measurements as filter_measurements,
-    offset_walk as offset_walk,
     random_walk as random_walk,
     start_filter as start_filter,
-    thermal_walk as thermal_walk,
 )
 from .identification.least_squares import (
     Identifiability as Identifiability,
@@ -40,12 +35,10 @@ from .identification.term_choice import (
 )
 from .model.arm_model import (
     ArmModel as ArmModel,
-    BendingTerm as BendingTerm,
     ComplianceTerm as ComplianceTerm,
     Conditions as Conditions,
     ErrorModel as ErrorModel,
     GravityTerm as GravityTerm,
-    LeadTerm as LeadTerm,
     PeriodicTerm as PeriodicTerm,
     ThermalTerm as ThermalTerm,
     complete_model as complete_model,
@@ -60,7 +53,6 @@ from .model.kinds import (
     ReflectorObservations as ReflectorObservations,
     SocketObservations as SocketObservations,
     TiltObservations as TiltObservations,
-    tracker_covariance as tracker_covariance,
 )
 from .model.measurements import (
     InstrumentStation as InstrumentStation,
@@ -108,6 +100,6 @@ from .reading.read import (
     read_targets as read_targets,
 )
 from .residuals.bpnn import Bpnn as Bpnn, BpnnSettings as BpnnSettings, train_bpnn as train_bpnn
-from .residuals.gate import GateReport as GateReport, GateVerdict as GateVerdict, gate_residuals as gate_residuals
+from .residuals.gate import GateVerdict as GateVerdict, gate_residuals as gate_residuals
 from .residuals.gaussian_process import Fitter as Fitter
 from .residuals.residual_models import LearntResidual as LearntResidual, fit_residual as fit_residual

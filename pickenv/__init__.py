@@ -19,38 +19,22 @@ from pickenv.base.faces import offered as _offered
 __getattr__, __dir__, __all__ = _offered("pickenv", __file__)
 
 
-def _register() -> None:
-    """Tell Gymnasium of the environments; their modules are loaded when one is made."""
-    for name in ("Reach", "ReachGoal", "ReachIdeal"):
-        _gymnasium.register(
-            id=f"pickenv/{name}-v0",
-            entry_point=f"pickenv.envs.reaching.reach:{name}Env",
-            vector_entry_point=f"pickenv.envs.reaching.vector:{name}VectorEnv",
-            max_episode_steps=60,
-        )
-    _gymnasium.register(
-        id="pickenv/ReachScaled-v0",
-        entry_point="pickenv.wrappers.gap:scaled_reach",
-        vector_entry_point="pickenv.wrappers.gap:scaled_reach_vector",
-        max_episode_steps=60,
-    )
-    _gymnasium.register(
-        id="pickenv/Harvest-v0",
-        entry_point="pickenv.envs.harvesting.harvest_env:HarvestEnv",
-        vector_entry_point="pickenv.envs.harvesting.harvest_env:HarvestVectorEnv",
-        max_episode_steps=600,
-    )
-    _gymnasium.register(
-        id="pickenv/Pick-v0",
-        entry_point="pickenv.envs.picking.pick:PickEnv",
-        vector_entry_point="pickenv.envs.picking.pick_vector:PickVectorEnv",
-        max_episode_steps=400,
-    )
+_REACH, _VECTOR = "pickenv.envs.reaching.reach:", "pickenv.envs.reaching.vector:"
+_HARVEST = "pickenv.envs.harvesting.harvest_env:"
+_ENVIRONMENTS: dict[str, tuple[str, str, int]] = {
+    "Reach": (f"{_REACH}ReachEnv", f"{_VECTOR}ReachVectorEnv", 60),
+    "ReachGoal": (f"{_REACH}ReachGoalEnv", f"{_VECTOR}ReachGoalVectorEnv", 60),
+    "ReachIdeal": (f"{_REACH}ReachIdealEnv", f"{_VECTOR}ReachIdealVectorEnv", 60),
+    "ReachScaled": ("pickenv.wrappers.gap:scaled_reach", "pickenv.wrappers.gap:scaled_reach_vector", 60),
+    "Harvest": (f"{_HARVEST}HarvestEnv", f"{_HARVEST}HarvestVectorEnv", 600),
+    "Pick": ("pickenv.envs.picking.pick:PickEnv", "pickenv.envs.picking.pick_vector:PickVectorEnv", 400),
+}
+"""Environments that Gymnasium is told of: makers of one and of many, and most steps; modules are loaded by making."""
 
+for _name, (_one, _many, _steps) in _ENVIRONMENTS.items():
+    _gymnasium.register(f"pickenv/{_name}-v0", _one, vector_entry_point=_many, max_episode_steps=_steps)
 
 try:
     __version__ = _metadata.version("pickenv")
 except _metadata.PackageNotFoundError:  # a checkout that was never installed
     __version__ = "0.0.0"
-
-_register()

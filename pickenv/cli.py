@@ -16,9 +16,8 @@ from pickenv.base import absent_extras, command_for, folded, locked, screen_widt
 from pickenv.commands import check, comparing, corrections, experiments, inspection, learning, plants
 from pickenv.commands.bench import bench
 from pickenv.commands.calibrate import calibrate
-from pickenv.commands.examples import examples, pages_address
 from pickenv.commands.guard import INTERRUPTED, guarded
-from pickenv.commands.showing import WIDTH, CommandOfNames, print_table, progress_bars
+from pickenv.commands.showing import WIDTH, CommandOfNames, pages_address, print_table, progress_bars
 
 app = typer.Typer(
     name="pickenv",
@@ -45,12 +44,25 @@ def _front(
 
 
 def demo(
-    out: Annotated[Path, Option(help="Run folder to write.")] = Path("runs/demo"),
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    quick: Annotated[bool, Option("--quick", help="Fewer reaches and epochs; worse figures, sooner.")] = False,
-    no_network: Annotated[bool, Option("--no-network", help="Least squares alone, as where torch is missing.")] = False,
+    out: Path = Path("runs/demo"),
+    seed: Annotated[int, Option(min=0)] = 0,
+    quick: Annotated[bool, Option("--quick")] = False,
+    no_network: Annotated[bool, Option("--no-network")] = False,
 ) -> None:
-    """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording."""
+    """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording.
+
+    Args:
+        out: Run folder to write.
+        seed: Seed of everything random.
+        quick: Fewer reaches and epochs; worse figures, sooner.
+        no_network: Least squares alone, as where torch is missing.
+
+    Examples:
+        pickenv demo --quick
+        pickenv inspect runs/demo
+
+    More: quickstart.md
+    """
     from pickenv.demo import DemoSettings, run_demo, summarise, write_run
 
     settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
@@ -154,7 +166,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
         cls = comparing.SeveralValues if _command is comparing.compare else CommandOfNames
-        app.command(rich_help_panel=_purpose, epilog=examples(_command.__name__.replace("_", "-")), cls=cls)(_command)
+        app.command(rich_help_panel=_purpose, cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
 

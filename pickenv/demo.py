@@ -33,7 +33,7 @@ from pickenv.experiments.gains import FIELD, ROWS, BlockedGain, blocked_gains, g
 from pickenv.inspect import Comparison, Run
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, trace_of
-from pickenv.inspect.runs.matters import PickChange, gripped, matters, pick_changes
+from pickenv.inspect.runs.matters import Change, gripped, matters, pick_changes
 from pickenv.inspect.runs.recorded_episodes import ended, field_grid
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, recorded_run, save_part
 from pickenv.orchard import misalignment
@@ -120,7 +120,7 @@ class DemoResult:
     reaches: dict[str, Reaches]
     comparison: Comparison
     gains: list[BlockedGain]
-    cases: dict[str, list[PickChange]]
+    cases: dict[str, list[Change]]
 
 
 def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoResult:
@@ -186,7 +186,7 @@ def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Arr
     return pose_error(forward(plant.arm.nominal, joints), plant.tool_pose(command))
 
 
-def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[PickChange]:
+def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[Change]:
     """The effect of least squares on picks on the plant `OTHER`, over a field of upright tool poses at rest."""
     plant = load_plant(OTHER)
     nominal = plant.arm.nominal
@@ -285,7 +285,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
             result.calibrated.calibration.save(out / "calibration"),
             save_part(out, result.comparison, settings.seed),
             save_part(out, trace, settings.seed),
-            write_json(out / MATTERS_FILE, {name: [asdict(c) for c in case] for name, case in result.cases.items()}),
+            write_json(out / MATTERS_FILE, result.cases),
         ]
         if not absent_extras("inspect"):
             written += _shown(result.comparison, trace, run, progress or (lambda stage, done, total: None))

@@ -309,8 +309,9 @@ def words_of(path: Path) -> Counter[str]:
             found[node.attr] += 1
         elif isinstance(node, ast.alias):
             found[node.name.rpartition(".")[2]] += 1
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.isidentifier():
-            found[node.value] += 1
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            name = node.value.rpartition(":")[2]  # what is loaded late stands as "package.module:name"
+            found[name] += name.isidentifier()
     return found
 
 

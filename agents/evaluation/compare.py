@@ -49,11 +49,6 @@ class PolicyComparison:
     episodes: RecordedEpisodes
     command: str
 
-    @property
-    def comparison(self) -> Comparison | None:
-        """The episodes, where there are error fields with them."""
-        return self.episodes if isinstance(self.episodes, Comparison) else None
-
 
 def write_comparison(result: PolicyComparison, folder: Path) -> list[Path]:
     """Write the run folder, for `pickenv inspect`, `report`, `figures` and for further comparisons.

@@ -6,7 +6,6 @@ camera's view; when the next episode begins, each arm's filter takes that as one
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,27 +25,6 @@ CALIBRATED_PRIOR = 0.2
 
 ARRIVED = 0.02
 """The arm stands where its largest action is below this share of an increment."""
-
-
-@dataclass(frozen=True)
-class AdaptiveSettings:
-    """Settings of the filter.
-
-    Attributes:
-        camera_std: Standard deviation per axis of what the camera sees, m.
-        unmodelled_std: What the geometry cannot explain, m.
-        prior: Standard deviation of a parameter before the first pick, in its tolerances; small for a calibrated arm.
-        drift: Tolerances per root hour by which every parameter may wander.
-        pick_seconds: Time from pick to pick, s.
-        gate: Innovations less likely than 1 - gate are refused; None accepts all.
-    """
-
-    camera_std: float = 1e-3
-    unmodelled_std: float = 0.5e-3
-    prior: float = 1.0
-    drift: float = 0.0
-    pick_seconds: float = 7.5
-    gate: float | None = None
 
 
 class LookingReach(ScriptedReach):
@@ -112,14 +90,24 @@ class AdaptiveReach(LookingReach):
 
     called = "adaptive"
 
-    def __init__(self, env: Any, settings: AdaptiveSettings | None = None) -> None:
-        """``env`` gives the nominal arm that the filters start from."""
+    def __init__(
+        self, env: Any, *, camera_std: float = 1e-3, unmodelled_std: float = 0.5e-3, prior: float = 1.0
+    ) -> None:
+        """Start the filters from the nominal arm.
+
+        Args:
+            env: The environment, which gives it.
+            camera_std: Standard deviation per axis of what the camera sees, m.
+            unmodelled_std: What the geometry cannot explain, m.
+            prior: Standard deviation of a parameter before the first pick, in its tolerances; small for a calibrated
+                arm.
+        """
         super().__init__(env)
-        self.settings = settings or AdaptiveSettings()
+        self.camera_std, self.unmodelled_std, self.prior = camera_std, unmodelled_std, prior
         typical = random_joints(self.geometry, 200, np.random.default_rng(0))  # decides only what is identifiable
         model = link_model(self.geometry)
         self.start: extended_kalman_filter.FilterState = extended_kalman_filter.start_filter(
-            model, self.geometry, typical, full_pose=False, prior=self.settings.prior
+            model, self.geometry, typical, full_pose=False, prior=prior
         )
         self.filters: list[extended_kalman_filter.FilterState] = []
 
@@ -130,19 +118,9 @@ class AdaptiveReach(LookingReach):
 
     def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
         for i, at, tool in zip(rows, joints, seen, strict=True):
-            self.filters[i] = self._learnt(self.filters[i], at, tool, int(self._count[i]))
-
-    def _learnt(
-        self, state: extended_kalman_filter.FilterState, joints: Array, seen: Array, count: int
-    ) -> extended_kalman_filter.FilterState:
-        settings = self.settings
-        if settings.drift:
-            state = extended_kalman_filter.predict(
-                state, extended_kalman_filter.random_walk(state, settings.drift), settings.pick_seconds
-            )
-        # The fruit is seen once per episode, the gap in every picture.
-        std = float(np.sqrt(settings.camera_std**2 * (1.0 + 1.0 / count) + settings.unmodelled_std**2))
-        return extended_kalman_filter.update(state, joints, seen, MeasurementNoise(std, 0.0), gate=settings.gate)
+            # The fruit is seen once per episode, the gap in every picture.
+            std = float(np.sqrt(self.camera_std**2 * (1.0 + 1.0 / int(self._count[i])) + self.unmodelled_std**2))
+            self.filters[i] = extended_kalman_filter.update(self.filters[i], at, tool, MeasurementNoise(std, 0.0))
 
 
 @register("policy", "adaptive")
@@ -150,4 +128,4 @@ class AdaptiveReach(LookingReach):
 def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation: str = "raw") -> Policy:
     """The filter that expects this noise of the camera, and less of an arm behind a compensation."""
     prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
-    return AdaptiveReach(env, AdaptiveSettings(camera_std=camera_noise_mm * 1e-3, prior=prior))
+    return AdaptiveReach(env, camera_std=camera_noise_mm * 1e-3, prior=prior)

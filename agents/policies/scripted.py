@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -125,10 +124,9 @@ class ServoReach(ScriptedReach):
 
     Attributes:
         gain: Share of the newest picture in the correction, above 0 and at most 1.
-        delay: Steps by which pictures are late.
     """
 
-    def __init__(self, env: Any, *, gain: float = 0.1, delay: int = 0) -> None:
+    def __init__(self, env: Any, *, gain: float = 0.1) -> None:
         """``env`` gives the nominal geometry and the increments.
 
         Raises:
@@ -137,15 +135,12 @@ class ServoReach(ScriptedReach):
         super().__init__(env)
         if not 0 < gain <= 1:
             raise InputError(f"gain is {gain}; give a number above 0 and at most 1")
-        if delay < 0:
-            raise InputError(f"delay is {delay}; give a number of steps not below zero")
-        self.gain, self.delay = gain, int(delay)
+        self.gain = gain
         self.reset()
 
     def reset(self) -> None:
         """Forget the last episode's pictures."""
         super().reset()
-        self._pictures: deque[Array] = deque(maxlen=self.delay + 1)
         self._correction: Array | None = None
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -155,16 +150,12 @@ class ServoReach(ScriptedReach):
             InputError: If the observation holds no camera, or the fruit cannot be reached by the nominal arm.
         """
         reading = policy.read_observation(self.geometry, observation)
-        self._pictures.append(policy.camera_of(reading, "servo") - reading.offset)
+        picture, before = policy.camera_of(reading, "servo") - reading.offset, self._correction
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
             self._back: Array = truncated_inverse(joint_jacobian(self.geometry, self._wanted))[..., :3]
-        if len(self._pictures) > self.delay:
-            picture, before = self._pictures[0], self._correction
-            self._correction = picture if before is None else before + self.gain * (picture - before)
-        target = self._wanted
-        if self._correction is not None:
-            target = target + np.einsum("...ij,...j->...i", self._back, self._correction)
+        self._correction = picture if before is None else before + self.gain * (picture - before)
+        target = self._wanted + np.einsum("...ij,...j->...i", self._back, self._correction)
         target = target.clip(self.geometry.lower, self.geometry.upper)
         return self.action(target - self.commanded(reading.joints))
 
@@ -172,7 +163,7 @@ class ServoReach(ScriptedReach):
 # A scripted policy for `pickenv/Pick-v0`: from below, wait until the arm has settled, grasp, twist, retreat. It uses
 # the observation alone. It trusts the nominal arm, so what it collects shows what the arm's errors cost. It moves
 # gently enough not to bruise what it meets; `HASTY` does neither and shows what that costs. How it does each is an
-# argument, so that it can be learnt (`pickenv.agents.training.policy_search`). Units: m, rad, s.
+# argument, so that it can be learnt (`scripts/studies/policy_search.py`). Units: m, rad, s.
 
 
 PICK_ARRIVED = 2e-4

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
@@ -38,27 +38,13 @@ PARTS = {
 """The parts of a state."""
 
 
-@dataclass(frozen=True, eq=False)
-class Checkpoint:
-    """A checkpoint as it was read.
-
-    Attributes:
-        path: Its file.
-        training: What is trained.
-        inputs: Which calibration and arms it was begun with.
-        evaluations: The evaluations so far.
-        state: Everything that the rest of the training depends on.
-    """
-
-    path: Path
-    training: Training
-    inputs: Inputs
-    evaluations: list[dict[str, float]]
-    state: dict[str, Any]
+Evaluations = list[dict[str, float]]
+State = dict[str, Any]
+"""Everything that the rest of a training depends on, by `PARTS`."""
 
 
 def save_checkpoint(
-    path: Path, model: Any, env: Sb3Vec, training: Training, inputs: Inputs, evaluations: list[dict[str, float]]
+    path: Path, model: Any, env: Sb3Vec, training: Training, inputs: Inputs, evaluations: Evaluations
 ) -> Path:
     """Write everything that the rest of a training depends on, whole or not at all.
 
@@ -90,8 +76,10 @@ def save_checkpoint(
     return write_container(path, KIND, header, {}, {STATE: stored.getvalue()}, version=FORMAT)
 
 
-def read_checkpoint(path: Path) -> Checkpoint:
-    """The content of a checkpoint; nothing in it is executed.
+def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
+    """What is trained, with which calibration and arms it was begun, the evaluations so far, and its state.
+
+    Nothing in the file is executed.
 
     Raises:
         InputError: If it is missing, damaged in any byte, or of another version.
@@ -109,7 +97,7 @@ def read_checkpoint(path: Path) -> Checkpoint:
             raise ValueError("its state is not that of a training")
         rows = [{str(key): float(value) for key, value in row.items()} for row in header["evaluations"]]
         inputs = {name: header["inputs"][name] for name in ("arms", "calibration")}
-        return Checkpoint(path, Training(**settings), inputs, rows, state)
+        return Training(**settings), inputs, rows, state
 
 
 def _is_a(value: Any, kind: Any) -> bool:
@@ -127,14 +115,13 @@ def check_checkpoint(path: str | Path) -> str | None:
     return None
 
 
-def take_checkpoint(checkpoint: Checkpoint, model: Any, env: Sb3Vec) -> None:
-    """Bring a freshly made training to where the checkpoint was written.
+def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None:
+    """Bring a freshly made training to where the checkpoint ``path``, whose state is given, was written.
 
     Raises:
         InputError: If the state does not fit the training.
     """
-    content = checkpoint.state
-    with refusing_damage(checkpoint.path, "a checkpoint of this training", AGAIN):
+    with refusing_damage(path, "a checkpoint of this training", AGAIN):
         model.set_parameters(content["parameters"], exact_match=True)
         for key, value in content["variables"].items():
             getattr(model, key).data.copy_(value)

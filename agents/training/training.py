@@ -17,7 +17,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training import training_setup
-from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint, take_checkpoint
+from pickenv.agents.training.checkpoints import Evaluations, read_checkpoint, save_checkpoint, take_checkpoint
 from pickenv.base import InputError, locked, torch_on_one_thread, write_json
 
 # What happens during a training: checkpoints between rollouts, and evaluations in millimetres.
@@ -105,18 +105,19 @@ def train(
     out = Path(out)
     path = out / CHECKPOINT
     with locked(out), torch_on_one_thread():
-        begun = read_checkpoint(path) if resume else None
-        if begun is not None:
-            if begun.training != training:
+        rows: Evaluations = []
+        if resume:
+            begun, inputs, rows, state = read_checkpoint(path)
+            if begun != training:
                 raise InputError(
                     f"checkpoint {path} is of another training; resume it with the options it was started with"
                 )
-            training_setup.check_inputs(training, begun.inputs)
-        inputs = training_setup.inputs_of(training) if begun is None else begun.inputs
+            training_setup.check_inputs(training, inputs)
+        else:
+            inputs = training_setup.inputs_of(training)
         model, env = training_setup.make_model(training, out)
-        if begun is not None:
-            take_checkpoint(begun, model, env)
-        rows = [] if begun is None else begun.evaluations
+        if resume:
+            take_checkpoint(path, state, model, env)
 
         def evaluate(at: BaseCallback) -> None:
             policy = training_setup.actor_of(at.model, training, env)
@@ -133,7 +134,7 @@ def train(
             model.learn(
                 training.total - model.num_timesteps,
                 callback=callbacks,
-                reset_num_timesteps=begun is None,
+                reset_num_timesteps=not resume,
                 tb_log_name=training.algorithm,
                 progress_bar=progress,
             )
@@ -152,4 +153,4 @@ def resumed(out: str | Path) -> training_setup.Training:
     Raises:
         InputError: If there is no sound checkpoint.
     """
-    return read_checkpoint(Path(out) / CHECKPOINT).training
+    return read_checkpoint(Path(out) / CHECKPOINT)[0]

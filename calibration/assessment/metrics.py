@@ -1,7 +1,7 @@
 """Figures for errors: never one number alone, and always with its interval.
 
-Mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile and maximum; the paper's mean accuracy eta and
-held-out R^2. A paper's "RMSE" that lies below its mean cannot be the RMS of the norm (digest, fact 6): print both.
+Mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile and maximum; held-out R^2. A paper's "RMSE"
+that lies below its mean cannot be the RMS of the norm (digest, fact 6): print both.
 """
 
 from __future__ import annotations
@@ -111,14 +111,3 @@ def held_out_r2(truth: ArrayLike, predicted: ArrayLike) -> Array:
     truth, predicted = np.asarray(truth, dtype=float), np.asarray(predicted, dtype=float)
     unexplained = np.sum((truth - predicted) ** 2, axis=0)
     return np.asarray(1.0 - unexplained / np.sum((truth - truth.mean(axis=0)) ** 2, axis=0))
-
-
-def paper_eta(identified: ArrayLike, true: ArrayLike) -> float:
-    """The paper's mean identification accuracy in percent, as its Table 2 implies it (digest, fact 7).
-
-    Mean over parameters of 1 - |identified - true| / |true| on absolute values; parameters whose true value is zero
-    have none and are left out. Dominated by near-zero parameters: rank methods by base-parameter error instead.
-    """
-    identified, true = np.asarray(identified, dtype=float), np.asarray(true, dtype=float)
-    rated = (true != 0) & np.isfinite(identified)
-    return float(100.0 * np.mean(1.0 - np.abs(identified[rated] - true[rated]) / np.abs(true[rated])))

@@ -7,10 +7,10 @@ upper left, in m, as OpenCV numbers them. Only what finds or draws markers needs
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,10 +32,9 @@ from pickenv.base import (
 )
 from pickenv.calibration.model.pixels import Lens
 
-# A camera's lens in the files that others write: ROS camera_info YAML and OpenCV's own YAML, in and out. Written
+# A camera's lens in the files that others write: ROS camera_info YAML, in and out, and OpenCV's own YAML. Written
 # against ROS 2's camera_calibration_parsers (plumb_bob) and OpenCV's FileStorage, YAML 1.0.
 
-LensFormat = Literal["ros", "opencv"]
 MATRIX = ("camera_matrix", "cameraMatrix", "K")
 DISTORTION = ("distortion_coefficients", "distCoeffs", "D")
 MODELS = ("plumb_bob", "opencv5")
@@ -75,19 +74,13 @@ def read_lens(path: str | Path) -> Lens:
     return Lens(values, size, str(content.get("camera_name", path.stem)))
 
 
-def write_lens(lens: Lens, path: str | Path, form: LensFormat = "ros") -> Path:
-    """Write a lens as ROS camera_info YAML, or as OpenCV's, whole or not at all; all digits are kept."""
+def write_lens(lens: Lens, path: str | Path) -> Path:
+    """Write a lens as ROS camera_info YAML, whole or not at all; all digits are kept."""
     import yaml
 
     fx, fy, cx, cy, *distortion = (float(value) for value in lens.values)
     matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
     width, height = lens.size
-    if form == "opencv":
-        lines = ["%YAML:1.0", "---", f"image_width: {width}", f"image_height: {height}"]
-        for name, rows, values in (("camera_matrix", 3, matrix), ("distortion_coefficients", 1, distortion)):
-            lines += [f"{name}: !!opencv-matrix", f"   rows: {rows}", f"   cols: {len(values) // rows}", "   dt: d"]
-            lines.append(f"   data: {values!r}")
-        return write_text(Path(path), "\n".join(lines) + "\n")
     projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     content: dict[str, Any] = {
         "image_width": width,
@@ -342,26 +335,12 @@ LEAST_STD = MappingProxyType({"charuco": 0.05, "chessboard": 0.05, "apriltags": 
 shifts (both measured on rendered pictures)."""
 
 
-@dataclass(frozen=True, eq=False)
-class FoundCorners:
-    """A board's corners in one picture.
-
-    Attributes:
-        pixels: ``(K, 2)``, px; nothing where a corner was not found.
-        seen: Whether each was found ``(K,)``.
-        std: Standard uncertainty of each coordinate ``(K,)``, px; 1 where not found.
-        size: Width and height of the picture, px.
-        remark: Why none was found; empty where some were.
-    """
-
-    pixels: Array
-    seen: NDArray[np.bool_]
-    std: Array
-    size: tuple[int, int]
-    remark: str = ""
+Corners = tuple[Array, NDArray[np.bool_], Array]
+"""A board's corners in one picture: places ``(K, 2)``, px, nothing where a corner was not found; whether each was found
+``(K,)``; standard uncertainty of each coordinate ``(K,)``, px, 1 where not found."""
 
 
-def find_corners(board: Board, picture: Grey, where: str) -> FoundCorners:
+def find_corners(board: Board, picture: Grey, where: str) -> Corners:
     """Find the board's corners.
 
     Args:
@@ -375,19 +354,16 @@ def find_corners(board: Board, picture: Grey, where: str) -> FoundCorners:
     numbers, places = _found(board, picture)
     if not len(numbers):
         raise InputError(f"{where}: no corner of the board was found; {_reason(board, picture)}")
-    height, width = picture.shape
-    return corners_at(board, numbers, places, corner_std(picture, places, LEAST_STD[board.kind]), (width, height))
+    return corners_at(board, numbers, places, corner_std(picture, places, LEAST_STD[board.kind]))
 
 
-def corners_at(
-    board: Board, numbers: ArrayLike, places: ArrayLike, std: ArrayLike, size: tuple[int, int], remark: str = ""
-) -> FoundCorners:
+def corners_at(board: Board, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
     """Corners of these numbers ``(N,)`` at places ``(N, 2)``, px, in a picture that shows no other of the board's."""
     count = len(board.corners)
-    corners = FoundCorners(np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count), size, remark)
+    pixels, seen, stds = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
     numbers = np.asarray(numbers, dtype=np.int64)
-    corners.pixels[numbers], corners.seen[numbers], corners.std[numbers] = places, True, std
-    return corners
+    pixels[numbers], seen[numbers], stds[numbers] = places, True, std
+    return pixels, seen, stds
 
 
 def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) -> Array:

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from functools import cached_property, partial, reduce
 from operator import or_
 from types import ModuleType
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -213,11 +212,8 @@ NEGLIGIBLE = 1e-6
 """Loss that may be expected of a correction, m or rad: single precision rounds so much where nothing is gained."""
 
 
-class ResidualModel(Protocol):
-    """A learnt residual, as a compensator needs it."""
-
-    def predict(self, joints: ArrayLike) -> Array:
-        """Pose residual ``(..., 6)`` (m, rad, world axes) at joints ``(..., n)``."""
+Residual = Callable[[Array], Array]
+"""A learnt residual, as a compensator needs it: ``(..., 6)``, m and rad, world axes, at joints ``(..., n)``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,7 +236,7 @@ class Compensator:
 
     nominal: Geometry
     identified: Geometry
-    residual: ResidualModel | None = None
+    residual: Residual | None = None
     iterations: int = 2
     single_precision: bool = False
     reservations: Mapping[str, str] = field(default_factory=dict)
@@ -283,13 +279,13 @@ class Compensator:
         require("llvmlite")
         if self.single_precision:
             return self
-        from pickenv.arm.kinematics.machine_code import FLAG, SYMBOLS, Compiled, Outputs, Trace
+        from pickenv.arm.kinematics.machine_code import FLAG, SYMBOLS, Compiled, Trace
 
         trace, limits = Trace(), zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
         corrections = self._corrected(SYMBOLS, trace.inputs("targets", self.nominal.joints))
         outputs = [clipped(SYMBOLS, q, *limit) for q, limit in zip(corrections, limits, strict=True)]
         doubts = reduce(or_, trace.exceptions, False)
-        code = Compiled(trace, [Outputs("commands", outputs), Outputs("doubts", [doubts], FLAG)], count)
+        code = Compiled(trace, trace.outputs("commands", outputs) + trace.outputs("doubts", [doubts], FLAG), count)
 
         def run(joints: ArrayLike) -> Array:
             joints = self.checked(joints)
@@ -305,7 +301,7 @@ class Compensator:
     def predict(self, joints: ArrayLike) -> Pose:
         """The expected pose of the real tool at joint commands ``(..., n)``: identified pose plus residual."""
         pose = forward(self.identified, joints)
-        return pose if self.residual is None else displace_pose(pose, self.residual.predict(joints))
+        return pose if self.residual is None else displace_pose(pose, self.residual(np.asarray(joints, dtype=float)))
 
     @cached_property
     def _chains(self) -> tuple[Chain, Chain]:
@@ -326,17 +322,17 @@ class Compensator:
         """The residual at joints, component by component."""
         assert self.residual is not None
         if m is math:
-            return list(self.residual.predict(np.array(joints)).tolist())
+            return list(self.residual(np.array(joints)).tolist())
         noted = outside(m, self._fill, joints, 6)
         if noted is not None:
             return list(noted)
         rows = np.stack(joints)
-        return list(np.ascontiguousarray(self.residual.predict(rows.T).T, dtype=rows.dtype))
+        return list(np.ascontiguousarray(self.residual(rows.T).T, dtype=rows.dtype))
 
     def _fill(self, joints: Array, found: Array) -> None:
         """The residual ``(6, N)`` at joints ``(n, N)``."""
         assert self.residual is not None
-        found[:] = self.residual.predict(joints.T).T
+        found[:] = self.residual(joints.T).T
 
 
 def corrected(

@@ -56,25 +56,9 @@ POSES = 12
 """Poses at which the frames of file and table are compared."""
 
 
-@dataclass(frozen=True, eq=False)
-class SameChain:
-    """The relation of an arm's table to a file of the same chain.
-
-    Attributes:
-        root: Pose of the table's world frame in the file's root.
-        sign: For each joint, 1 or -1 (n,).
-        zero: The table's joint values where the file's are zero (n,), rad or m.
-        apart: How far the frames of both lie apart at most, once laid upon one another at one pose: m, rad.
-    """
-
-    root: Pose
-    sign: Array
-    zero: Array
-    apart: tuple[float, float] = (0.0, 0.0)
-
-    def plain(self) -> bool:
-        """Whether joints read alike in both."""
-        return bool((self.sign == 1).all() and (self.zero == 0).all())
+SameChain = tuple[Pose, Array, Array]
+"""The relation of an arm's table to a file of the same chain: pose of the table's world frame in the file's root; 1 or
+-1 for each joint (n,); and the table's joint values where the file's are zero (n,), rad or m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +110,8 @@ def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameC
         )
     mine, theirs = _axes(arm), _axes(file)
     worst = {0: mine[0].apart(theirs[0])}
-    fits = [SameChain(*fit, _apart(arm, file, *fit)) for fit in _fits(arm, mine, theirs, worst)]
-    share = [max(fit.apart[0] / NEAR, fit.apart[1] / TURNED) for fit in fits]
+    fits = list(_fits(arm, mine, theirs, worst))
+    share = [max(np.array(frames_apart(arm, file, *fit)) / (NEAR, TURNED)) for fit in fits]
     if fits and min(share) <= 10.0:
         # The plainest that is no farther off than the file's digits leave the others: by chance one may come near.
         return next(fit for fit, off in zip(fits, share, strict=True) if off <= 10.0 * max(min(share), LEAST_SHARE))
@@ -149,7 +133,7 @@ def _axes(geometry: Geometry) -> list[_Axis]:
 
 def _fits(
     arm: Geometry, mine: list[_Axis], theirs: list[_Axis], worst: dict[int, tuple[float, float]]
-) -> Iterator[tuple[Pose, Array, Array]]:
+) -> Iterator[SameChain]:
     """Roots, signs and zeros with which the axes agree, the plainest first; ``worst`` learns where others part."""
     n, free = len(mine), arm.coupling is None
     signs = (1.0, -1.0) if free else (1.0,)
@@ -264,8 +248,11 @@ def _along(axis: _Axis, value: float) -> Pose:
     return Pose(axis.point - turn @ axis.point, turn)
 
 
-def _apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: Array) -> tuple[float, float]:
-    """The change of K_i = N_i^-1 G^-1 U_i over poses, m and rad, N_i of the table and U_i of the file."""
+def frames_apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: Array) -> tuple[float, float]:
+    """How far the frames of both lie apart at most, once laid upon one another at one pose.
+
+    It is the change of K_i = N_i^-1 G^-1 U_i over poses, m and rad, N_i of the table and U_i of the file.
+    """
     fractions = np.mod(GOLDEN * np.arange(1, POSES * file.joints + 1).reshape(POSES, -1), 1.0) - 0.5
     joints = np.where(file.prismatic, 1.0, np.pi) * np.vstack([np.zeros(file.joints), fractions])
     most = np.zeros(2)
@@ -292,9 +279,8 @@ def corrected_chain(
         joints: Of the file.
         same: How the file tells of ``nominal``.
     """
-    before, after = (
-        [behind(same.root, pose) for pose in link_frames(geometry, same.zero)] for geometry in (nominal, identified)
-    )
+    root, sign, zero = same
+    before, after = ([behind(root, pose) for pose in link_frames(geometry, zero)] for geometry in (nominal, identified))
     links = links_moved(joints)
     old = new = identity_pose()
     origins = []
@@ -305,7 +291,7 @@ def corrected_chain(
         if link is not None:
             laid = behind(inverse_pose(before[link]), old)
             if links.count(link) == 1:
-                laid = _laid_upon(laid, joint, float(same.sign[nominal.owners[link]]))
+                laid = _laid_upon(laid, joint, float(sign[nominal.owners[link]]))
             drawing, stood = stood, behind(after[link], laid)
             if _slips(before, link, joint):
                 axis = stood.rotation @ joint.axis
@@ -410,11 +396,12 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
     same = same_chain(calibration.arm, geometry, path.name, calibration.arm_name)
+    root, _, zero = same
     fitted = calibration.record.get("frames") == "fitted"
     origins, tool_mount = corrected_chain(calibration.arm, calibration.in_own_base, own.joints, same)
     hand = behind(inverse_pose(own.tool), tool_mount)
     retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
-    tool, tip = behind(same.root, forward(calibration.arm, same.zero)), forward(geometry, np.zeros(geometry.joints))
+    tool, tip = behind(root, forward(calibration.arm, zero)), forward(geometry, np.zeros(geometry.joints))
     near, turned = apart(tool, tip)
     at_tip = near <= NEAR and turned <= TURNED
     corrects = at_tip and retooled and not fitted
@@ -442,7 +429,7 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
             "joint; `kind='transforms'` writes them"
         )
     notes += left_out(calibration, "not in the file, because rigid links cannot hold it")
-    return Correction(origins, same.root, hand, mount, behind_tip, tuple(notes))
+    return Correction(origins, root, hand, mount, behind_tip, tuple(notes))
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
@@ -493,11 +480,12 @@ def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: S
         )
     else:
         notes.append("no joint origin differs from what the file has; nothing is changed")
-    if not same.plain():
+    _, signs, zeros = same
+    if not ((signs == 1).all() and (zeros == 0).all()):
         drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
         readings = [
             f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
-            for name, joint, sign, zero in zip(calibration.arm.joint_names, drivers, same.sign, same.zero, strict=True)
+            for name, joint, sign, zero in zip(calibration.arm.joint_names, drivers, signs, zeros, strict=True)
             if sign != 1 or zero
         ]
         notes.append(f"joints read otherwise in the file (rad, m): {', '.join(readings)}; its own reading is kept")

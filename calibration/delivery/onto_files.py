@@ -23,14 +23,13 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm import Arm, Geometry, Pose, draw_plants, identity_pose, load_tolerances, plant_at, rotation_vector
 from pickenv.arm.files.arm_file import UR_KEYS, UR_LINKS, ur_row
 from pickenv.arm.files.joint_chain import ChainJoint, link_origins
-from pickenv.arm.files.mjcf import ORIENTATIONS, MjcfValues, mjcf_row, mjcf_text, truth
+from pickenv.arm.files.mjcf import ORIENTATIONS, MjcfValues, mjcf_row, mjcf_text
 from pickenv.arm.files.urdf import leading_links, roll_pitch_yaw, urdf_row, urdf_text
 from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import RAD, InputError, M, command_line, one_line, register, shortened
 from pickenv.calibration.delivery import document
 from pickenv.calibration.delivery.corrected_chain import (
-    SameChain,
     Z,
     changed,
     corrected_chain,
@@ -339,7 +338,7 @@ def _files(tags: list[document.StartTag]) -> list[str]:
         if tag.name == "compiler":
             compiler |= tag.attributes
     folder = compiler.get("meshdir", compiler.get("assetdir", ""))
-    strips = truth(compiler.get("strippath", "false"))
+    strips = compiler.get("strippath", "false") == "true"
     files = []
     for tag in tags:
         name = tag.attributes.get("file", "")
@@ -432,7 +431,7 @@ def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
     based = replace(arm, base=identity_pose())
     drawing = zip(UR_LINKS, link_origins(based), strict=True)
     joints = [ChainJoint(link, link, 1.0, 0.0, False, pose, Z) for link, pose in drawing]
-    alike = SameChain(identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS)))
+    alike = identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS))
     robot = calibration.in_own_base
     robot = replace(robot, base=behind(inverse_pose(arm.base), robot.base))
     origins, _ = corrected_chain(based, robot, joints, alike)

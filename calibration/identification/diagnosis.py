@@ -6,8 +6,9 @@ have in common (one column that fits in another unit) is said. Held-out rows pas
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from scipy.stats import binom
 from pickenv.arm import Arm, Array, rotation_matrix, rotation_vector
 from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import Identification, unknowns_of
-from pickenv.calibration.identification.robust import OUTLIER_SIGMA, RobustIdentification, align, apart, robust_fit
+from pickenv.calibration.identification.robust import OUTLIER_SIGMA, align, apart, misses_of, robust_fit, sigma_of
 from pickenv.calibration.model.arm_model import frames_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, SAME_POSE, Kind, Observations, Rows, named, origins_of
@@ -191,23 +192,23 @@ def checked_rows(
         InputError: If the held-out rows come from another set-up.
     """
     try:
-        fit = robust_fit(arm, train, known)
+        found, (_, _, scales) = robust_fit(arm, train, known)
     except InputError:
         return train, test, ()  # too few rows, or no majority: the fit itself says what is wrong
     sets = (train, test) if len(test.joints) else (train,)
-    scales = fit.sizes.scales[train.channels_of(test)]  # of held-out rows some stations may have none
-    sizes = [fit.sizes_of(data, scales if data is test else None).sigma for data in sets]
+    of_test = scales[train.channels_of(test)]  # of held-out rows some stations may have none
+    sizes = [sigma_of(found, data, of_test if data is test else scales) for data in sets]
     far = [np.flatnonzero(~(size <= OUTLIER_SIGMA)) for size in sizes]
     if 2 * len(far[0]) >= len(train.joints):
         return train, test, ()
     if len(test.joints) >= FEW and 2 * len(far[1]) > len(test.joints):
-        raise InputError(_other_set_up(arm, fit, train, test))
+        raise InputError(_other_set_up(arm, found, scales, train, test))
     if len(sets) > 1 and len(far[1]) == len(test.joints):
         far[1] = far[1][:0]  # not these rows are far off, but what so few told; and nothing else is there to judge by
     listed: list[LeftOut] = []
     for data, size, rows in zip(sets, sizes, far, strict=True):
-        listed += _far_rows(arm, fit, data, size, rows, held_out=data is test, kept=not robust)
-    train = train.weighed(fit.sizes.scales)
+        listed += _far_rows(arm, found, scales, data, size, rows, held_out=data is test, kept=not robust)
+    train = train.weighed(scales)
     sets = (train, *sets[1:])
     if robust:
         near = [np.setdiff1d(np.arange(len(data.joints)), rows) for data, rows in zip(sets, far, strict=True)]
@@ -217,16 +218,24 @@ def checked_rows(
 
 
 def _far_rows(
-    arm: Arm, found: RobustIdentification, data: Observations, sigma: Array, rows: Rows, *, held_out: bool, kept: bool
+    arm: Arm,
+    found: Identification,
+    scales: Array,
+    data: Observations,
+    sigma: Array,
+    rows: Rows,
+    *,
+    held_out: bool,
+    kept: bool,
 ) -> list[LeftOut]:
     """The rows far off, with what they have in common."""
     if not len(rows):
         return []
-    missed, attitude, why = found.misses_of(data), None, None
+    missed, attitude, why = misses_of(found, data), None, None
     if data.poses is not None:
-        why = mixed_unit(arm, found, data.poses, rows)
+        why = mixed_unit(arm, partial(sigma_of, found, scales=scales), data.poses, rows)
         if data.poses.rotation is not None:
-            attitude = np.linalg.norm(data.poses.difference(found.identification.arm_model)[:, 3:], axis=1)
+            attitude = np.linalg.norm(data.poses.difference(found.arm_model)[:, 3:], axis=1)
     return [
         LeftOut(
             *origins_of(data).place(row),
@@ -294,13 +303,13 @@ def said_of_stations(found: Identification, data: Observations) -> Said:
             )
 
 
-def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, test: Observations) -> str:
+def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observations, test: Observations) -> str:
     """The reason why most held-out rows miss: another unit, another place of base or tool, or something else."""
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
     scale, unit_name = MISS_UNITS[test.miss_unit], test.miss_unit
-    away = f"{np.median(found.misses_of(test)) * scale:.3g} {unit_name}"
+    away = f"{np.median(misses_of(found, test)) * scale:.3g} {unit_name}"
     if test.poses is not None:
-        unit = mixed_unit(arm, found, test.poses, np.arange(len(test.joints)))
+        unit = mixed_unit(arm, partial(sigma_of, found, scales=scales), test.poses, np.arange(len(test.joints)))
         if unit is not None:
             return f"{files}: the held-out rows fit the training rows only if {unit}; write both in one unit"
         geometry = found.geometry
@@ -308,9 +317,8 @@ def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, te
             realigned = align(geometry, test.poses, frames_model(geometry)).geometry
         except InputError:
             realigned = geometry
-        moved_fit = replace(found.identification, arm_model=replace(found.identification.arm_model, geometry=realigned))
-        sizes = replace(found, identification=moved_fit).sizes_of(test)
-        if float(np.median(sizes.sigma)) <= OUTLIER_SIGMA / 2:
+        moved = replace(found, arm_model=replace(found.arm_model, geometry=realigned))
+        if float(np.median(sigma_of(moved, test, scales))) <= OUTLIER_SIGMA / 2:
             base, tool = (
                 f"{metres * 1e3:.3g} mm and {np.degrees(angle):.3g} deg"
                 for metres, angle in (apart(geometry.base, realigned.base), apart(geometry.tool, realigned.tool))
@@ -320,7 +328,7 @@ def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, te
                 f"base moved by {base} and the tool by {tool} they fit; hold out rows of the training rows' own "
                 "set-up, or calibrate this file by itself"
             )
-    usual = f"{np.median(found.misses_of(train)) * scale:.2g} {unit_name}"
+    usual = f"{np.median(misses_of(found, train)) * scale:.2g} {unit_name}"
     return (
         f"{files}: most held-out rows miss by {away} (median), where half of the training rows miss by less than "
         f"{usual}, and no other place of base or tool explains it; check that they are of this arm, with the same "
@@ -328,12 +336,17 @@ def _other_set_up(arm: Arm, found: RobustIdentification, train: Observations, te
     )
 
 
-def mixed_unit(arm: Arm, found: RobustIdentification, measurements: Measurements, rows: Rows) -> str | None:
-    """The column and unit that explain most of the outliers, in words; None if none does."""
+def mixed_unit(arm: Arm, sigma: Callable[[Measurements], Array], measurements: Measurements, rows: Rows) -> str | None:
+    """The column and unit that explain most of the outliers, in words; None if none does.
+
+    Args:
+        arm: The arm.
+        sigma: Errors of rows ``(N,)``, in robust standard deviations.
+        measurements: The rows.
+        rows: Which of them are outliers.
+    """
     outliers = measurements.select(rows)
-    explained = {
-        words: float(np.mean(found.sizes_of(reading).sigma < EXPLAINED)) for words, reading in _readings(arm, outliers)
-    }
+    explained = {words: float(np.mean(sigma(reading) < EXPLAINED)) for words, reading in _readings(arm, outliers)}
     best = max(explained, key=lambda words: explained[words])
     return best if explained[best] >= 0.8 else None
 

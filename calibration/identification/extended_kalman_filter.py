@@ -1,6 +1,6 @@
 """Extended Kalman filter on the identifiable parameters: the recursive twin of the least squares (Qiao 2026, "EKF").
 
-One pose at a time, online, or a whole data set in one pass. Covariances are updated in Joseph's form (Bucy and Joseph
+One pose at a time, online. Covariances are updated in Joseph's form (Bucy and Joseph
 1968), which stays symmetric and positive; drift enters as process noise; an innovation gate may refuse outliers. SI.
 """
 
@@ -15,9 +15,8 @@ from scipy.special import gammaincinv
 from pickenv.arm import Array, Geometry, Pose, pose_error
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.base import InputError
-from pickenv.calibration.identification.least_squares import Identifiability, Identification, identifiability
+from pickenv.calibration.identification.least_squares import identifiability
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, ErrorModel
-from pickenv.calibration.model.measurements import Measurements
 
 PRIOR = 10.0
 """Prior standard deviation of a parameter, in its tolerances: 10 mm and 0.6 deg for geometry."""
@@ -85,28 +84,16 @@ def start_filter(
     Raises:
         InputError: If the poses are so few that they would leave parameters out that others identify.
     """
-    return _diffuse(model, ArmModel.of(start), joints, 6 if full_pose else 3, None, prior)[0]
-
-
-def continue_filter(model: ErrorModel, identified: Identification, *, inflation: float = 1.0) -> FilterState:
-    """A filter that goes on from a least-squares identification of ``model``, with its covariance.
-
-    Args:
-        model: The model that was identified.
-        identified: The identification; the data's own unknowns (reflectors, anchors) are left behind.
-        inflation: Factor on its standard deviations, for an arm that may have changed since.
-
-    Raises:
-        InputError: If the identification has no covariance, because it had no spare equations.
-    """
-    count = len(identified.unknowns)
-    base = identified.identifiability.kept
-    ours = base >= count
-    covariance = identified.covariance[np.ix_(ours, ours)] * inflation**2
-    if not np.isfinite(covariance).all():
-        raise InputError("the identification has no covariance to go on from; measure more poses than parameters need")
-    places = base[ours] - count
-    return FilterState(identified.arm_model, model.columns[places], model.tolerance[places], covariance)
+    arm, joints, rows = ArmModel.of(start), np.asarray(joints, dtype=float), 6 if full_pose else 3
+    if len(joints) * rows < len(model.columns):
+        raise InputError(
+            f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
+            f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
+        )
+    jacobian = arm.jacobian(joints)[:, :rows, model.columns] * model.tolerance
+    base = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
+    tolerance = model.tolerance[base.kept]
+    return FilterState(arm, model.columns[base.kept], tolerance, np.diag((prior * tolerance) ** 2))
 
 
 def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> FilterState:
@@ -114,7 +101,7 @@ def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> Fil
 
     Args:
         state: The state.
-        process_noise: Covariance that the parameters gain per second ``(p, p)``; see `random_walk`, `thermal_walk`.
+        process_noise: Covariance that the parameters gain per second ``(p, p)``; see `random_walk`.
         seconds: Time since the last update.
     """
     return replace(state, covariance=state.covariance + np.asarray(process_noise) * seconds)
@@ -123,54 +110,9 @@ def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> Fil
 def random_walk(state: FilterState, tolerances: float) -> Array:
     """Process noise ``(p, p)`` per second: every parameter wanders by so many of its tolerances per root hour.
 
-    For drifts of unknown shape; where the cause is known, `thermal_walk` and `offset_walk` follow it with less noise.
+    For drifts of unknown shape and cause.
     """
     return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / HOUR)
-
-
-def thermal_walk(state: FilterState, joints: Array, kelvin: float, expansion: float = 23e-6) -> Array:
-    """Process noise ``(p, p)`` per second of an arm whose links grow together: one direction, not p of them.
-
-    Args:
-        state: The state.
-        joints: Joints ``(N, n)`` over the working range.
-        kelvin: Change of temperature per root hour, K.
-        expansion: Linear thermal expansion, 1/K; aluminium where left out.
-    """
-    geometry = state.geometry
-    n = geometry.links
-    growth = np.zeros(len(state.arm_model.parameter_names))
-    growth[n : 2 * n], growth[3 * n : 4 * n] = geometry.a, geometry.d
-    return _carried(state, joints, growth[None] * expansion * kelvin)
-
-
-def offset_walk(state: FilterState, joints: Array, length: float, angle: float) -> Array:
-    """Process noise ``(p, p)`` per second of joint zeros that wander: encoders, belts, slipping couplings.
-
-    Args:
-        state: The state.
-        joints: Joints ``(N, n)`` over the working range.
-        length: Drift of a prismatic joint's zero per root hour, m.
-        angle: Drift of a revolute joint's zero per root hour, rad.
-    """
-    geometry = state.geometry
-    n = geometry.links
-    shifts = np.zeros((geometry.joints, len(state.arm_model.parameter_names)))
-    for joint, drifts in enumerate(np.where(geometry.prismatic, length, angle)):
-        for i, ratio in geometry.links_of(joint):
-            shifts[joint, 3 * n + i if geometry.slides[i] else 2 * n + i] = drifts * ratio
-    return _carried(state, joints, shifts)
-
-
-def _carried(state: FilterState, joints: Array, drifts: Array) -> Array:
-    """Covariance gained per second when all parameters drift by each row of ``drifts`` ``(k, P)`` per root hour.
-
-    The drift of a parameter that is not estimated is carried by those that absorb it.
-    """
-    jacobian = state.arm_model.jacobian(np.asarray(joints, dtype=float), None).reshape(-1, drifts.shape[1])
-    scaled = jacobian[:, state.columns] * state.tolerance
-    directions = np.linalg.lstsq(scaled, jacobian @ drifts.T, rcond=None)[0] * state.tolerance[:, None]
-    return np.asarray(directions @ directions.T / HOUR)
 
 
 def update(
@@ -228,97 +170,3 @@ def update(
         innovation=innovation,
         nis=nis,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class Filtered:
-    """An arm filtered from measurements in one pass, with its evidence.
-
-    Attributes:
-        state: The filter's last state: arm, covariance, counts.
-        identifiability: What could be identified, what was dropped, and what absorbed it.
-        delta: Estimated minus starting parameters, m or rad, per model parameter (0 for dropped ones).
-        innovations: Measured minus predicted pose of each row before it was used ``(N, 6)`` or ``(N, 3)``, m and rad.
-        nis: Normalised innovation squared of each ``(N,)``.
-        rejected: Rows that the gate refused, counted from 0.
-    """
-
-    state: FilterState
-    identifiability: Identifiability
-    delta: Array
-    innovations: Array
-    nis: Array
-    rejected: tuple[int, ...]
-
-    @property
-    def geometry(self) -> Geometry:
-        """The estimated geometry."""
-        return self.state.geometry
-
-    @property
-    def standard_deviation(self) -> Array:
-        """Standard deviation of every model parameter, m or rad, under the assumed noise; NaN for dropped ones."""
-        return self.identifiability.of_all(self.state.standard_deviation)
-
-    @property
-    def consistency(self) -> float:
-        """Mean normalised innovation squared per coordinate: 1 if the assumed noise explains the innovations."""
-        used = np.setdiff1d(np.arange(len(self.nis)), self.rejected)
-        return float(np.mean(self.nis[used]) / self.innovations.shape[1]) if len(used) else float("nan")
-
-
-def filter_measurements(
-    model: ErrorModel,
-    start: Geometry | ArmModel,
-    measurements: Measurements,
-    *,
-    noise: MeasurementNoise | None = None,
-    prior: float = PRIOR,
-    gate: float | None = None,
-) -> Filtered:
-    """Pass once over a data set, row by row, of an arm that does not drift; else go by `predict` and `update`.
-
-    Args:
-        model: The parameters.
-        start: Geometry, or geometry with terms, to start from; it must lie near the data (see `align`).
-        measurements: Poses or positions.
-        noise: Assumed noise; the data set's own where left out.
-        prior: Prior standard deviation in tolerances of each parameter.
-        gate: As in `update`.
-
-    Raises:
-        InputError: If there are too few poses for what is to be identified.
-    """
-    arm = ArmModel.of(start)
-    rows, conditions = measurements.rows_per_pose, measurements.conditions
-    state, base = _diffuse(model, arm, measurements.joints, rows, conditions, prior)
-    noise = noise or MeasurementNoise(measurements.position_std, measurements.attitude_std)
-    states = [state]
-    for i in range(len(measurements)):
-        row = measurements.select([i])
-        observed = row.position[0] if row.rotation is None else Pose(row.position[0], row.rotation[0])
-        state = update(state, row.joints[0], observed, noise, conditions=row.conditions, gate=gate)
-        states.append(state)
-    return Filtered(
-        state=state,
-        identifiability=base,
-        delta=arm.difference(state.arm_model)[model.columns],
-        innovations=np.array([step.innovation for step in states[1:]]),
-        nis=np.array([step.nis for step in states[1:]]),
-        rejected=tuple(np.flatnonzero(np.diff([step.rejected for step in states])).tolist()),
-    )
-
-
-def _diffuse(
-    model: ErrorModel, arm: ArmModel, joints: Array, rows: int, conditions: Conditions | None, prior: float
-) -> tuple[FilterState, Identifiability]:
-    """A wide prior on what ``rows`` coordinates of poses at these joints tell apart, each weighted by its tolerance."""
-    if len(joints) * rows < len(model.columns):
-        raise InputError(
-            f"{len(joints)} poses cannot decide which of {len(model.columns)} parameters are identifiable; give the "
-            f"joints of at least {-(-len(model.columns) // rows)} poses, measured or planned"
-        )
-    jacobian = arm.jacobian(np.asarray(joints, dtype=float), conditions)[:, :rows, model.columns] * model.tolerance
-    base = identifiability(jacobian.reshape(-1, len(model.columns)), model.names, model.tolerance, len(joints))
-    tolerance = model.tolerance[base.kept]
-    return FilterState(arm, model.columns[base.kept], tolerance, np.diag((prior * tolerance) ** 2)), base

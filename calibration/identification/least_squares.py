@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,12 +211,13 @@ def identify(
         weighted = residual()
         rms = rms_of(weighted)
         # A shortened step proves nothing: what counts is what the whole one would still explain.
-        progress = judged_step(full_step, matrix[:, base.kept] @ full_step, before[2], history[-1], rms)
-        if not progress.better:
+        explained = matrix[:, base.kept] @ full_step
+        still, negligible, better, finished = judged_step(full_step, explained, before[2], history[-1], rms)
+        if not better:
             arm, unknowns, weighted = before
             # Worse by rounding alone is the minimum. Terms move with the geometry, which the Jacobian leaves out, so
             # that near it even short steps may make it worse: then what is left counts.
-            if progress.negligible or (damping and progress.offset < (30 * OFFSET) ** 2):
+            if negligible or (damping and still < (30 * OFFSET) ** 2):
                 converged = True
                 break
             if near:  # the derivatives are those of an earlier step
@@ -230,12 +231,12 @@ def identify(
         history.append(rms)
         iterates.append(arm)
         unknown_iterates.append(np.concatenate(unknowns))
-        settled = progress.negligible or (damping == 0.0 and progress.finished)
+        settled = negligible or (damping == 0.0 and finished)
         if settled and rank_is_final:
             converged = True
             break
-        near = every and damping == 0.0 and not settled and bool(progress.offset < min(NEAR**2, offset / 100.0))
-        offset = progress.offset
+        near = every and damping == 0.0 and not settled and bool(still < min(NEAR**2, offset / 100.0))
+        offset = still
         if near:
             q, r = np.linalg.qr(matrix[:, base.kept])
             right = q @ solve_triangular(r, (columns.T @ weighted)[base.kept], trans=1)
@@ -297,25 +298,8 @@ def identify_converged(
     )
 
 
-class Progress(NamedTuple):
-    """The achievement of a Gauss-Newton step, of one arm or of many ``(...)``.
-
-    Attributes:
-        offset: Squared: what the whole step would still explain, per parameter and against the scatter (relative
-            offset, Bates and Watts 1981); directions that the data hardly show may wander without it.
-        negligible: Whether a further step would move nothing that matters.
-        better: Whether the residual did not grow, but for rounding; not so where it is NaN.
-        finished: Whether an undamped step that was better led to the minimum.
-    """
-
-    offset: Any
-    negligible: Any
-    better: Any
-    finished: Any
-
-
-def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: Any) -> Progress:
-    """The stop rule, on NumPy arrays or torch tensors.
+def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: Any) -> tuple[Any, Any, Any, Any]:
+    """The stop rule of Gauss-Newton steps, on NumPy arrays or torch tensors.
 
     Args:
         step: The whole step, in tolerances ``(..., K)``.
@@ -323,12 +307,18 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
         weighted: Whitened residuals before the step ``(..., R)``.
         before: Their root mean square ``(...)``.
         after: That after the step.
+
+    Returns:
+        Of one arm or of many ``(...)``: squared, what the whole step would still explain, per parameter and against the
+        scatter (relative offset, Bates and Watts 1981), for directions that the data hardly show may wander without it;
+        whether a further step would move nothing that matters; whether the residual did not grow, but for rounding, not
+        so where it is NaN; whether an undamped step that was better led to the minimum.
     """
     rows, parameters = weighted.shape[-1], step.shape[-1]
     scatter = (weighted**2).sum(-1) / max(rows - parameters, 1)
     offset = (explained**2).sum(-1) / (max(parameters, 1) * (scatter + 1e-300))
     negligible = (abs(step) < 1e-5).all(-1) | (offset < OFFSET**2)
-    return Progress(offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after <= 1e-7 * after))
+    return offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after <= 1e-7 * after)
 
 
 def _residual(sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:

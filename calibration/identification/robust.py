@@ -8,7 +8,7 @@ unit is a channel, and channels are scaled apart: metres and radians, a wire and
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -201,39 +201,12 @@ CAUCHY = 2.385
 """Size, in standard deviations per coordinate, at which a row weighs a half: 95 % efficiency on normal noise."""
 
 
-@dataclass(frozen=True, eq=False)
-class RobustIdentification:
-    """An identification with the weights it ended at.
-
-    Attributes:
-        identification: The last weighted least squares.
-        weights: Weight of each row ``(N,)`` in it, 0 to 1.
-        sizes: Sizes of the errors that it leaves.
-    """
-
-    identification: Identification
-    weights: Array
-    sizes: Sizes
-
-    @property
-    def geometry(self) -> Geometry:
-        """The identified geometry."""
-        return self.identification.geometry
-
-    def sizes_of(self, data: Observations, scales: Array | None = None) -> Sizes:
-        """Sizes of the errors of any rows by this arm's identified model, in the standard deviations found here."""
-        scales = self.sizes.scales if scales is None else scales
-        return sizes_of(self.identification.arm_model, unknowns_of(self.identification, data), data, scales)
-
-    def misses_of(self, data: Observations) -> Array:
-        """The largest miss of each row ``(N,)``, m."""
-        misses = data.misses(self.identification.arm_model, unknowns_of(self.identification, data))
-        largest = np.zeros(len(data.joints))
-        np.maximum.at(largest, data.rows_of_misses, np.linalg.norm(misses, axis=1))
-        return largest
+Sizes = tuple[Array, Array, Array]
+"""Errors of N rows in robust standard deviations: the largest of each row ``(N,)``, per coordinate; Cauchy's weight of
+each ``(N,)``; and those deviations by channel ``(C,)``, in stated standard uncertainties."""
 
 
-def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observations) -> RobustIdentification:
+def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observations) -> tuple[Identification, Sizes]:
     """Identify with iteratively re-weighted least squares; the first weights come from the starting geometry.
 
     Args:
@@ -241,25 +214,28 @@ def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observa
         start: Geometry, or geometry with terms; near the data (see `robust_align`).
         data: Rows of any kind.
 
+    Returns:
+        The last weighted least squares, and the errors that it leaves.
+
     Raises:
         InputError: As `identify`.
     """
     arm, apart = ArmModel.of(start), counted(data.joints)
-    weights = sizes_of(arm, data.start(arm), data, apart=apart).weights
+    _, weights, _ = sizes_of(arm, data.start(arm), data, apart=apart)
     rows, _ = data.equations()
     for _ in range(WEIGHTINGS):
         factors = np.where(rows >= 0, np.sqrt(weights * apart)[rows], 1.0)
         solution = identify(model, start, [data], whiten=lambda stated, by=factors: (stated.T * by).T)  # type: ignore[misc]
         sizes = sizes_of(solution.arm_model, unknowns_of(solution, data), data, apart=apart)
-        before, weights = weights, sizes.weights
+        before, (_, weights, _) = weights, sizes
         if np.max(np.abs(weights - before)) < 1e-3:
             break
-    return RobustIdentification(solution, before, sizes)
+    return solution, sizes
 
 
 def robust_align(
     geometry: Geometry, measurements: Measurements, frames: ErrorModel, rng: np.random.Generator
-) -> RobustIdentification:
+) -> Identification:
     """`align` for data with gross errors: base and tool from the poses that agree with each other.
 
     Base poses are tried from random fours of positions; the one with the smallest median error shows the gross errors
@@ -285,39 +261,10 @@ def robust_align(
     near = best <= 5.0 * np.median(best)
     for _ in range(SELECTIONS):
         solution = align(geometry, measurements.select(near), frames)
-        sizes = sizes_of(solution.arm_model, np.zeros(0), measurements)
-        before, near = near, sizes.sigma <= OUTLIER_SIGMA
+        before, near = near, sigma_of(solution, measurements) <= OUTLIER_SIGMA
         if np.array_equal(before, near):
             break
-    return RobustIdentification(solution, before.astype(float), sizes)
-
-
-@dataclass(frozen=True, eq=False)
-class Sizes:
-    """Sizes of the errors of N rows, channel by channel.
-
-    Attributes:
-        errors: Sizes ``(C, N)``, in stated standard uncertainties of one coordinate: norms of up to three equations,
-            and of more (a picture's corners) that of three like them; NaN where a row does not use a channel.
-        coordinates: How many equations each stands for ``(C, N)``, three at most.
-        scales: Robust standard deviation of one coordinate by channel ``(C,)``, in stated ones.
-    """
-
-    errors: Array
-    coordinates: Array
-    scales: Array
-
-    @property
-    def sigma(self) -> Array:
-        """The largest of each row ``(N,)``, in robust standard deviations of one coordinate."""
-        return np.asarray(np.fmax.reduce(self.errors / self.scales[:, None], axis=0, initial=0.0))
-
-    @property
-    def weights(self) -> Array:
-        """Cauchy's weights ``(N,)`` by the size per coordinate."""
-        squares = np.nansum((self.errors / self.scales[:, None]) ** 2, axis=0)
-        size = np.sqrt(squares / np.maximum(self.coordinates.sum(axis=0), 1))
-        return np.asarray(1.0 / (1.0 + (size / CAUCHY) ** 2))
+    return solution
 
 
 def sizes_of(
@@ -339,13 +286,29 @@ def sizes_of(
     np.add.at(squares, (channels[read], rows[read]), data.residual(arm, unknowns)[read] ** 2)
     np.add.at(count, (channels[read], rows[read]), 1.0)
     coordinates = np.minimum(count, 3.0)
+    # Norms of up to three equations, and of more (a picture's corners) that of three like them; NaN of unused channels.
     errors = np.sqrt(np.where(count > 0, squares * coordinates / np.maximum(count, 1.0), np.nan))
     if scales is None:
         usual = np.sqrt(2.0 * gammaincinv(np.maximum(count, 1.0) / 2.0, 0.5) * coordinates / np.maximum(count, 1.0))
         apart = np.ones(len(data.joints)) if apart is None else apart
         medians = [_median(size / median, apart) for size, median in zip(errors, usual, strict=True)]
         scales = np.maximum(medians, 1.0)
-    return Sizes(errors, coordinates, scales)
+    errors = errors / scales[:, None]
+    size = np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(coordinates.sum(axis=0), 1))
+    return np.fmax.reduce(errors, axis=0, initial=0.0), 1.0 / (1.0 + (size / CAUCHY) ** 2), scales
+
+
+def sigma_of(found: Identification, data: Observations, scales: Array | None = None) -> Array:
+    """The largest error of each row ``(N,)`` by an identified arm, in these or robust standard deviations."""
+    return sizes_of(found.arm_model, unknowns_of(found, data), data, scales)[0]
+
+
+def misses_of(found: Identification, data: Observations) -> Array:
+    """The largest miss of each row ``(N,)``, m."""
+    misses = data.misses(found.arm_model, unknowns_of(found, data))
+    largest = np.zeros(len(data.joints))
+    np.maximum.at(largest, data.rows_of_misses, np.linalg.norm(misses, axis=1))
+    return largest
 
 
 def _median(values: Array, counts: Array) -> float:
@@ -407,10 +370,10 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
     frames = frames_model(arm.nominal)
     if data.poses is not None:
         return robust_align(arm.nominal, data.poses, frames, np.random.default_rng(0)).geometry
-    return robust_identify(frames, rough_start(arm.nominal, data), data).geometry
+    return robust_identify(frames, rough_start(arm.nominal, data), data)[0].geometry
 
 
-def robust_fit(arm: Arm, data: Observations, known: bool = False) -> RobustIdentification:
+def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Identification, Sizes]:
     """Geometry from the rows that agree with each other, with base and tool unless known; the same every time.
 
     Raises:
@@ -491,7 +454,7 @@ def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | 
         aligned = robust_frames(arm, part)
     except InputError:
         return None
-    return part.select(sizes_of(ArmModel.of(aligned), np.zeros(0), part).sigma <= OUTLIER_SIGMA), aligned
+    return part.select(sizes_of(ArmModel.of(aligned), np.zeros(0), part)[0] <= OUTLIER_SIGMA), aligned
 
 
 def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) -> Iterator[tuple[SetUp, ...]]:

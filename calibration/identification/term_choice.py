@@ -328,19 +328,9 @@ NAMES = ("compliance", "gravity", "periodic", "thermal")
 """Terms that can be chosen, in the order in which they are tried: what measured torques say before what is inferred."""
 
 
-@dataclass(frozen=True)
-class TermChoice:
-    """The choice, and the candidates that were tried.
-
-    Attributes:
-        chosen: Names of the terms, some of `NAMES` joined by "+", or "none".
-        blocked_rms: Cross-validated blocked RMS of every candidate, m.
-        terms: The terms.
-    """
-
-    chosen: str
-    blocked_rms: dict[str, float]
-    terms: tuple[Term, ...] = ()
+TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]
+"""Names of the terms chosen, some of `NAMES` joined by "+", or "none"; cross-validated blocked RMS of every candidate,
+m; and the terms."""
 
 
 def identify_terms(
@@ -389,7 +379,7 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
         lighter = tuple(name for name in taken if name != "gravity")
         if not wins(taken, lighter):
             taken = lighter
-    return TermChoice(_joined(taken), scores, trial.terms(taken))
+    return _joined(taken), scores, trial.terms(taken)
 
 
 def terms_of(names: str, arm: Arm, bare: Identification, observations: Observations) -> tuple[Term, ...]:

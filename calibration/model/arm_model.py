@@ -1,4 +1,4 @@
-"""The model that is identified: a geometry, and parametric terms beyond it (compliance, bending, lead, heat).
+"""The model that is identified: a geometry, and parametric terms beyond it (compliance, weight, drives, heat).
 
 The pose is F(q) displaced by the sum of coefficient times column: the terms are small (millimetres), so first order is
 exact to micrometres, and every parameter, geometric or not, is one column of one Jacobian. SI units.
@@ -178,8 +178,8 @@ class ArmModel:
 
 
 # Parametric terms for what geometry cannot say, each linear in its coefficients, so that least squares finds them.
-# Joint compliance (1/k times torque), boom bending, prismatic lead and periodic drive errors, thermal expansion. Each
-# gives the tool's displacement per unit of its coefficients, in world axes. SI units.
+# Joint compliance (1/k times torque), the arm's own weight, periodic drive errors, thermal expansion. Each gives the
+# tool's displacement per unit of its coefficients, in world axes. SI units.
 
 
 SHOWN = 1e-3
@@ -236,67 +236,6 @@ class ComplianceTerm(JointTerm):
         load = Load(self.load.mass, self.load.centre, payload)
         torque = _repeated(gravity_torques(chain, link_frames, load), len(joints)).T
         return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
-
-
-@dataclass(frozen=True)
-class BendingTerm(Term):
-    """A telescopic boom bends: coefficients F/EI for the tip load and w/EI for its own weight, both 1/m^2 and 1/m^3.
-
-    Attributes:
-        joint: Index of the prismatic joint whose link is the boom.
-        length: Free length at zero displacement, m.
-        end_mass: Mass at the tip without payload, kg; with a recorded payload the tip load scales with the sum.
-    """
-
-    joint: int
-    length: float
-    end_mass: float = 0.0
-
-    def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Tip and own weight."""
-        return (f"bending{self.joint + 1}_tip", f"bending{self.joint + 1}_own")
-
-    def tolerances(self, geometry: Geometry) -> Array:
-        """1 mm at 1 m."""
-        return np.array([3e-3, 8e-3])
-
-    def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Sag and slope of a cantilever under gravity across the boom, carried to the tool."""
-        if geometry.coupling is not None:
-            raise InputError("the bending of a boom needs an arm whose joints move one link each; leave the term out")
-        chain = chain_of(geometry)
-        link_frames = frames(np, chain, split_joints(geometry.joints, joints))
-        boom = _repeated(link_frames[self.joint + 1], len(joints)).T.reshape(len(joints), 4, 3)  # axes and origin
-        z, tip, tool = boom[:, 2], boom[:, 3], forward(geometry, joints).position
-        across = z * z[:, 2:] - np.array([0.0, 0.0, 1.0])
-        turn = np.stack([-z[:, 1], z[:, 0], np.zeros(len(z))], -1)
-        length = (joints[:, self.joint] + self.length)[:, None]
-        share = np.ones((len(joints), 1))
-        if conditions.payload is not None and self.end_mass > 0:
-            share = (1.0 + conditions.payload / self.end_mass)[:, None]
-        lever = tool - tip
-        bent = ((share * length**3 / 3, share * length**2 / 2), (length**4 / 8, length**3 / 6))
-        columns = [np.hstack([sag * across + np.cross(slope * turn, lever), slope * turn]) for sag, slope in bent]
-        return np.stack(columns, -1)
-
-
-@dataclass(frozen=True)
-class LeadTerm(JointTerm):
-    """Drives whose travel is off by a constant share: one coefficient (m/m or rad/rad) per joint named."""
-
-    joints: tuple[int, ...]
-
-    def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names count as the joints do: lead2, lead3."""
-        return tuple(f"lead{i + 1}" for i in self.joints)
-
-    def tolerances(self, geometry: Geometry) -> Array:
-        """1 mm per metre."""
-        return np.full(len(self.joints), 1e-3)
-
-    def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The joints themselves."""
-        return self.joints, joints[:, self.joints]
 
 
 @dataclass(frozen=True)
@@ -478,10 +417,8 @@ def _repeated(parts: Sequence[Scalar], count: int) -> Array:
 
 
 KINDS: dict[str, type] = {
-    "bending": BendingTerm,
     "compliance": ComplianceTerm,
     "gravity": GravityTerm,
-    "lead": LeadTerm,
     "periodic": PeriodicTerm,
     "thermal": ThermalTerm,
 }

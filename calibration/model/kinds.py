@@ -431,7 +431,7 @@ class ReflectorObservations(Observations):
         joints: ``(N, n)``, rad or m.
         points: Measured positions ``(N, k, 3)``, m; values of lost reflectors are ignored.
         seen: Whether each reflector was seen ``(N, k)``.
-        covariance: Of one point, m^2: ``(3, 3)``, or ``(N, k, 3, 3)`` for an anisotropic tracker.
+        covariance: Of one point, m^2: ``(3, 3)``, or ``(N, k, 3, 3)`` where each has its own.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: File and line of each row; None where they come from no file.
@@ -529,31 +529,6 @@ class ReflectorObservations(Observations):
     def _whitening(self) -> Array:
         """W with W C W^T = 1 for covariances C: inverse of the Cholesky factor."""
         return np.broadcast_to(np.linalg.inv(np.linalg.cholesky(self.covariance)), (*self.points.shape, 3))
-
-
-def tracker_covariance(
-    points: Array,
-    station: Array,
-    *,
-    adm: tuple[float, float] = (10e-6, 0.3e-6),
-    angle: tuple[float, float] = (15e-6, 6e-6),
-) -> Array:
-    """Anisotropic covariance ``(..., 3, 3)`` of laser-tracker points ``(..., 3)`` seen from ``station`` ``(3,)``.
-
-    Radial and transverse maximum permissible errors grow with distance, a + b L each; half of them is taken as the
-    standard uncertainty (Leica AT500: 10 um + 0.3 um/m radial, 15 um + 6 um/m transverse).
-
-    Args:
-        points: m.
-        station: m.
-        adm: (a, b) of the distance meter, m and m/m.
-        angle: (a, b) of the angular encoders, m and m/m.
-    """
-    away = points - station
-    distance = np.linalg.norm(away, axis=-1)[..., None, None]
-    along = away[..., :, None] * away[..., None, :] / distance**2
-    radial, across = ((a + b * distance) / 2 for a, b in (adm, angle))
-    return np.asarray(radial**2 * along + across**2 * (np.eye(3) - along))
 
 
 # Which way is down, as an inclinometer or accelerometer on the tool tells it: one to three components of gravity. It

@@ -296,35 +296,27 @@ GEOMETRIES = ("arm", "nominal", "identified")
 """The geometries in a file."""
 
 
-@dataclass(frozen=True, eq=False)
-class Remainder:
-    """The difference of the true pose from the identified geometry: parametric terms plus the learnt residual.
+def remainder(model: ArmModel, learnt: LearntResidual | None, conditions: Conditions, joints: Array) -> Array:
+    """The difference of the true pose from the identified geometry ``(..., 6)``, m and rad: terms plus learnt residual.
 
-    Attributes:
+    Args:
         model: Gives the terms.
-        learnt: Learnt residual, or None.
+        learnt: Learnt residual, or None; one learnt from positions turns nothing.
         conditions: Payload and temperature, one value each (or one per pose).
+        joints: Joints ``(..., n)``.
     """
-
-    model: ArmModel
-    learnt: LearntResidual | None
-    conditions: Conditions
-
-    def predict(self, joints: ArrayLike) -> Array:
-        """Pose residual ``(..., 6)``, m and rad, at joints ``(..., n)``; one learnt from positions turns nothing."""
-        joints = np.asarray(joints, dtype=float)
-        learnt = None
-        if self.learnt is not None:
-            inputs = self.conditions.repeated(joints.shape[:-1]).inputs() if self.learnt.inputs.conditions else None
-            learnt = self.learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
-        if not self.model.terms and learnt is not None and learnt.shape[-1] == 6:
-            return learnt
-        total = np.zeros((*joints.shape[:-1], 6))
-        if self.model.terms:
-            total += self.model.displacement(joints, self.conditions.repeated(joints.shape[:-1]))
-        if learnt is not None:
-            total[..., : learnt.shape[-1]] += learnt
-        return total
+    expected = None
+    if learnt is not None:
+        inputs = conditions.repeated(joints.shape[:-1]).inputs() if learnt.inputs.conditions else None
+        expected = learnt.predict(joints, None if inputs is None else inputs.reshape(*joints.shape[:-1], -1))
+    if not model.terms and expected is not None and expected.shape[-1] == 6:
+        return expected
+    total = np.zeros((*joints.shape[:-1], 6))
+    if model.terms:
+        total += model.displacement(joints, conditions.repeated(joints.shape[:-1]))
+    if expected is not None:
+        total[..., : expected.shape[-1]] += expected
+    return total
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,7 +388,7 @@ class Calibration:
         if learnt is not None and fast:
             learnt = learnt.faster()
         anything = self.model.terms or learnt is not None
-        residual = Remainder(self.model, learnt, conditions or Conditions()) if anything else None
+        residual = partial(remainder, self.model, learnt, conditions or Conditions()) if anything else None
         sure = uncertainty_from(self.record)
         return Compensator(
             self.nominal,

@@ -313,14 +313,15 @@ def held_out_elsewhere(
         InputError: If there are too few rows.
     """
     bare, best = next(iter(fits.values())), list(fits.values())[-1]
-    at = restationed(best.calibration, test, own, count)
+    _, used, others, *_ = restationed(best.calibration, test, own, count)
 
     def left(fit: Fit) -> Array:
-        return errors_there(restationed(fit.calibration, test, own, count, at.used), fit.calibration, test)
+        there, *_ = restationed(fit.calibration, test, own, count, used)
+        return errors_there(there, fit.calibration, test.select(others))
 
     nominal = replace(bare, calibration=replace(bare.calibration, model=ArmModel.of(bare.calibration.nominal)))
     refit = f", {' and '.join(own)} found from {count} others of the same station"
-    return replace(_step_by_step(fits, left(nominal), left), refit=refit), at.rest
+    return replace(_step_by_step(fits, left(nominal), left), refit=refit), others
 
 
 def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:

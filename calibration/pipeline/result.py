@@ -34,9 +34,9 @@ from pickenv.calibration.pipeline.calibration import (
     pose_uncertainty,
     region_of,
 )
-from pickenv.calibration.pipeline.twin import SCATTER, scatter_of, twin
-from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_targets
-from pickenv.calibration.residuals.gate import GateReport, position_rms
+from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
+from pickenv.calibration.reading.read import NoiseFloor, floor_record, floor_text, joints_of, read_targets
+from pickenv.calibration.residuals.gate import GateVerdict, position_rms, selected, verdicts_record
 
 SIGMAS = 2.0
 """A parameter has moved where its change is more than so many of its standard deviations."""
@@ -62,8 +62,8 @@ class Result:
         uncertainty: Of predicted poses.
         base_frame: The error in the robot's own base frame; None where base and tool were known.
         terms: How terms were chosen; None where they were not.
-        gate: The residual models' verdicts; None where none was judged.
-        floor: What the files say about noise; None if not read from files.
+        gate: The residual models' verdicts; none where none was judged.
+        floor: What the files say about noise (`pickenv.calibration.reading.read.NoiseFloor`); None if not from files.
         left_out: Rows far off that were left out.
         unit: Serial number of the robot, where it was named.
         pixels: Reprojection errors, for JSON; None where no pictures were taken.
@@ -80,7 +80,7 @@ class Result:
     uncertainty: PoseUncertainty
     base_frame: instrument.BaseFrameError | None
     terms: TermChoice | None = None
-    gate: GateReport | None = None
+    gate: tuple[GateVerdict, ...] = ()
     floor: NoiseFloor | None = None
     left_out: tuple[diagnosis.LeftOut, ...] = ()
     unit: str | None = None
@@ -155,8 +155,8 @@ class Result:
         if self.stiffnesses:
             record["stiffnesses"] = self.stiffnesses
         if self.train.poses is not None:
-            repeat = None if self.floor is None else self.floor.repeat
-            record[SCATTER] = vars(scatter_of(self.train.poses, repeat))
+            repeat = None if self.floor is None else self.floor[0]
+            record[SCATTER] = dict(zip(SCATTER_PARTS, scatter_of(self.train.poses, repeat), strict=True))
         if self.set_ups:
             record["stations"] = self.set_ups
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
@@ -215,13 +215,14 @@ class Result:
             blocks.append(screen.Block(title, (), places, note, "left_out"))
         if self.terms is not None:
             scale = MISS_UNITS[self.miss_unit]
-            rows = tuple((name, screen.figure(value * scale)) for name, value in self.terms.blocked_rms.items())
-            note = f"{self.terms.chosen}, chosen on blocks of the training rows"
+            names, blocked_rms, _ = self.terms
+            rows = tuple((name, screen.figure(value * scale)) for name, value in blocked_rms.items())
+            note = f"{names}, chosen on blocks of the training rows"
             blocks.append(
                 screen.Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note, "terms")
             )
         blocks += [screen.stiffness_block(self.stiffnesses), screen.harmonic_block(self.harmonics)]
-        blocks += [] if self.gate is None else [self._gate(self.gate)]
+        blocks += [self._gate()] if self.gate else []
         blocks += [] if self.pixels is None else [fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))]
         sure = self.uncertainty.block(self.fit.calibration.model, self.test.joints, self.test.conditions)
         return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
@@ -336,12 +337,12 @@ class Result:
         scales = ", ".join(f"{name} times {screen.figure(scale)}" for name, scale in prior.scales.items())
         return f"expected beforehand: {prior.source}" + (f", the widths of {scales}" if scales else "")
 
-    def _gate(self, gate: GateReport) -> screen.Block:
-        first = gate.verdicts[0]
-        rows = [("without", screen.figure(first.geometric_blocked_rms * 1e3), "")]
-        for v in gate.verdicts:
+    def _gate(self) -> screen.Block:
+        rows = [("without", screen.figure(self.gate[0].geometric_blocked_rms * 1e3), "")]
+        for v in self.gate:
             rows.append((v.model, "-" if v.blocked_rms is None else screen.figure(v.blocked_rms * 1e3), v.reason))
-        verdict = f"'{gate.selected}' is used" if gate.selected else "none is used"
+        model = selected(self.gate)
+        verdict = f"'{model}' is used" if model else "none is used"
         header = ("model", "blocked hold-out, RMS (mm)", "verdict")
         note = f"{verdict}; judged within the training rows"
         return screen.Block("Learnt residual models", header, tuple(rows), note, "residual_models")
@@ -357,7 +358,7 @@ class Result:
             ),
         ]
         if self.floor is not None:
-            rows.append(("noise floor of a position", self.floor.text()))
+            rows.append(("noise floor of a position", floor_text(self.floor)))
         return screen.Block("Evidence", (), tuple(rows), key="evidence")
 
     def as_dict(self) -> dict[str, Any]:
@@ -380,8 +381,11 @@ class Result:
             **{f"{name}_{unit}": statistics.as_dict() for name, statistics in self.position.items()},
             **{f"{name}_deg": statistics.as_dict() for name, statistics in self.attitude.items()},
         }
-        terms = self.terms
-        tried = {} if terms is None else {name: value * MISS_UNITS[unit] for name, value in terms.blocked_rms.items()}
+        terms = None
+        if self.terms is not None:
+            names, blocked_rms, _ = self.terms
+            tried = {name: value * MISS_UNITS[unit] for name, value in blocked_rms.items()}
+            terms = {"chosen": names, f"blocked_rms_{unit}": tried}
         return {
             "verdict": self.quality.as_dict(),
             "arm": self.arm.name,
@@ -406,11 +410,11 @@ class Result:
             "unknowns_mm": screen.unknowns_in("mm", solution.unknowns),
             "directions": screen.unknowns_in("1", solution.unknowns),
             "held_out": held_out,
-            "noise_floor_mm": None if self.floor is None else self.floor.as_dict(),
-            "terms": None if terms is None else {"chosen": terms.chosen, f"blocked_rms_{unit}": tried},
+            "noise_floor_mm": None if self.floor is None else floor_record(self.floor),
+            "terms": terms,
             "harmonics": {"note": screen.OWN, "found": self.harmonics} if self.harmonics else None,
             "stiffnesses": self.stiffnesses or None,
-            "gate": {} if self.gate is None else self.gate.as_dict()["models"],
+            "gate": verdicts_record(self.gate),
             **(self.pixels or {}),
         }
 

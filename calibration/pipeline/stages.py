@@ -48,7 +48,7 @@ from pickenv.calibration.pipeline.verification import REFIT_ROWS, near_rows
 from pickenv.calibration.reading.description import load_description
 from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_observations, read_targets
 from pickenv.calibration.residuals.bpnn import BpnnSettings
-from pickenv.calibration.residuals.gate import AUTO, GateReport, gate_residuals, position_rms
+from pickenv.calibration.residuals.gate import AUTO, GateVerdict, gate_residuals, position_rms, selected
 from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
 
 # What a calibration may be asked for, and what does not go with what was measured.
@@ -293,7 +293,7 @@ class Draft:
     aligned: Identification | None = None
     fits: Mapping[str, fitting.Fit] = field(default_factory=dict)
     term_choice: TermChoice | None = None
-    gate: GateReport | None = None
+    gate: tuple[GateVerdict, ...] = ()
 
     @property
     def tracked(self) -> Measurements | None:
@@ -537,7 +537,7 @@ def _add_terms(draft: Draft) -> Draft:
     else:
         if pose_count(draft.train.joints) >= ENOUGH_FOR_BLOCKS and draft.arm.name != CARRIER:
             choice = choose_terms(draft.arm, bare, draft.train)
-        terms = () if choice is None else choice.terms
+        terms = () if choice is None else choice[2]
     while terms:
         solution = identify_terms(terms, bare, draft.train, known_frames)
         if solution.converged:
@@ -559,14 +559,14 @@ def _learn(draft: Draft) -> Draft:
     train = draft.tracked
     if train is None or choices.residual == "none":
         return draft
-    selected: str | None = None
+    kind: str | None = None
     if pose_count(train.joints) >= ENOUGH_FOR_BLOCKS:
         names = AUTO if choices.residual == "auto" else (choices.residual,)
         draft = replace(draft, gate=_verdicts(draft, train, names))
-        selected = draft.gate.selected if draft.gate else None
+        kind = selected(draft.gate)
     if choices.force and choices.residual != "auto":
-        selected = choices.residual
-    return draft if selected is None else _with_residual(draft, selected, train, None)
+        kind = choices.residual
+    return draft if kind is None else _with_residual(draft, kind, train, None)
 
 
 def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSettings | None) -> Draft:
@@ -575,7 +575,7 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
     return draft.with_fit(f"{name}+{kind}", fitting.fit_remainder(best, kind, data, draft.rng, settings, report))
 
 
-def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> GateReport:
+def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[GateVerdict, ...]:
     """Verdicts on residual models within the training rows."""
     data = train.select(equally_spaced(len(train), GATE_ROWS))
     name, best = draft.best

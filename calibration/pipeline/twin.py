@@ -9,7 +9,8 @@ is scatter; of that the instrument's share is taken off, and the rest is the arm
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -23,16 +24,14 @@ from pickenv.arm.plant.twin_file import twin_plant
 from pickenv.base import GRAVITY, InputError
 from pickenv.calibration.model.arm_model import (
     ArmModel,
-    BendingTerm,
     ComplianceTerm,
     GravityTerm,
-    LeadTerm,
     PeriodicTerm,
     Term,
 )
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
-from pickenv.calibration.residuals.gaussian_process import FeatureProcess, GaussianProcess, feature_process
+from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feature_process
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 
 SMOOTH, ROUGH = 256, 8
@@ -45,19 +44,13 @@ SCATTER = "scatter"
 """Entry of a calibration's record: what is known of the instrument's share of the scatter."""
 
 
-@dataclass(frozen=True)
-class Scatter:
-    """The instrument's share of a measurement's scatter, per coordinate.
+SCATTER_PARTS = ("position_std", "attitude_std", "source")
 
-    Attributes:
-        position_std: Of a position, m.
-        attitude_std: Of an attitude, rad.
-        source: Where that is known from, in words.
-    """
+Scatter = tuple[float, float, str]
+"""The instrument's share of a measurement's scatter, per coordinate of a position, m, and of an attitude, rad, and
+where that is known from, in words."""
 
-    position_std: float = POSITION_STD
-    attitude_std: float = ATTITUDE_STD
-    source: str = "what is assumed of an instrument of which nothing is stated"
+ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrument of which nothing is stated")
 
 
 def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
@@ -72,10 +65,10 @@ def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
     stated = "stated" if data.std_stated else "assumed"
     repeated = repeated_std(data) if repeat is None else repeat / np.sqrt(3.0)
     if repeated is None:
-        return Scatter(data.position_std, data.attitude_std, f"the instrument's {stated} uncertainty: no repeats")
+        return data.position_std, data.attitude_std, f"the instrument's {stated} uncertainty: no repeats"
     if repeated < data.position_std:
-        return Scatter(repeated, data.attitude_std, "repeats, which scatter less than the instrument is said to")
-    return Scatter(
+        return repeated, data.attitude_std, "repeats, which scatter less than the instrument is said to"
+    return (
         data.position_std,
         data.attitude_std,
         f"the instrument's {stated} uncertainty; repeats scatter by {repeated * 1e3:.4f} mm, the arm's share among it",
@@ -134,16 +127,23 @@ def twin(
     factor = np.zeros((len(names), len(places)))
     factor[[names.index(sure.names[i]) for i in places]] = _root(sure.covariance[np.ix_(places, places)])
     unseen, traces = _unseen(calibration, names)
-    scatter = Scatter() if rows is None else scatter_of(rows)
+    scatter = ASSUMED if rows is None else scatter_of(rows)
     if SCATTER in calibration.record:
-        scatter = Scatter(**calibration.record[SCATTER])
-    smooth, inputs, process_note = _process(calibration, rows, sure.position_repeat, rng)
-    scatter = _no_more_than(smooth.noise, scatter)
-    instrument = np.repeat([scatter.position_std, scatter.attitude_std], 3)[: len(smooth.noise)]
-    rough = np.sqrt(np.maximum(smooth.noise**2 - instrument**2, 0.0))
+        scatter = itemgetter(*SCATTER_PARTS)(calibration.record[SCATTER])
+    process, inputs, process_note = _process(calibration, rows, rng)
+    if process is None:
+        waves = np.zeros((3, len(inputs.mean), 0)), np.zeros((3, 0)), np.zeros((3, 0, 0))
+        offset, rest = np.zeros(3), np.full(3, sure.position_repeat)
+    else:
+        waves = feature_process(process, SMOOTH, rng)
+        offset, rest = process.output_mean, process.noise * process.output_std
+    frequency, mean, spread = waves
+    position_std, attitude_std, source = _no_more_than(rest, scatter)
+    instrument = np.repeat([position_std, attitude_std], 3)[: len(rest)]
+    rough = np.sqrt(np.maximum(rest**2 - instrument**2, 0.0))
     arms_own = np.sqrt(np.mean(rough[:3] ** 2)) * 1e3
     scatter_note = (
-        f"of the scatter {scatter.position_std * 1e3:.4f} mm per coordinate are the instrument's, by {scatter.source}; "
+        f"of the scatter {position_std * 1e3:.4f} mm per coordinate are the instrument's, by {source}; "
         f"the arm's own is {arms_own:.4f} mm: it stays the same where a command is repeated to the bit, and no smooth "
         "function tells it"
     )
@@ -155,13 +155,12 @@ def twin(
         factor=matrix @ factor,
         unseen=unseen,
         traces=matrix @ traces,
-        field=_field(smooth, inputs, arm.nominal.base.rotation @ calibration.nominal.base.rotation.T),
-        field_factor=smooth.factor,
+        field=_field(frequency, mean, offset, inputs, arm.nominal.base.rotation @ calibration.nominal.base.rotation.T),
+        field_factor=spread,
         rough=rough,
         notes=(process_note, scatter_note, *_missing(calibration)),
     )
-    noise = MeasurementNoise(scatter.position_std, scatter.attitude_std)
-    return twin_plant(name or f"{arm.name}_twin", arm, posterior, noise)
+    return twin_plant(name or f"{arm.name}_twin", arm, posterior, MeasurementNoise(position_std, attitude_std))
 
 
 def _root(covariance: Array) -> Array:
@@ -186,7 +185,7 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
     """The layout of a plant's coefficients, and the terms' coefficients as those ``(k, t)``."""
-    kinds: dict[str, list[Any]] = {"leads": [], "harmonics": [], "moments": [], "boom": []}
+    kinds: dict[str, list[Any]] = {"harmonics": [], "moments": []}
     rows: dict[str, list[Array]] = {kind: [] for kind in kinds}
     sizes = [len(term.names(geometry)) for term in terms]
     up = (0.0, 0.0, 1.0)
@@ -194,12 +193,8 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
         unit = np.eye(sum(sizes))[sum(sizes[:number]) : sum(sizes[: number + 1])]
         entries: Sequence[Any]
         match term:
-            case LeadTerm():
-                kind, entries = "leads", term.joints
             case PeriodicTerm():
                 kind, entries = "harmonics", list(zip(term.joints, term.orders, strict=True))
-            case BendingTerm():
-                kind, entries = "boom", [(term.joint, term.length)]
             case GravityTerm() | ComplianceTerm():
                 kind, (entries, weights, up) = "moments", _moments(term, geometry)
                 unit = weights @ unit
@@ -208,8 +203,7 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
         kinds[kind] += entries
         rows[kind] += list(unit)
     every = [row for kind in kinds for row in rows[kind]]
-    leads, harmonics, moments, boom = map(tuple, kinds.values())
-    layout = Layout(leads, harmonics, moments, up, next(iter(boom), None))
+    layout = Layout(harmonics=tuple(kinds["harmonics"]), moments=tuple(kinds["moments"]), up=up)
     return layout, np.array(every).reshape(len(every), sum(sizes))
 
 
@@ -267,20 +261,20 @@ def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
     Where positions show that the instrument is better than it is said to be, its attitudes are taken from the rows too.
     """
     position, attitude = (float(np.sqrt(np.mean(part**2))) if len(part) else np.inf for part in (noise[:3], noise[3:]))
-    if position >= scatter.position_std:
+    position_std, attitude_std, source = scatter
+    if position >= position_std:
         return scatter
-    source = f"the rows, which scatter less than {scatter.position_std * 1e3:.4f} mm, which is {scatter.source}"
-    return Scatter(position, min(attitude, scatter.attitude_std), source)
+    said = f"the rows, which scatter less than {position_std * 1e3:.4f} mm, which is {source}"
+    return position, min(attitude, attitude_std), said
 
 
 def _process(
-    calibration: Calibration, rows: Measurements | None, repeat: float, rng: np.random.Generator
-) -> tuple[FeatureProcess, JointInputs, str]:
+    calibration: Calibration, rows: Measurements | None, rng: np.random.Generator
+) -> tuple[GaussianProcess | None, JointInputs, str]:
     """The process on what geometry and terms leave, its inputs, and where it is from; without rows it is scatter."""
     learnt = calibration.learnt
     if learnt is not None and isinstance(learnt.model, GaussianProcess):
-        process = feature_process(learnt.model, SMOOTH, rng)
-        return process, learnt.inputs, "the residual is the calibration's own Gaussian process"
+        return learnt.model, learnt.inputs, "the residual is the calibration's own Gaussian process"
     if rows is None and learnt is not None:
         raise InputError(
             f"the residual model '{learnt.kind}' of the calibration does not know how sure it is; give the rows that "
@@ -288,30 +282,28 @@ def _process(
         )
     if rows is None:
         joints = calibration.identified.joints
-        nothing = (np.zeros((3, joints, 0)), np.zeros((3, 0)), np.zeros((3, 0, 0)), np.zeros(3))
         inputs = JointInputs(np.zeros(joints, dtype=bool), 0, np.zeros(joints), np.ones(joints))
-        words = "no residual was learnt: what geometry and terms leave is taken as scatter"
-        return FeatureProcess(*nothing, np.full(3, repeat)), inputs, words
+        return None, inputs, "no residual was learnt: what geometry and terms leave is taken as scatter"
     fitted = fit_residual("gp", rows.joints, rows.difference(calibration.model), rows.prismatic, rng)
     assert isinstance(fitted.model, GaussianProcess)
-    process = feature_process(fitted.model, SMOOTH, rng)
-    return process, fitted.inputs, "the residual is a Gaussian process on what geometry and terms leave of the rows"
+    note = "the residual is a Gaussian process on what geometry and terms leave of the rows"
+    return fitted.model, fitted.inputs, note
 
 
-def _field(smooth: FeatureProcess, inputs: JointInputs, turn: Array) -> ResidualField:
+def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, turn: Array) -> ResidualField:
     """The mean as a function of the joints, with waves for the arm's own scatter, whose weights are zero on average."""
     joints = len(inputs.periodic) + int(inputs.periodic.sum())  # conditions come after them, and stay at their mean
-    scaled = smooth.frequency[:, :joints] / inputs.std[:joints, None]
+    scaled = frequency[:, :joints] / inputs.std[:joints, None]
     outputs = len(scaled)
     rough = np.random.default_rng(0).standard_normal((outputs, joints, ROUGH)) / ROUGH_LENGTH
-    frequency = np.concatenate([scaled, rough], axis=-1).transpose(1, 0, 2).reshape(joints, -1)
+    waves = np.concatenate([scaled, rough], axis=-1).transpose(1, 0, 2).reshape(joints, -1)
     weight = np.zeros((outputs, 2, scaled.shape[-1] + ROUGH))
-    weight[..., : scaled.shape[-1]] = smooth.mean.reshape(outputs, 2, -1)
+    weight[..., : scaled.shape[-1]] = mean.reshape(outputs, 2, -1)
     features = Features(
-        np.ascontiguousarray(frequency, dtype=np.float32),
+        np.ascontiguousarray(waves, dtype=np.float32),
         tuple(inputs.mean[:joints].tolist()),
         tuple(inputs.periodic.tolist()),
         outputs,
     )
     axes = tuple(map(tuple, turn.tolist()))
-    return ResidualField(features, weight.astype(np.float32), tuple(smooth.offset.tolist()), axes)
+    return ResidualField(features, weight.astype(np.float32), tuple(offset.tolist()), axes)

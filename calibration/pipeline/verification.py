@@ -60,25 +60,10 @@ Moves = dict[str, tuple[float, float, int, int]]
 """Shift, m, and turn, rad, of frames by name, and how many of three directions of each are not told."""
 
 
-@dataclass(frozen=True, eq=False)
-class Restationed:
-    """A calibration at another station.
-
-    Attributes:
-        calibration: The calibration, with the base and tool of this station.
-        used: Rows that these were found from.
-        rest: All rows of other poses.
-        expected: Mean square that the errors there should have ``(R,)``, m^2: what the calibration leaves elsewhere,
-            and what the frames are uncertain by.
-        moved: How far base and tool lie from where they were, by name: m and rad, and how many of the three directions
-            of each these rows do not tell.
-    """
-
-    calibration: Calibration
-    used: Rows
-    rest: Rows
-    expected: Array
-    moved: Moves
+Restationed = tuple[Calibration, Rows, Rows, Array, Moves]
+"""A calibration with the base and tool of another station; the rows that these were found from; all rows of other
+poses; the mean square that errors there should have ``(R,)``, m^2, which is what the calibration leaves elsewhere and
+what the frames are uncertain by; and how far the frames lie from where they were."""
 
 
 def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...], int]:
@@ -154,7 +139,7 @@ def restationed(
     for i, name in enumerate(name for name in OWN if name in own):
         shift, turn = apart(getattr(calibration.identified, name), getattr(model_there.geometry, name))
         moves[name] = shift, turn, lost[2 * i], lost[2 * i + 1]
-    return Restationed(replace(calibration, model=model_there), used, others, expected, moves)
+    return replace(calibration, model=model_there), used, others, expected, moves
 
 
 def own_frames_model(geometry: Geometry, own: Collection[str]) -> ErrorModel:
@@ -198,13 +183,12 @@ def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterato
         yield replace(model, geometry=align(geometry, few, frames_model(geometry), judge=False).geometry)
 
 
-def errors_there(at: Restationed, before: Calibration, data: Measurements) -> Array:
-    """Measured minus predicted ``(R, 6)`` or ``(R, 3)`` on the rows that the frames were not found from, m and rad.
+def errors_there(there: Calibration, before: Calibration, data: Measurements) -> Array:
+    """Measured minus predicted ``(R, 6)`` or ``(R, 3)`` on rows of another station, m and rad.
 
     What was learnt is turned with the base, in whose axes it was learnt.
     """
-    turn = at.calibration.identified.base.rotation @ before.identified.base.rotation.T
-    return at.calibration.errors(data.select(at.rest), turn)
+    return there.errors(data, there.identified.base.rotation @ before.identified.base.rotation.T)
 
 
 def near_rows(
@@ -220,8 +204,8 @@ def near_rows(
     """
     model = calibration.model
     if refit:
-        model = restationed(calibration, data, refit, max(count, min(len(data) - 3, 4 * count))).calibration.model
-    sigma = sizes_of(model, np.zeros(0), data).sigma
+        model = restationed(calibration, data, refit, max(count, min(len(data) - 3, 4 * count)))[0].model
+    sigma, _, _ = sizes_of(model, np.zeros(0), data)
     far = np.flatnonzero(~(sigma <= OUTLIER_SIGMA))
     if len(far) > max(1.0, MANY_FAR * len(data)):
         return data, ()
@@ -383,17 +367,17 @@ def verify(
     nominal = replace(calibration, model=ArmModel.of(calibration.nominal), learnt=None)
     poses, left_out = near_rows(calibration, poses, refit, refit_rows)
     if refit:
-        at = restationed(calibration, poses, refit, refit_rows)
-        errors = errors_there(at, calibration, poses)
+        there, used, others, expected, moves = restationed(calibration, poses, refit, refit_rows)
         # The nominal arm sees the same rows: nobody is blamed for where the instrument stands.
-        before = errors_there(restationed(nominal, poses, refit, refit_rows, at.used), nominal, poses)
+        drawn, *_ = restationed(nominal, poses, refit, refit_rows, used)
+        judging = poses.select(others)
+        errors, before = errors_there(there, calibration, judging), errors_there(drawn, nominal, judging)
     else:
-        at = Restationed(calibration, np.arange(0), np.arange(len(poses)), promised(calibration, poses), {})
+        there, used, others, moves = calibration, np.arange(0), np.arange(len(poses)), {}
+        judging, expected = poses, promised(calibration, poses)
         errors, before = calibration.errors(poses), nominal.errors(poses)
-    others, expected = at.rest, at.expected
     blocks = np.arange(len(others)) * BLOCKS // len(others) if len(others) >= 4 * BLOCKS else None
     mine, theirs = (error_statistics(e[:, :3] * 1e3, blocks) for e in (errors, before))
-    judging = poses.select(others)
     inside = measured_there(calibration.record, calibration.model, judging)
     measured = None if inside is None else float(inside.mean())
     region_known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
@@ -404,14 +388,14 @@ def verify(
         theirs,
         float(np.sqrt(expected.mean())) * 1e3,
         len(others),
-        len(at.used),
-        at.moved,
+        len(used),
+        moves,
         _since(poses, others, errors, expected) if region_known else None,
         left_out,
         next(no_gain(before, errors, np.arange(len(others)), "mm", len(others), "rows"), None),
         measured,
     )
-    status, reason = _verdict(verification, lambda: _cause(at.calibration, judging, errors, expected, inside, refit))
+    status, reason = _verdict(verification, lambda: _cause(there, judging, errors, expected, inside, refit))
     return replace(verification, status=status, reason=reason)
 
 

@@ -8,7 +8,7 @@ exchange starts from what the first rows tell already. SI units.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -45,22 +45,12 @@ FOCUS = 1.5
 """A board may stand so many times farther off than in the first views, or nearer."""
 
 
-@dataclass(frozen=True, eq=False)
-class FirstRows:
-    """The instrument as a first measurement tells it.
-
-    Attributes:
-        data: Its rows.
-        model: The nominal arm with base and tool as these rows have them.
-        unknowns: The instrument's own unknowns, likewise.
-    """
-
-    data: Observations
-    model: ArmModel
-    unknowns: Array
+First = tuple[Observations, ArmModel, Array]
+"""The instrument as a first measurement tells it: its rows, the nominal arm with base and tool as these have them, and
+the instrument's own unknowns."""
 
 
-def first_rows(arm: Arm, data: Observations) -> FirstRows:
+def first_rows(arm: Arm, data: Observations) -> First:
     """Base, tool and the instrument's own unknowns from a few rows, of which some may be gross.
 
     Raises:
@@ -71,12 +61,12 @@ def first_rows(arm: Arm, data: Observations) -> FirstRows:
         raise InputError(f"{data.source} holds {data.kind}; plan for one instrument, from a file of its rows alone")
     frames = frames_model(arm.nominal)
     if data.poses is not None:
-        return FirstRows(data, ArmModel.of(align(arm.nominal, data.poses, frames).geometry), np.zeros(0))
-    solution = robust_identify(frames, rough_start(arm.nominal, data), data).identification
-    return FirstRows(data, solution.arm_model, unknowns_of(solution, data))
+        return data, ArmModel.of(align(arm.nominal, data.poses, frames).geometry), np.zeros(0)
+    solution, _ = robust_identify(frames, rough_start(arm.nominal, data), data)
+    return data, solution.arm_model, unknowns_of(solution, data)
 
 
-def measurable_joints(geometry: Geometry, first: FirstRows, count: int, rng: np.random.Generator) -> Array:
+def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.random.Generator) -> Array:
     """Joints ``(count or fewer, n)`` at which the instrument reads something, within their limits.
 
     Half of what is tried is drawn from the joint ranges, half near what was found, from the first rows on: few poses
@@ -84,7 +74,7 @@ def measurable_joints(geometry: Geometry, first: FirstRows, count: int, rng: np.
     """
     room = geometry.upper - geometry.lower
     lower, upper = geometry.lower + plan.MARGIN * room, geometry.upper - plan.MARGIN * room
-    readable, seeds = np.zeros((0, geometry.joints)), np.clip(first.data.joints, lower, upper)
+    readable, seeds = np.zeros((0, geometry.joints)), np.clip(first[0].joints, lower, upper)
     for _ in range(ROUNDS):
         near = seeds[rng.integers(0, len(seeds), count)]
         sizes = 10.0 ** rng.uniform(-2.0, -0.5, (count, 1)) * room
@@ -100,7 +90,7 @@ def measurable_joints(geometry: Geometry, first: FirstRows, count: int, rng: np.
 
 
 def measurable(
-    first: FirstRows, joints: Array, geometry: Geometry, *, move: bool = True
+    first: First, joints: Array, geometry: Geometry, *, move: bool = True
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Joints ``(N, n)`` moved to where the instrument reads something, and which of them ended there ``(N,)``.
 
@@ -110,7 +100,7 @@ def measurable(
         geometry: The nominal arm.
         move: Whether they may be moved; else they are judged where they are, to a millimetre.
     """
-    data = first.data
+    data, _, _ = first
     if data.views is not None:
         return joints, _shown(first, joints)
     if not isinstance(data, SocketObservations | DistanceObservations):
@@ -131,36 +121,37 @@ def measurable(
     return joints, np.abs(_short_of(first, joints)).max(axis=1) <= NEAR
 
 
-def _misses(first: FirstRows, joints: Array) -> Array:
-    return readings_at(first, joints).misses(first.model, first.unknowns)
+def _misses(first: First, joints: Array) -> Array:
+    return readings_at(first, joints).misses(*first[1:])
 
 
-def _short_of(first: FirstRows, joints: Array) -> Array:
+def _short_of(first: First, joints: Array) -> Array:
     """Distance of the tool point from where it could be read ``(N, k)``, m: a place, or a range of readings."""
-    misses = _misses(first, joints)
-    if not isinstance(first.data, DistanceObservations):
+    data, misses = first[0], _misses(first, joints)
+    if not isinstance(data, DistanceObservations):
         return misses
-    read = first.data.length
+    read = data.length
     predicted = np.resize(read, len(joints))[:, None] - misses
     return np.asarray(np.clip(predicted, read.min(), read.max()) - predicted)
 
 
-def _shown(first: FirstRows, joints: Array) -> NDArray[np.bool_]:
+def _shown(first: First, joints: Array) -> NDArray[np.bool_]:
     """A mask of the views ``(N,)`` that would show enough of the board, about as far off as in the first ones."""
+    data, model, _ = first
     views = readings_at(first, joints).views
-    depth, first_depth = (part.in_camera(first.model)[..., 2].mean(axis=1) for part in (views, first.data.views))
+    depth, first_depth = (part.in_camera(model)[..., 2].mean(axis=1) for part in (views, data.views))
     good = (depth > first_depth.min() / FOCUS) & (depth < first_depth.max() * FOCUS)
     return np.asarray(good & (views.seen.mean(axis=1) >= LEAST_SEEN))
 
 
-def readings_at(first: FirstRows, joints: Array) -> Observations:
+def readings_at(first: First, joints: Array) -> Observations:
     """Rows that the instrument would read at other joints; of a board the corners that are in the picture there."""
-    data = first.data
+    data, *found = first
     rows = data.imagined(joints)  # not stations, which `first_rows` refuses
     if rows.views is None:
         return rows
-    margin = WARY * float(np.sqrt(np.mean(data.views.pixel_errors(first.model, first.unknowns) ** 2)))
-    visible: Observations = replace(rows.views, seen=rows.views.visible(first.model, first.unknowns, margin))
+    margin = WARY * float(np.sqrt(np.mean(data.views.pixel_errors(*found) ** 2)))
+    visible: Observations = replace(rows.views, seen=rows.views.visible(*found, margin))
     return visible
 
 
@@ -211,6 +202,7 @@ def plan_like(
     criterion = plan.criterion_of(criterion, test_joints)
     begin = time.perf_counter()
     first = first_rows(arm, data)
+    rows, model, _ = first
     if isinstance(candidates, int):
         check_limit("candidates", candidates, "candidates")
         joints = measurable_joints(arm.nominal, first, candidates, rng)
@@ -225,9 +217,9 @@ def plan_like(
     design = _design(arm.nominal, first, joints, prior)
     if prior is None:  # fewer equations than parameters, and one more, are left
         parameters = len(design.names) + len(design.model.names)
-        missing = parameters + 1 - int((first.data.equations()[0] >= 0).sum())
+        missing = parameters + 1 - int((rows.equations()[0] >= 0).sum())
         least = max(1, -(-missing // min(design.rows.shape[1], 6)))
-        plan.refuse_too_few(count, parameters, least, f"besides the {len(first.data.joints)} of {first.data.source} ")
+        plan.refuse_too_few(count, parameters, least, f"besides the {len(rows.joints)} of {rows.source} ")
     pose_plan = plan.finished_plan(
         arm,
         design,
@@ -236,21 +228,22 @@ def plan_like(
         drawn=cache(lambda size: np.stack([rng.choice(len(joints), size, replace=False) for _ in range(plan.DRAWS)])),
         rows_at=design.rows.__getitem__,
         criterion=criterion,
-        goal=plan.error_weight(first.model.geometry, design, joints if test_joints is None else test_joints),
+        goal=plan.error_weight(model.geometry, design, joints if test_joints is None else test_joints),
         where="at the candidates" if test_joints is None else "at the test poses",
         sizes=plan.plan_sizes(count, 1, len(joints)) if curve else (),
     )
     return replace(
         pose_plan,
-        first=len(first.data.joints),
+        first=len(rows.joints),
         lines=None if lines is None else lines[pose_plan.chosen],
         seconds=time.perf_counter() - begin,
     )
 
 
-def _design(geometry: Geometry, first: FirstRows, joints: Array, prior: PriorModel | None) -> plan.Design:
+def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel | None) -> plan.Design:
     """The design of the candidates beside first rows and priors: of all parameters, or of a base set."""
-    data, count = first.data, len(first.data.unknowns())
+    data, there, unknowns = first
+    count = len(unknowns)
     if prior is not None and not data.framed:
         prior = prior.without_base()
     model = complete_model(geometry) if prior is None else prior.parameters
@@ -260,7 +253,7 @@ def _design(geometry: Geometry, first: FirstRows, joints: Array, prior: PriorMod
     if prior is None:
         names = (*data.unknowns(), *model.names)
         matrix, sets = np.concatenate([measured, _scaled(first, parts[0], model, scale)]), [data, parts[0]]
-        columns = identifiable_parameters(model, sets, first.model, [first.unknowns] * 2, matrix, names, scale).kept
+        columns = identifiable_parameters(model, sets, there, [unknowns] * 2, matrix, names, scale).kept
         information = np.zeros((len(columns), len(columns)))
     else:
         columns = np.arange(len(scale))
@@ -277,13 +270,13 @@ def _design(geometry: Geometry, first: FirstRows, joints: Array, prior: PriorMod
     )
 
 
-def _scaled(first: FirstRows, data: Observations, model: ErrorModel, scale: Array) -> Array:
+def _scaled(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
     """Whitened, scaled Jacobian ``(equations, own + P)``."""
-    by_arm, by_own = data.jacobian(first.model, first.unknowns)
+    by_arm, by_own = data.jacobian(*first[1:])
     return np.asarray(np.hstack([by_own, by_arm[:, model.columns]]) * scale)
 
 
-def _by_pose(first: FirstRows, data: Observations, model: ErrorModel, scale: Array) -> Array:
+def _by_pose(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
     """The same of each pose by itself ``(N, r, own + P)``, without what is known beforehand; at most r = 6 + own.
 
     A pose has six components and the instrument so many unknowns: more equations (a board's corners) tell of no more
@@ -295,7 +288,7 @@ def _by_pose(first: FirstRows, data: Observations, model: ErrorModel, scale: Arr
     place = np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
     blocks = np.zeros((len(data.joints), int(counts.max()), matrix.shape[1]))
     blocks[row, place] = matrix
-    most = 6 + len(first.unknowns)
+    most = 6 + len(first[2])
     if blocks.shape[1] <= most:
         return blocks
     values, vectors = np.linalg.eigh(np.swapaxes(blocks, 1, 2) @ blocks)

@@ -115,26 +115,23 @@ class SocketsTable(ContactTable):
 
 
 @toml_table
-class ReadingTable(ContactTable):
-    """One column of readings, as [wire] and [dial] have it."""
+class WireTable(ContactTable):
+    """[wire]: a draw wire to an anchor."""
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
     scale_std: Annotated[float, DOUBT, Key("scale")] = 0.0
-
-
-@toml_table
-class WireTable(ReadingTable):
-    """[wire]: a draw wire to an anchor."""
-
     zero_std: Annotated[float, DOUBT, Key("zero")] = inf
     zero: Annotated[float, MM, Key("zero_mm")] = 0.0
 
 
 @toml_table
-class DialTable(ReadingTable):
+class DialTable(ContactTable):
     """[dial]: a dial gauge along a fixed axis."""
 
+    columns: Annotated[tuple[str, ...], COLUMNS]
+    unit: Annotated[str, one_of(LENGTHS)]
+    scale_std: Annotated[float, DOUBT, Key("scale")] = 0.0
     free: Annotated[float, MM] = 0.0
 
 

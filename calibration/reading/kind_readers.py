@@ -16,7 +16,7 @@ import numpy as np
 
 from pickenv.arm import Array, Geometry, Pose
 from pickenv.base import LIMITS, TO_SI, InputError, check_limit, read_text, register, yaml_content
-from pickenv.calibration.camera.boards import Board, FoundCorners, Grey, corners_at, find_corners, opencv, read_lens
+from pickenv.calibration.camera.boards import Board, Corners, Grey, corners_at, find_corners, opencv, read_lens
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
 from pickenv.calibration.model.kinds import (
     DistanceObservations,
@@ -403,35 +403,31 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, file: Descriptio
     camera = _lens(file.camera, home)
     pictures: list[Path] = []
     if file.pixels.columns:
-        rows, views = _found_in_table(table, file.pixels, file.board, camera)
+        rows, views = _found_in_table(table, file.pixels, file.board)
+        remarks = [""] * len(rows)
     else:
         pictures = _pictures(table, file.pixels, home)
-        rows, views = list(range(len(table.lines))), _found_in_pictures(table, file.board, pictures)
-    for row, view in zip(rows, views, strict=True):
-        if view.size != camera.size:
-            raise InputError(
-                f"{table.where}: row {table.lines[row]}: the picture has {view.size[0]} x {view.size[1]} px, but the "
-                f"lens is for {camera.size[0]} x {camera.size[1]}; give the camera's numbers at this resolution"
-            )
+        views, remarks = _found_in_pictures(table, file.board, pictures, camera)
+        rows = list(range(len(table.lines)))
     if (poses := file.poses) is None:
         joints = read_joints(table, file, where, geometry)[rows]
         refuse_repeated_joints(file, where, joints, geometry)
     else:
         turned = rotations(poses.convention, table.values(poses.rotation_columns) * TO_SI[poses.rotation_unit])
         joints = joints_of_finished_poses(Pose(table.values(poses.columns) * TO_SI[poses.unit], turned))[rows]
-    std = np.stack([view.std for view in views])
+    corners, visible, std = map(np.stack, zip(*views, strict=True))
     lines = np.array(table.lines, dtype=np.int64)[rows]
     data = PixelObservations(
         joints=joints,
-        corners=np.stack([view.pixels for view in views]),
-        seen=np.stack([view.seen for view in views]),
+        corners=corners,
+        seen=visible,
         board=file.board.corners,
         camera=camera,
         lens_std=_lens_std(file.camera),
         std=std if file.pixels.std is None else np.full_like(std, file.pixels.std),
         mount=file.pixels.mount,
         source=table.where,
-        remarks=np.array([view.remark for view in views]),
+        remarks=np.array(remarks),
         pictures=np.array([str(path) for path in pictures]) if pictures else None,
         origins=Origins((table.where,), np.zeros_like(lines), lines),
     )
@@ -476,25 +472,35 @@ def _pictures(table: Table, pixels: PixelsTable, home: Path) -> list[Path]:
     return [home / name for name in table.texts(pattern)]
 
 
-def _found_in_pictures(table: Table, board: Board, pictures: Sequence[Path]) -> list[FoundCorners]:
-    """The corners in each row's picture.
+def _found_in_pictures(
+    table: Table, board: Board, pictures: Sequence[Path], camera: Lens
+) -> tuple[list[Corners], list[str]]:
+    """The corners in each row's picture, and why there are none, empty where there are some.
 
-    A few pictures that show no corner are kept, with the reason, to be listed; many mean another board.
+    A few pictures that show no corner are kept, to be listed; many mean another board.
     """
-    views, faults = [], []
+    views, remarks, faults, sizes = [], [], [], []
     for path, line in zip(pictures, table.lines, strict=True):
         if not path.is_file():
             raise InputError(f"{table.where}: row {line}: picture {path} does not exist; correct or remove the row")
         picture = _grey(path)
+        sizes.append(picture.shape[::-1])
         try:
             views.append(find_corners(board, picture, str(path)))
+            remarks.append("")
         except InputError as error:
             faults.append(error)
-            height, width = picture.shape
-            views.append(corners_at(board, [], np.zeros((0, 2)), [], (width, height), str(error)))
+            views.append(corners_at(board, [], np.zeros((0, 2)), []))
+            remarks.append(str(error))
     if len(faults) > MANY_BLIND * len(views):
         raise faults[0]
-    return views
+    for line, size in zip(table.lines, sizes, strict=True):
+        if size != camera.size:
+            raise InputError(
+                f"{table.where}: row {line}: the picture has {size[0]} x {size[1]} px, but the lens is for "
+                f"{camera.size[0]} x {camera.size[1]}; give the camera's numbers at this resolution"
+            )
+    return views, remarks
 
 
 def _grey(path: Path) -> Grey:
@@ -505,9 +511,7 @@ def _grey(path: Path) -> Grey:
     return np.asarray(picture, dtype=np.uint8)
 
 
-def _found_in_table(
-    table: Table, pixels: PixelsTable, board: Board, camera: Lens
-) -> tuple[list[int], list[FoundCorners]]:
+def _found_in_table(table: Table, pixels: PixelsTable, board: Board) -> tuple[list[int], list[Corners]]:
     """First row and corners of each view."""
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.columns)
@@ -522,7 +526,7 @@ def _found_in_table(
         if len(np.unique(numbers[mine])) < len(mine):
             raise InputError(f"{table.where}: view '{name}' has a corner twice; remove one")
         rows.append(int(mine[0]))
-        corners.append(corners_at(board, numbers[mine], places[mine], DEFAULT_STD, camera.size))
+        corners.append(corners_at(board, numbers[mine], places[mine], DEFAULT_STD))
     return rows, corners
 
 

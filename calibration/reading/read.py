@@ -44,28 +44,23 @@ from pickenv.calibration.reading.description import (
 )
 from pickenv.calibration.reading.kind_readers import Files, read_views
 
+NoiseFloor = tuple[float | None, float | None]
+"""A file's own word on its noise, as the RMS of a position error's norm, m, None where it says nothing: from columns of
+the repeat sigma, and from the last digit of the position columns, size / sqrt(12) per coordinate."""
 
-@dataclass(frozen=True)
-class NoiseFloor:
-    """A file's own word on its noise, as the RMS of a position error's norm, m; None where it says nothing.
 
-    Attributes:
-        repeat: From columns of the repeat sigma.
-        digits: From the last digit of the position columns: size / sqrt(12) per coordinate.
-    """
+def floor_record(floor: NoiseFloor) -> dict[str, float | None]:
+    """For JSON, in mm."""
+    names = ("repeat", "digits")
+    return {name: None if value is None else value * 1e3 for name, value in zip(names, floor, strict=True)}
 
-    repeat: float | None
-    digits: float | None
 
-    def as_dict(self) -> dict[str, float | None]:
-        """For JSON, in mm."""
-        return {name: None if value is None else value * 1e3 for name, value in vars(self).items()}
-
-    def text(self) -> str:
-        """For people, in mm."""
-        parts = [] if self.repeat is None else [f"repeatability {self.repeat * 1e3:.4f} mm"]
-        parts += [] if self.digits is None else [f"digits of the file {self.digits * 1e3:.2g} mm"]
-        return " and ".join(parts) if parts else "not stated by the file"
+def floor_text(floor: NoiseFloor) -> str:
+    """For people, in mm."""
+    repeat, digits = floor
+    parts = [] if repeat is None else [f"repeatability {repeat * 1e3:.4f} mm"]
+    parts += [] if digits is None else [f"digits of the file {digits * 1e3:.2g} mm"]
+    return " and ".join(parts) if parts else "not stated by the file"
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +115,7 @@ def read_observations(
     description = None if columns is None else load_description(columns)
     where = "" if columns is None else str(description_path(columns))
     if description is not None and description.pixels is not None:
-        return FileReading(read_views(paths, geometry, description, where), NoiseFloor(None, None))
+        return FileReading(read_views(paths, geometry, description, where), (None, None))
     layout = () if description is None else (description.separator, description.decimal, description.names)
     tables = [read_table(path, *layout) for path in paths]
     descriptions = [description or own_description(geometry, table.header, table.where) for table in tables]
@@ -243,9 +238,9 @@ def _floor(files: Files) -> NoiseFloor:
         step = table.resolution(description.columns) * unit
         if step:
             digits.append(step * np.sqrt(min(len(description.columns), 3) / 12.0))
-    return NoiseFloor(
-        repeat=float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None,
-        digits=float(max(digits)) if digits else None,
+    return (
+        float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None,
+        float(max(digits)) if digits else None,
     )
 
 

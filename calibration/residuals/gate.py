@@ -68,31 +68,24 @@ class GateVerdict:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class GateReport:
-    """All verdicts and the choice.
+def selected(verdicts: Sequence[GateVerdict]) -> str | None:
+    """The accepted model with the smallest inner RMS, or None: the residual stays off."""
+    accepted = [verdict for verdict in verdicts if verdict.accepted]
+    best = min(accepted, key=attrgetter("inner_rms"), default=None)
+    return None if best is None else best.model
 
-    Attributes:
-        verdicts: One per model, in the order given.
-        selected: The accepted model with the smallest inner RMS, or None: the residual stays off.
-        blocked_rms: Of the selection on the held-out blocks, m (the geometric one where nothing is selected).
-    """
 
-    verdicts: tuple[GateVerdict, ...]
-    selected: str | None
-    blocked_rms: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON; lengths in mm and angles in degrees, as the names then say."""
-        models = {}
-        for verdict in self.verdicts:
-            content: dict[str, Any] = {"accepted": verdict.accepted, "reason": verdict.reason}
-            for key, value in vars(verdict).items():
-                if key.endswith("rms"):
-                    unit, scale = screen_unit(not key.endswith("attitude_rms"))
-                    content[f"{key}_{unit}"] = None if value is None else float(value * scale)
-            models[verdict.model] = dict(sorted(content.items()))
-        return {"models": models, "selected": self.selected, "blocked_rms_mm": self.blocked_rms * 1e3}
+def verdicts_record(verdicts: Sequence[GateVerdict]) -> dict[str, dict[str, Any]]:
+    """For JSON, by model; lengths in mm and angles in degrees, as the names then say."""
+    models = {}
+    for verdict in verdicts:
+        content: dict[str, Any] = {"accepted": verdict.accepted, "reason": verdict.reason}
+        for key, value in vars(verdict).items():
+            if key.endswith("rms"):
+                unit, scale = screen_unit(not key.endswith("attitude_rms"))
+                content[f"{key}_{unit}"] = None if value is None else float(value * scale)
+        models[verdict.model] = dict(sorted(content.items()))
+    return models
 
 
 def gate_residuals(
@@ -103,8 +96,8 @@ def gate_residuals(
     models: Sequence[str] = AUTO,
     fitters: Mapping[str, Fitter] | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> GateReport:
-    """Judge residual models on blocks held out, and choose one honestly.
+) -> tuple[GateVerdict, ...]:
+    """Judge residual models on blocks held out; `selected` chooses one honestly.
 
     On every split the arm is identified anew from the training rows, then the residual from the same rows. A model is
     accepted if it cuts the blocked RMS by more than `MARGIN`, does not make attitudes worse by more than that, and
@@ -121,6 +114,9 @@ def gate_residuals(
         fitters: Other ways to fit a named model, such as with other settings.
         progress: Called with (models judged, models in all).
 
+    Returns:
+        One verdict per model, in the order given.
+
     Raises:
         InputError: If there are no models, or too few rows to hold blocks out.
     """
@@ -128,15 +124,14 @@ def gate_residuals(
         raise InputError(f"no residual model was named; give some of {', '.join(names('residual'))}")
     seeds = {name: int(rng.integers(2**63)) for name in models}
     blocks = blocked_split(same_poses(measurements.joints), len(measurements) // 5)
-    blocked = _Trial.of(measurements, counted(measurements.joints), refit, *blocks)
+    blocked = _trial(measurements, refit, *blocks)
+    rows, _, _, untouched, counts = blocked
 
     @cache
-    def inner() -> list[_Trial]:
-        rows = blocked.train
+    def inner() -> list[Trial]:
         folds = contiguous_folds(rows.groups, same_poses(rows.joints), FOLDS)
-        return [_Trial.of(rows, counted(rows.joints), refit, *fold) for fold in folds]
+        return [_trial(rows, refit, *fold) for fold in folds]
 
-    untouched, counts = blocked.test_residual, blocked.counts
     bare = GateVerdict("", None, position_rms(untouched, counts), None, _attitude_rms(untouched, counts))
     verdicts: dict[str, GateVerdict] = {}
     for number, name in enumerate(sorted(models, key=SLOW.__contains__)):
@@ -151,11 +146,7 @@ def gate_residuals(
         verdicts[name] = _verdict(replace(bare, model=name), learn, blocked, inner)
     if progress is not None:
         progress(len(models), len(models))
-    accepted = [verdict for verdict in verdicts.values() if verdict.accepted]
-    best = min(accepted, key=attrgetter("inner_rms"), default=None)
-    blocked_rms = bare.geometric_blocked_rms if best is None else best.blocked_rms
-    assert blocked_rms is not None  # whatever was chosen was judged
-    return GateReport(tuple(verdicts[name] for name in models), None if best is None else best.model, blocked_rms)
+    return tuple(verdicts[name] for name in models)
 
 
 def position_rms(residuals: Array, counts: Array | None = None) -> float:
@@ -167,36 +158,29 @@ def _attitude_rms(residuals: Array, counts: Array) -> float | None:
     return None if residuals.shape[1] < 6 else position_rms(residuals[:, 3:], counts)
 
 
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """One split with the arm identified from its training rows, what that leaves, and what rows to judge by count."""
-
-    train: Measurements
-    test: Measurements
-    train_residual: Array
-    test_residual: Array
-    counts: Array
-
-    @staticmethod
-    def of(measurements: Measurements, counts: Array, refit: Refit, train_rows: Rows, test_rows: Rows) -> _Trial:
-        train, test = measurements.select(train_rows), measurements.select(test_rows)
-        model = refit(train)
-        return _Trial(train, test, train.difference(model), test.difference(model), counts[test_rows])
+Trial = tuple[Measurements, Measurements, Array, Array, Array]
+"""One split: rows to train on and held out, what the arm identified from those leaves of each, what these count."""
 
 
-def _left_by(name: str, seed: int, fitter: Fitter | None, trial: _Trial) -> Array:
+def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:
+    train, test = measurements.select(train_rows), measurements.select(test_rows)
+    model = refit(train)
+    return train, test, train.difference(model), test.difference(model), counted(measurements.joints)[test_rows]
+
+
+def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array:
     """Residual of the trial's other rows beyond a model that learns from its training rows."""
-    train, test = trial.train, trial.test
+    train, test, to_learn, untouched, _ = trial
     model = fit_residual(
         name,
         train.joints,
-        trial.train_residual,
+        to_learn,
         train.prismatic,
         np.random.default_rng(seed),
         conditions=train.conditions.inputs(),
         fitter=fitter,
     )
-    return trial.test_residual - model.predict(test.joints, test.conditions.inputs())
+    return untouched - model.predict(test.joints, test.conditions.inputs())
 
 
 def _wins_outside(verdict: GateVerdict) -> bool:
@@ -205,10 +189,10 @@ def _wins_outside(verdict: GateVerdict) -> bool:
 
 
 def _verdict(
-    verdict: GateVerdict, left_by: Callable[[_Trial], Array], blocked: _Trial, inner: Callable[[], Sequence[_Trial]]
+    verdict: GateVerdict, left_by: Callable[[Trial], Array], blocked: Trial, inner: Callable[[], Sequence[Trial]]
 ) -> GateVerdict:
     """Verdict on a model; the inner trials are made for those that win on the outer blocks."""
-    untouched, counts = blocked.test_residual, blocked.counts
+    *_, untouched, counts = blocked
     try:
         residual = left_by(blocked)
     except InputError as error:
@@ -222,8 +206,7 @@ def _verdict(
     )
     if not accepted:
         return verdict
-    before = np.concatenate([trial.test_residual for trial in inner()])
-    counts = np.concatenate([trial.counts for trial in inner()])
+    *_, before, counts = map(np.concatenate, zip(*(trial[3:] for trial in inner()), strict=True))
     try:
         after = np.concatenate([left_by(trial) for trial in inner()])
     except InputError as error:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import cached_property
 from operator import itemgetter
 from typing import Any, Protocol, Self, cast
 
@@ -31,8 +30,7 @@ CONSTANT = 1e-9
 class Regressor(Protocol):
     """A residual model: fitted to numbers, it gives numbers, and all of it is kept in plain arrays.
 
-    Two methods may be left out: ``faster()`` returns the model for control loops, and ``predict_std(inputs)`` the
-    standard deviation of `predict`.
+    One method may be left out: ``faster()`` returns the model for control loops.
     """
 
     @staticmethod
@@ -275,38 +273,19 @@ class GaussianProcess(SavedArrays):
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
-        mean = self._by_output(inputs, lambda j, part: self._kernel(j, part) @ self.weights[j])
-        return np.asarray(mean * self.output_std + self.output_mean)
-
-    def predict_std(self, inputs: ArrayLike) -> Array:
-        """Standard deviation ``(..., k)`` (m, rad) of the noise-free outputs at standardised inputs ``(..., F)``."""
-
-        def unknown(j: int, part: Array) -> Array:
-            explained = solve_triangular(self._factors[j], self._kernel(j, part).T, lower=True)
-            return np.asarray(np.sqrt(np.maximum(self.amplitude[j] ** 2 - np.sum(explained**2, axis=0), 0.0)))
-
-        return self._by_output(inputs, unknown) * self.output_std
+        inputs = np.asarray(inputs, dtype=float)
+        flat = inputs.reshape(-1, inputs.shape[-1])
+        mean = np.empty((len(flat), len(self.amplitude)))
+        for start in range(0, len(flat), CHUNK):
+            part = slice(start, start + CHUNK)
+            for j, weights in enumerate(self.weights):
+                mean[part, j] = self._kernel(j, flat[part]) @ weights
+        return np.reshape(mean * self.output_std + self.output_mean, (*inputs.shape[:-1], mean.shape[1]))
 
     def targets(self, output: int) -> Array:
         """The targets of its fit ``(M,)``, in units of the output's own deviation from its mean."""
         smooth = self._kernel(output, self.rows) @ self.weights[output]
         return np.asarray(smooth + (self.noise[output] ** 2 + JITTER) * self.weights[output])
-
-    def _by_output(self, inputs: ArrayLike, one: Callable[[int, Array], Array]) -> Array:
-        """Values by ``one`` of each output ``(..., k)``, for so many inputs ``(..., F)`` at a time as caches hold."""
-        inputs = np.asarray(inputs, dtype=float)
-        flat = inputs.reshape(-1, inputs.shape[-1])
-        values = np.empty((len(flat), len(self.amplitude)))
-        for start in range(0, len(flat), CHUNK):
-            part = slice(start, start + CHUNK)
-            for j in range(values.shape[1]):
-                values[part, j] = one(j, flat[part])
-        return values.reshape(*inputs.shape[:-1], values.shape[1])
-
-    @cached_property
-    def _factors(self) -> tuple[Array, ...]:
-        """Cholesky factors of the kernel matrices: computed when first wanted, never saved."""
-        return tuple(_factor(self._kernel(j, self.rows), noise) for j, noise in enumerate(self.noise))
 
     def _kernel(self, output: int, inputs: Array) -> Array:
         return _kernel(inputs, self.rows, self.length_scales[output], float(self.amplitude[output]))
@@ -390,37 +369,29 @@ def _kernel(left: Array, right: Array, length: Array, amplitude: float) -> Array
     return np.asarray(kernel)
 
 
-@dataclass(frozen=True, eq=False)
-class FeatureProcess:
-    """A process' posterior over functions, as a sum of cosines and sines with normal weights: whole ones can be drawn.
+def feature_process(process: GaussianProcess, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """The posterior of a fitted process as a sum of waves with normal weights, so that whole functions can be drawn.
 
     Random Fourier features (Rahimi and Recht 2007) with quasi-random frequencies; the weights' posterior is that of a
     linear regression (Rasmussen and Williams 2006, eqs (2.7)-(2.8)) on the process' own rows and targets.
 
-    Attributes:
-        frequency: Of each output's waves by the standardised inputs ``(O, F, K)``.
-        mean: Mean weights of their cosines, then their sines ``(O, 2 K)``, m and rad.
-        factor: Weights per standard normal number ``(O, 2 K, 2 K)``.
-        offset: Constant part of each output ``(O,)``.
-        noise: Standard deviation of what is no function of the inputs ``(O,)``, m and rad.
+    Args:
+        process: The process, of O outputs and F inputs.
+        count: K waves per output, each a cosine and a sine; a power of two.
+        rng: Draws the frequencies.
+
+    Returns:
+        Frequencies of each output's waves by the standardised inputs ``(O, F, K)``; mean weights of their cosines, then
+        their sines ``(O, 2 K)``, m and rad, about the process' mean; weights per standard normal number
+        ``(O, 2 K, 2 K)``.
     """
-
-    frequency: Array
-    mean: Array
-    factor: Array
-    offset: Array
-    noise: Array
-
-
-def feature_process(process: GaussianProcess, count: int, rng: np.random.Generator) -> FeatureProcess:
-    """The posterior of a fitted process in ``count`` waves per output, each a cosine and a sine; a power of two."""
     from scipy.stats import norm, qmc
 
     points = qmc.Sobol(process.rows.shape[1], rng=rng).random(count)
     normal = norm.ppf(np.clip(points, 1e-9, 1.0 - 1e-9))
     parts = [_of_output(process, output, normal) for output in range(len(process.noise))]
     frequency, mean, factor = (np.stack(arrays) for arrays in zip(*parts, strict=True))
-    return FeatureProcess(frequency, mean, factor, process.output_mean, process.noise * process.output_std)
+    return frequency, mean, factor
 
 
 def _of_output(process: GaussianProcess, output: int, normal: Array) -> tuple[Array, Array, Array]:

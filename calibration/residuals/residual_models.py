@@ -116,11 +116,6 @@ class LearntResidual:
         faster = getattr(self.model, "faster", None)
         return self if faster is None else replace(self, model=faster())
 
-    def standard_deviation(self, joints: ArrayLike, conditions: ArrayLike | None = None) -> Array | None:
-        """Standard deviation of `predict`, or None where the model does not know it (of ours all but "gp")."""
-        predict_std = getattr(self.model, "predict_std", None)
-        return None if predict_std is None else np.asarray(predict_std(self.inputs(joints, conditions)))
-
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All numbers by name, for saving without pickle."""
         arrays: dict[str, NDArray[Any]] = {"kind": np.array(self.kind), "conditions": np.array(self.inputs.conditions)}

@@ -137,7 +137,7 @@ def verdicts_of(
     cloud = machine.tips(joints[:, :3], joints[:, 3:].reshape(-1, machine.arms, 3)) * 1e3
     headings = np.repeat(np.degrees(joints[:, 0]) + 90.0, machine.arms)
     # Curves stand arm by arm, three joints each, in Table 2's order for the master: theta, z, r.
-    last = [curve[-1] * (1.0 if "theta" in name else 1e3) for name, curve in trace.curves.moved.items()]
+    last = [curve[-1] * (1.0 if "theta" in name else 1e3) for name, curve in trace.curves[1].items()]
     ends = {name: [float(v) for v in last[3 * i : 3 * i + 3]] for i, name in enumerate(PAPER["table2"])}
     theta = PAPER["figure2"]["theta_deg"]
     length = float(1e3 * (machine.master.nominal.upper[2] + machine.a4 + machine.slave.upper[2]))

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from papers.li2016.cp_sat import cp_sat
 from papers.li2016.equations import ARMS, section_4_2
 from papers.li2016.lab import sample_image, work_images
+from papers.li2016.worth import funnel_shares, summary
 from papers.pages import table
 from pickenv.arm import Array, Plant
 from pickenv.base import InputError
@@ -24,7 +26,6 @@ from pickenv.harvester import (
     TrueMachine,
     assign,
     funnel,
-    funnel_shares,
     load_grid,
     load_machine,
     load_orchard,
@@ -33,7 +34,6 @@ from pickenv.harvester import (
     lower_bound,
     pick_point,
     profile,
-    summary,
     timetable,
     travel_time,
     ultrasonic_hold,
@@ -41,7 +41,7 @@ from pickenv.harvester import (
     zone_work,
 )
 from pickenv.inspect.reports.report_page import PageTable
-from pickenv.inspect.runs.harvest_trace import HarvestTrace, JointCurves, picked_tree
+from pickenv.inspect.runs.harvest_trace import HarvestTrace, picked_tree
 
 POSES = 60
 SEED = 2016
@@ -86,8 +86,8 @@ def workspace(machine: Machine, count: int, rng: np.random.Generator) -> Array:
     return machine.tips(joints[:, :3], joints[:, 3:].reshape(count, machine.arms, 3))
 
 
-def curves(machine: Machine) -> JointCurves:
-    """Fig. 9: joint displacements of section 4.2 over time, with the machine's own spacing."""
+def curves(machine: Machine) -> tuple[Array, dict[str, Array], tuple[str, ...]]:
+    """Fig. 9: times, joint displacements of section 4.2 by name with the machine's own spacing, and names that turn."""
     master, slaves = section_4_2(machine)
     start = np.concatenate([machine.master_start, *[machine.slave_home] * machine.arms])
     goal = np.concatenate([master, slaves.clip(machine.slave.lower, machine.slave.upper).ravel()])
@@ -95,7 +95,7 @@ def curves(machine: Machine) -> JointCurves:
     names = [f"master {joint}" for joint in ("theta1", "d2", "d3")]
     names += [f"{arm} {joint}" for arm in ARMS for joint in ("d4", "theta5", "d6")]
     turning = tuple(name for name in names if "theta" in name)
-    return JointCurves(time, dict(zip(names, moved.T, strict=True)), turning)
+    return time, dict(zip(names, moved.T, strict=True)), turning
 
 
 def calibrated_controller(true: TrueMachine, rng: np.random.Generator, *, positions_only: bool = False) -> Controller:
@@ -182,7 +182,8 @@ def assignments(machine: Machine, zones: int, fruit: int, rng: np.random.Generat
         for name in names:
             try:
                 hold = ultrasonic_hold(machine, work, rng) if name == "li" else None
-                makespans[name] += timetable(work, assign(work, name), hold=hold).makespan / zones
+                plan = cp_sat(work) if name == "cp-sat" else assign(work, name)
+                makespans[name] += timetable(work, plan, hold=hold).makespan / zones
             except InputError:  # OR-Tools is an extra
                 makespans[name] = float("nan")
     return makespans

@@ -66,7 +66,7 @@ def segmentation(tree: Tree, rng: np.random.Generator) -> Segmentation:
     behind = float(ahead.max()) + 0.1
     leaves = sample_leaves((-1.2, -1.0, behind), (1.2, 1.0, behind + 0.4), FOLIAGE, look, rng)
     pair = render_stereo(camera, places, tree.diameters, leaves, look, rng)
-    found = locate(camera, pair.left, pair.right).positions
+    found = locate(camera, pair.left, pair.right)[0]
     return Segmentation(
         pair.left,
         red_minus_green(pair.left),

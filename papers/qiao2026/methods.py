@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from papers.qiao2026.equations import PAPER, mean_mm, parameter_vector, statistics
+from papers.qiao2026.equations import PAPER, mean_mm, paper_eta, parameter_vector, statistics
 from pickenv.arm import (
     Array,
     Geometry,
+    MeasurementNoise,
     Plant,
     Pose,
     draw_plants,
@@ -31,17 +32,18 @@ from pickenv.base.intervals import LEAST_RUNS
 from pickenv.calibration import (
     BpnnSettings,
     Compensator,
+    ErrorModel,
+    LearntResidual,
     Measurements,
-    filter_measurements,
     held_out_r2,
     identify,
     link_model,
-    paper_eta,
     random_joints,
     simulated_tracker,
+    start_filter,
     train_bpnn,
 )
-from pickenv.calibration.compensation.compensator import ResidualModel
+from pickenv.calibration.identification.extended_kalman_filter import update
 from pickenv.calibration.residuals.residual_models import fit_residual
 
 METHODS = ("raw", "EKF", "LS", "RBF", "BPNN", "EKF+RBF", "EKF+BPNN", "LS+BPNN")
@@ -106,17 +108,26 @@ class Left:
         return mean_mm(self.errors[method])
 
 
+def filtered(model: ErrorModel, nominal: Geometry, data: Measurements) -> Geometry:
+    """The arm after one pass of the extended Kalman filter over poses, with their stated noise."""
+    state, noise = start_filter(model, nominal, data.joints), MeasurementNoise(data.position_std, data.attitude_std)
+    assert data.rotation is not None
+    for joints, position, rotation in zip(data.joints, data.position, data.rotation, strict=True):
+        state = update(state, joints, Pose(position, rotation), noise)
+    return state.geometry
+
+
 def table_4_run(run: Protocol, settings: BpnnSettings, methods: Sequence[str] = METHODS) -> Left:
     """What these methods leave, on poses that none of them has seen."""
     nominal = run.plant.arm.nominal
     model = link_model(nominal)
     finders: dict[str, Callable[[Measurements], Geometry]] = {
         "LS": lambda data: identify(model, nominal, data).geometry,
-        "EKF": lambda data: filter_measurements(model, nominal, data).geometry,
+        "EKF": lambda data: filtered(model, nominal, data),
     }
     geometries = {name: find(run.identification) for name, find in finders.items() if name in methods}
 
-    def network(kind: str, geometry: Geometry, data: Measurements) -> ResidualModel:
+    def network(kind: str, geometry: Geometry, data: Measurements) -> LearntResidual:
         fitter = (lambda x, y, rng: train_bpnn(x, y, rng, settings)) if kind == "BPNN" else None
         rows = data.joints, data.difference(geometry), nominal.prismatic
         return fit_residual(kind.lower(), *rows, run.rng, fitter=fitter, periodic_span=np.inf)
@@ -130,7 +141,7 @@ def table_4_run(run: Protocol, settings: BpnnSettings, methods: Sequence[str] = 
             geometry = geometries[start] if start else nominal
             learnt = network(kind, geometry, run.network if start else run.alone)
             r2[name] = held_out_r2(run.test.difference(geometry), learnt.predict(run.test.joints))
-        command = Compensator(nominal, geometry, learnt)(run.test.joints)
+        command = Compensator(nominal, geometry, None if learnt is None else learnt.predict)(run.test.joints)
         errors[name] = missed(run, simulated_tracker(run.plant, command, run.rng))
     true = parameter_vector(run.plant.geometry)
     return Left(errors, r2, {name: paper_eta(parameter_vector(found), true) for name, found in geometries.items()})

@@ -1,11 +1,13 @@
 """Verdicts on Qiao 2026 follow the numbers that stand beside them, and what the page says of the paper is true."""
 
+import tomllib
+
 import numpy as np
 import pytest
 from scipy.stats import t as student_t
 
 from papers.qiao2026 import verdicts
-from papers.qiao2026.equations import PAPER, paper_model, paper_phi
+from papers.qiao2026.equations import PAPER, paper_eta, paper_model, paper_phi
 from papers.qiao2026.methods import METHODS, Campaign, Left, difference
 from papers.qiao2026.page import NOTES
 from pickenv.arm import forward, load_plant, pose_error
@@ -177,3 +179,41 @@ def test_an_arm_counts_once_however_many_seeds_and_poses_it_has():
         low, high = found["ci95_mm"]
         assert high - low == pytest.approx(2 * half, rel=0.1)  # beside what the skewness moves
     assert difference(Campaign([], done(5, 9).arms[:9]), "LS", "EKF")["ci95_mm"] is None
+
+
+# Qiao 2026, Tables 1 and 2, as printed; nan: removed as redundant.
+TABLES = tomllib.loads("""
+[true]
+alpha_deg = [90.011, 0.029, 90.040, -89.983, 90.023, -0.006]
+a_mm      = [122.520, 138.380, 0.230, 0.780, 0.560, 0.450]
+d_mm      = [0.500, 300.000, 100.600, 166.682, 103.620, 126.830]
+theta_deg = [90.017, 0.029, 0.017, 90.046, 0.040, 0.034]
+[identified_24]
+alpha_deg = [90.011, 0.049, 89.010, -87.983, 90.023, -0.004]
+a_mm      = [122.520, 138.464, 0.164, 0.464, 0.505, 0.505]
+d_mm      = [0.300, 300.100, 100.407, 166.970, 103.470, 126.980]
+theta_deg = [90.020, 0.025, 0.027, 90.036, 0.037, 0.037]
+[identified_17]
+alpha_deg = [90.032, 0.028, 90.024, -89.984, 90.020, -0.005]
+a_mm      = [123.017, 139.269, nan, nan, 0.885, nan]
+d_mm      = [0.308, 300.005, nan, nan, 103.721, nan]
+theta_deg = [89.988, nan, 0.015, 90.049, 0.055, 0.031]
+""")
+
+
+def column(name):
+    return np.concatenate([TABLES[name][key] for key in ("alpha_deg", "a_mm", "d_mm", "theta_deg")])
+
+
+def test_the_papers_eta_from_its_own_table():
+    """89.65 and 86.4, where the paper prints 89.985 and 86.348."""
+    assert paper_eta(column("identified_17"), column("true")) == pytest.approx(89.65, abs=0.01)
+    assert paper_eta(column("identified_24"), column("true")) == pytest.approx(86.4, abs=0.05)
+
+
+def test_eta_is_dominated_by_parameters_near_zero():
+    true = np.array([90.0, 300.0, 0.006])
+    assert paper_eta(true, true) == 100.0
+    assert paper_eta(np.add(true, [0.009, 0.0, 0.0]), true) > 99.99
+    assert paper_eta(np.add(true, [0.0, 0.0, 0.006]), true) == pytest.approx(100 * 2 / 3)
+    assert paper_eta([1.0, 5.0, np.nan], [1.0, 0.0, 3.0]) == 100.0  # zero has no relative error, nan was not identified

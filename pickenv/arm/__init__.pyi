@@ -28,7 +28,6 @@ from .kinematics.forward import (
     chain_of as chain_of,
     drawn_parts as drawn_parts,
     forward as forward,
-    forward_torch as forward_torch,
     frame_of as frame_of,
     frames as frames,
     geometry_from_axes as geometry_from_axes,
@@ -85,6 +84,7 @@ from .plant.campaign import (
     measured_poses as measured_poses,
     moved as moved,
     normal_draws as normal_draws,
+    shares_report as shares_report,
     shipped_instruments as shipped_instruments,
     switched_on as switched_on,
 )

@@ -53,6 +53,7 @@ from .limits import (
 from .provenance import (
     code_fingerprint as code_fingerprint,
     command_line as command_line,
+    command_words as command_words,
     file_sha256 as file_sha256,
     versions as versions,
 )

@@ -28,7 +28,12 @@ def versions(*packages: str) -> dict[str, str]:
 
 
 def command_line(*words: object, **options: object) -> str:
-    """A command as a shell reads it.
+    """A command as a shell reads it; arguments as `command_words` has them."""
+    return shlex.join(command_words(*words, **options))
+
+
+def command_words(*words: object, **options: object) -> list[str]:
+    """A command word by word.
 
     Args:
         words: Command and arguments.
@@ -40,7 +45,7 @@ def command_line(*words: object, **options: object) -> str:
         for part in value if isinstance(value, list | tuple) else [value]:
             if part is not None and part is not False:
                 line += [option] if part is True else [option, str(part)]
-    return shlex.join(line)
+    return line
 
 
 SHOWS = ("cli.py", "commands/", "pictures/", *(f"inspect/{shelf}/" for shelf in ("figures", "films", "recordings")))

@@ -19,28 +19,24 @@ from typing import Any, TypeVar
 
 from pickenv.base.errors import InputError
 
-KINDS = (
-    *("arm_format", "instrument", "observation", "residual", "effect"),
-    *("exporter", "report", "gripper", "policy", "backend"),
-)
-"""Every kind of extension; `docs/extending.md` says what a thing of each must have."""
-
 SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        **dict.fromkeys(KINDS, ()),
         "arm_format": ("pickenv.arm.files.arm_file", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
-        "backend": ("pickenv.envs.reaching.vector",),
-        "effect": tuple(f"pickenv.arm.effects.{name}" for name in ("structure", "drives", "ground", "residual_field")),
-        "exporter": tuple(f"pickenv.calibration.delivery.{name}" for name in ("onto_files", "joint_offsets", "export")),
-        "gripper": ("pickenv.orchard.gripper",),
         "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
         "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),
-        "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
-        "report": ("pickenv.inspect.runs.run_folder",),
         "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
+        "effect": tuple(f"pickenv.arm.effects.{name}" for name in ("structure", "drives", "ground", "residual_field")),
+        "exporter": tuple(f"pickenv.calibration.delivery.{name}" for name in ("onto_files", "joint_offsets", "export")),
+        "report": ("pickenv.inspect.runs.run_folder",),
+        "gripper": ("pickenv.orchard.gripper",),
+        "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
+        "backend": ("pickenv.envs.reaching.vector",),
     }
 )
 """The modules that register what ships, by kind; the order of names is theirs."""
+
+KINDS = tuple(SHIPPED)
+"""Every kind of extension; `docs/extending.md` says what a thing of each must have."""
 
 Thing = TypeVar("Thing", bound=Callable[..., Any])
 
@@ -63,14 +59,8 @@ class Origin:
         return f"the package {self.package} {self.version}" if self.package else f"the module {self.module}"
 
 
-@dataclass(frozen=True)
-class _Entry:
-    thing: Any
-    module: str
-    origin: Origin
-
-
-_entries: dict[str, dict[str, _Entry]] = {kind: {} for kind in KINDS}
+_entries: dict[str, dict[str, tuple[Any, Origin]]] = {kind: {} for kind in KINDS}
+"""What is registered, by kind and name, and where it comes from."""
 
 
 def register(kind: str, name: str) -> Callable[[Thing], Thing]:
@@ -99,10 +89,8 @@ def register(kind: str, name: str) -> Callable[[Thing], Thing]:
 def names(kind: str) -> tuple[str, ...]:
     """The names of a kind: what ships first, then those of others, sorted. Packages of others are not imported."""
     _import_shipped(kind)
-    entries, modules = _entries[kind], SHIPPED[kind]
-    shipped = sorted(
-        (n for n in entries if entries[n].module in modules), key=lambda n: modules.index(entries[n].module)
-    )
+    entries = _entries[kind]
+    shipped = [name for module in SHIPPED[kind] for name in entries if entries[name][0].__module__ == module]
     return (*shipped, *sorted({*entries, *_entry_points(kind)} - set(shipped)))
 
 
@@ -127,10 +115,10 @@ def get(kind: str, name: str, *, package: str = "", version: str = "", module: s
     if entry is None and not (package or module):
         raise InputError(f"there is no {kind} '{name}'; give one of {', '.join(names(kind)) or 'none: there are none'}")
     source = Origin(package, version, module)
-    if entry is not None and (not package or package == entry.origin.package):
-        return entry.thing
+    if entry is not None and (not package or package == entry[1].package):
+        return entry[0]
     if entry is not None:
-        raise InputError(f"{kind} '{name}' comes from {source}, but here from {entry.origin}; install the former alone")
+        raise InputError(f"{kind} '{name}' comes from {source}, but here from {entry[1]}; install the former alone")
     if not package:
         raise InputError(f"{kind} '{name}' comes from {source}, which is of no package: import it first")
     way = f"pip install {package}" if _version(package) is None else f"pip install {package}=={version}"
@@ -150,14 +138,14 @@ def origin(kind: str, name: str) -> Origin:
         if len(offers) == 1:
             return _origin_of_entry_point(offers[0])
         get(kind, name)
-    return _entries[kind][name].origin
+    return _entries[kind][name][1]
 
 
 def registered_as(thing: Any) -> tuple[str, str] | None:
     """Say by which kind and name a class or function is registered, or an installed package offers it; None if not."""
     for kind, entries in _entries.items():
-        for name, entry in entries.items():
-            if entry.thing is thing:
+        for name, (registered, _) in entries.items():
+            if registered is thing:
                 return kind, name
     place = f"{thing.__module__}:{thing.__qualname__}"
     points = (point for point in _installed(tuple(sys.path)) if point.value == place)
@@ -178,7 +166,7 @@ def load_all(kind: str) -> dict[str, Any]:
 def packages() -> dict[str, str]:
     """Name the packages of others that are installed or in use here, and their versions: results may depend on them."""
     sources = {_origin_of_entry_point(point) for point in _installed(tuple(sys.path))}
-    sources |= {entry.origin for entries in _entries.values() for entry in entries.values()}
+    sources |= {source for entries in _entries.values() for _, source in entries.values()}
     return {
         source.package: source.version for source in sorted(sources, key=str) if source.package not in ("", "pickenv")
     }
@@ -198,12 +186,12 @@ def _import_shipped(kind: str) -> None:
 def _keep(kind: str, name: str, thing: Any, source: Origin) -> None:
     if source.package != "pickenv":
         _import_shipped(kind)
-    holders = {_entries[kind][name].origin} if name in _entries[kind] else set()
+    holders = {_entries[kind][name][1]} if name in _entries[kind] else set()
     if not holders and source.package != "pickenv":
         holders = {_origin_of_entry_point(point) for point in _entry_points(kind).get(name, ())}
     if any((holder.package, holder.module) != (source.package, source.module) for holder in holders):
         raise InputError(f"{kind} '{name}' is held by {' and by '.join(map(str, holders))}; take another name")
-    _entries[kind][name] = _Entry(thing, thing.__module__, source)
+    _entries[kind][name] = (thing, source)
 
 
 def _load_entry_point(kind: str, name: str) -> None:
@@ -230,7 +218,7 @@ def _entry_points(kind: str) -> Mapping[str, tuple[metadata.EntryPoint, ...]]:
         entry = _entries[kind].get(point.name)
         if point.group != f"pickenv.{kind}":
             continue
-        if entry is not None and entry.origin.package == "pickenv":
+        if entry is not None and entry[1].package == "pickenv":
             source = _origin_of_entry_point(point)
             warnings.warn(f"{kind} '{point.name}' of {source} is left aside: pickenv ships that name", stacklevel=3)
         else:

@@ -207,6 +207,7 @@ def _once(values: Any, _context: Any) -> Any:
 
 
 ONCE = Then(_once)
+"""A list that is not empty and has no entry twice."""
 
 
 def _in_order(ends: Any, _context: Any) -> Any:
@@ -217,7 +218,6 @@ def _in_order(ends: Any, _context: Any) -> Any:
 
 
 IN_ORDER = Then(_in_order)
-"""A list that is not empty and has no entry twice."""
 
 LINE = Check(lambda value: isinstance(value, str) and value.isprintable(), "a text of one line")
 

@@ -23,20 +23,27 @@ def _benchmarks() -> None:
 
 @bench.command(cls=CommandOfNames)
 def calibration(
-    json_file: Annotated[Path | None, Option("--json", help="Write the rows to this file.")] = None,
-    out: Annotated[Path, Option(help="Folder for tables and what is done; a run that was cut off goes on.")] = (
-        Path("runs/bench")
-    ),
-    only: Annotated[list[str] | None, Option(help="Only these rows; a wrong name lists them all.")] = None,
-    quick: Annotated[bool, Option("--quick", help="The UR5 alone, on few rows: a minute.")] = False,
-    data: Annotated[Path, Option(envvar="PICKENV_DATA", help="Folder of the measured data sets.")] = (
-        Path("../shared/data")
-    ),
-    peers: Annotated[Path, Option(help="Folder of the peers' environments.")] = Path("runs/peers"),
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    workers: Annotated[int, Option(help="Processes; they do not change the figures.", min=1)] = 1,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    out: Path = Path("runs/bench"),
+    only: list[str] | None = None,
+    quick: Annotated[bool, Option("--quick")] = False,
+    data: Annotated[Path, Option(envvar="PICKENV_DATA")] = Path("../shared/data"),
+    peers: Path = Path("runs/peers"),
+    seed: Annotated[int, Option(min=0)] = 0,
+    workers: Annotated[int, Option(min=1)] = 1,
 ) -> None:
-    """What calibrations leave of every measured robot, what twins of other rows predicted, and what peers leave."""
+    """What calibrations leave of every measured robot, what twins of other rows predicted, and what peers leave.
+
+    Args:
+        json_file: Write the rows to this file.
+        out: Folder for tables and what is done; a run that was cut off goes on.
+        only: Only these rows; a wrong name lists them all.
+        quick: The UR5 alone, on few rows: a minute.
+        data: Folder of the measured data sets.
+        peers: Folder of the peers' environments.
+        seed: Seed of everything random.
+        workers: Processes; they do not change the figures.
+    """
     from dataclasses import replace
     from datetime import date
 
@@ -82,33 +89,35 @@ def calibration(
 
 @bench.command(cls=CommandOfNames)
 def policies(
-    policy: Annotated[
-        list[str] | None,
-        Option(
-            help="A policy to judge as well: a file of `pickenv train` (.npz), a zip of SB3 or Python, both executed."
-        ),
-    ] = None,
-    json_file: Annotated[Path | None, Option("--json", help="Write the rows to this file.")] = None,
-    out: Annotated[Path, Option(help="Folder for the table and what is done; what was cut off goes on.")] = (
-        Path("runs/policies")
-    ),
-    plant: Annotated[list[str] | None, Option(help="Plant preset, a task each; may be repeated.")] = None,
-    rung: Annotated[
-        list[str] | None, Option(help="Rung of the ladder with its arms to be judged on, or all; may be repeated.")
-    ] = None,
-    arms: Annotated[int | None, Option(help="Arms drawn for each seed.", min=1)] = None,
-    episodes: Annotated[int | None, Option(help="Fruits per arm.", min=1)] = None,
-    canopies: Annotated[
-        int | None, Option(help="Canopies for each arm of the picking task; 0 leaves it out.", min=0)
-    ] = None,
-    seeds: Annotated[int, Option(help="How many seeds, from 0; at least 5.")] = 5,
-    quick: Annotated[bool, Option("--quick", help="Three policies on one arm a seed: a minute.")] = False,
-    executor: Annotated[
-        Literal["serial", "joblib", "ray"], Option(help="What computes; it does not change the figures.")
-    ] = "serial",
-    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
+    policy: list[str] | None = None,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    out: Path = Path("runs/policies"),
+    plant: list[str] | None = None,
+    rung: list[str] | None = None,
+    arms: Annotated[int | None, Option(min=1)] = None,
+    episodes: Annotated[int | None, Option(min=1)] = None,
+    canopies: Annotated[int | None, Option(min=0)] = None,
+    seeds: int = 5,
+    quick: Annotated[bool, Option("--quick")] = False,
+    executor: Literal["serial", "joblib", "ray"] = "serial",
+    workers: Annotated[int | None, Option(min=1)] = None,
 ) -> None:
-    """Policies raw and calibrated, with interquartile means over arms that no two seeds share; picks per hour too."""
+    """Policies raw and calibrated, with interquartile means over arms that no two seeds share; picks per hour too.
+
+    Args:
+        policy: A policy to judge as well: a file of `pickenv train` (.npz), a zip of SB3 or Python, both executed.
+        json_file: Write the rows to this file.
+        out: Folder for the table and what is done; what was cut off goes on.
+        plant: Plant preset, a task each; may be repeated.
+        rung: Rung of the ladder with its arms to be judged on, or all; may be repeated.
+        arms: Arms drawn for each seed.
+        episodes: Fruits per arm.
+        canopies: Canopies for each arm of the picking task; 0 leaves it out.
+        seeds: How many seeds, from 0; at least 5.
+        quick: Three policies on one arm a seed: a minute.
+        executor: What computes; it does not change the figures.
+        workers: Processes; one per core if left out.
+    """
     from dataclasses import replace
     from itertools import groupby
 

@@ -5,116 +5,92 @@ from __future__ import annotations
 import sys
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
+import pickenv
 from pickenv.base import npz_path, require, separate, write_json
 from pickenv.commands.showing import command_of, deliver, fields_among, progress_bars
-
-if TYPE_CHECKING:
-    from pickenv.calibration import Result
 
 DO_NOT_USE = 3
 """Exit code of a calibration whose verdict is "do not use", and of targets that cannot be reached."""
 
 
 def calibrate(
-    files: Annotated[
-        list[Path], Argument(help="Files of measurements (CSV or YAML) of one layout, or a folder of pictures.")
-    ],
-    arm: Annotated[
-        str | None, Option(help="Arm name, or file ({arm_format}; .urdf#link, .xml#body); not for finished poses.")
-    ] = None,
-    columns: Annotated[
-        list[str] | None,
-        Option(help="Column description, by name or path; ours if left out. Repeat it, for one per file."),
-    ] = None,
-    stations: Annotated[
-        Literal["none", "base", "tool", "base,tool"] | None,
-        Option(help="Each file is a station with these frames of its own; if left out, poses and positions tell."),
-    ] = None,
-    frames: Annotated[
-        Literal["known", "fitted"] | None,
-        Option(
-            help="known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are "
-            "fitted too. As the files say if left out, which is fitted unless they have a column 'frames'."
-        ),
-    ] = None,
-    test_rows: Annotated[int | None, Option(help="Rows to hold out at random; a fifth if left out.", min=1)] = None,
-    split: Annotated[
-        Literal["random", "blocked"],
-        Option(
-            help="random: some rows are drawn and held out; blocked: each contiguous tenth of the rows in turn, and "
-            "the calibration is fitted to all rows."
-        ),
-    ] = "random",
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    test: Annotated[list[Path] | None, Option(help="Held-out rows from other files instead.")] = None,
-    refit: Annotated[
-        str | None, Option(help="--test is another station: find its base, tool or base,tool from a few rows of it.")
-    ] = None,
-    refit_rows: Annotated[int | None, Option(help="Rows to find them from; 6 if left out.", min=3)] = None,
-    fit: Annotated[
-        Literal["auto", "offsets", "full"],
-        Option(
-            help="auto: all parameters, each expected within its tolerance class; offsets: the joints' zeros alone; "
-            "full: all parameters without expectations, as the papers do."
-        ),
-    ] = "auto",
-    tolerances: Annotated[
-        str | None,
-        Option(
-            help="Tolerance class that the arm's parts are made to, by name or file; as the arm's file says, or a "
-            "cobot's, if left out."
-        ),
-    ] = None,
-    prior_scale: Annotated[
-        float | None, Option(help="Factor on the class; found from the rows if left out.", min=1e-3, max=1e3)
-    ] = None,
-    workspace: Annotated[
-        str | None,
-        Option(
-            help="Where the arm will work: a file of targets, or ranges such as q1=-90:90,x=300:900 (deg, mm); the "
-            "joint limits if left out."
-        ),
-    ] = None,
-    terms: Annotated[
-        str,
-        Option(
-            help="Parametric terms: auto, none, or compliance (of joints whose torques were measured), gravity (the "
-            "arm's own weight), periodic (drives' harmonics, of orders that the data show), thermal joined by +."
-        ),
-    ] = "auto",
-    residual: Annotated[
-        str, Option(metavar="NAME", help="Residual model: auto (the best of ours, if it wins), none, {residual}.")
-    ] = "auto",
-    force: Annotated[bool, Option("--force", help="Use the named residual model even if it does not win.")] = False,
-    robust: Annotated[
-        bool,
-        Option(
-            "--robust/--no-robust", help="Rows far off, held out or not, are listed and left out, or listed and kept."
-        ),
-    ] = True,
-    lens: Annotated[
-        Literal["fixed", "free"] | None, Option(help="Of pictures: take the camera's numbers as they are, or fit them.")
-    ] = None,
-    lens_out: Annotated[Path | None, Option(help="Write the camera's lens as ROS camera_info (.yaml).")] = None,
-    unit: Annotated[str | None, Option(help="Serial number of the robot, kept in the calibration.")] = None,
-    json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
-    out: Annotated[Path | None, Option(help="Write the fitted calibration to this file (.npz).")] = None,
-    report: Annotated[Path | None, Option(help="Write a one-page report (.html).")] = None,
-    run: Annotated[
-        Path | None, Option(help="Run folder: calibration, report, and what `pickenv figures` draws.")
-    ] = None,
+    files: list[Path],
+    arm: str | None = None,
+    columns: list[str] | None = None,
+    stations: Literal["none", "base", "tool", "base,tool"] | None = None,
+    frames: Literal["known", "fitted"] | None = None,
+    test_rows: Annotated[int | None, Option(min=1)] = None,
+    split: Literal["random", "blocked"] = "random",
+    seed: Annotated[int, Option(min=0)] = 0,
+    test: list[Path] | None = None,
+    refit: str | None = None,
+    refit_rows: Annotated[int | None, Option(min=3)] = None,
+    fit: Literal["auto", "offsets", "full"] = "auto",
+    tolerances: str | None = None,
+    prior_scale: Annotated[float | None, Option(min=1e-3, max=1e3)] = None,
+    workspace: str | None = None,
+    terms: str = "auto",
+    residual: Annotated[str, Option(metavar="NAME")] = "auto",
+    force: Annotated[bool, Option("--force")] = False,
+    robust: Annotated[bool, Option("--robust/--no-robust")] = True,
+    lens: Literal["fixed", "free"] | None = None,
+    lens_out: Path | None = None,
+    unit: str | None = None,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    out: Path | None = None,
+    report: Path | None = None,
+    run: Path | None = None,
 ) -> None:
     """Identify a real arm from measurements of any kind and judge it on held-out rows.
 
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
+
+    Args:
+        files: Files of measurements (CSV or YAML) of one layout, or a folder of pictures.
+        arm: Arm name, or file ({arm_format}; .urdf#link, .xml#body); not for finished poses.
+        columns: Column description, by name or path; ours if left out. Repeat it, for one per file.
+        stations: Each file is a station with these frames of its own; if left out, poses and positions tell.
+        frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
+            fitted too. As the files say if left out, which is fitted unless they have a column 'frames'.
+        test_rows: Rows to hold out at random; a fifth if left out.
+        split: random: some rows are drawn and held out; blocked: each contiguous tenth of the rows in turn, and the
+            calibration is fitted to all rows.
+        seed: Seed of everything random.
+        test: Held-out rows from other files instead.
+        refit: --test is another station: find its base, tool or base,tool from a few rows of it.
+        refit_rows: Rows to find them from; 6 if left out.
+        fit: auto: all parameters, each expected within its tolerance class; offsets: the joints' zeros alone; full: all
+            parameters without expectations, as the papers do.
+        tolerances: Tolerance class that the arm's parts are made to, by name or file; as the arm's file says, or a
+            cobot's, if left out.
+        prior_scale: Factor on the class; found from the rows if left out.
+        workspace: Where the arm will work: a file of targets, or ranges such as q1=-90:90,x=300:900 (deg, mm); the
+            joint limits if left out.
+        terms: Parametric terms: auto, none, or compliance (of joints whose torques were measured), gravity (the arm's
+            own weight), periodic (drives' harmonics, of orders that the data show), thermal joined by +.
+        residual: Residual model: auto (the best of ours, if it wins), none, {residual}.
+        force: Use the named residual model even if it does not win.
+        robust: Rows far off, held out or not, are listed and left out, or listed and kept.
+        lens: Of pictures: take the camera's numbers as they are, or fit them.
+        lens_out: Write the camera's lens as ROS camera_info (.yaml).
+        unit: Serial number of the robot, kept in the calibration.
+        json_file: Write the figures to this file.
+        out: Write the fitted calibration to this file (.npz).
+        report: Write a one-page report (.html).
+        run: Run folder: calibration, report, and what `pickenv figures` draws.
+
+    Examples:
+        pickenv calibrate tracker.csv --arm ur5e --out my_arm.npz --report my_arm.html
+        pickenv calibrate views.csv --arm so101 --columns webcam.toml --out so101.npz
+
+    More: calibrating-a-robot.md
     """
     typed = dict(locals())
-    from pickenv.calibration import Choices, calibrate as calibrated
     from pickenv.calibration.camera.boards import write_lens
     from pickenv.calibration.pipeline.fitting import lens_of
     from pickenv.calibration.pipeline.verification import frames_and_rows
@@ -133,9 +109,9 @@ def calibrate(
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
     frames_moved, count = frames_and_rows(refit, refit_rows)
-    choices = Choices(**fields_among(Choices, typed) | {"refit": frames_moved, "refit_rows": count})
+    choices = pickenv.Choices(**fields_among(pickenv.Choices, typed) | {"refit": frames_moved, "refit_rows": count})
     with progress_bars() if sys.stderr.isatty() else nullcontext() as progress:
-        result = calibrated(
+        result = pickenv.calibrate(
             arm,
             files,
             columns=columns,
@@ -163,9 +139,8 @@ def calibrate(
         raise typer.Exit(DO_NOT_USE)
 
 
-def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict[str, Any]) -> list[Path]:
+def write_run(folder: Path, command: str, seed: int, result: pickenv.Result, seeds: dict[str, Any]) -> list[Path]:
     """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
-    from pickenv.inspect import write_calibration_report
     from pickenv.inspect.runs.calibration_trace import trace_of, views_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
 
@@ -179,5 +154,5 @@ def write_run(folder: Path, command: str, seed: int, result: Result, seeds: dict
             result.calibration.save(folder / "calibration"),
             save_part(folder, trace, seed),
             write_json(folder / "figures.json", result.as_dict()),
-            write_calibration_report(folder / REPORT, result, seeds),
+            pickenv.inspect.write_calibration_report(folder / REPORT, result, seeds),
         ]

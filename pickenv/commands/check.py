@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, make_dataclass
+from inspect import isfunction
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Option
 
+import pickenv
 from pickenv.base import InputError, check_sealed_parquet, read_container, refusing_damage, separate, write_json
 
 REFUSED = 3
@@ -51,13 +54,19 @@ class Finding:
         return f"sound    {self.path}: {self.what}{version}{', ' if self.about else ''}{self.about}"
 
 
-def check(
-    paths: Annotated[
-        list[Path], Argument(help="Calibrations, policies, checkpoints, chunks, traces, or whole folders.")
-    ],
-    json_file: Annotated[Path | None, Option("--json", help="Write what was found to this file.")] = None,
-) -> None:
-    """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign."""
+def check(paths: list[Path], json_file: Annotated[Path | None, Option("--json")] = None) -> None:
+    """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign.
+
+    Args:
+        paths: Calibrations, policies, checkpoints, chunks, traces, or whole folders.
+        json_file: Write what was found to this file.
+
+    Examples:
+        pickenv check runs/demo
+        pickenv check my_arm.npz
+
+    More: figures-and-reports.md
+    """
     separate({}, {"--json": json_file})
     findings = []
     for path in paths:
@@ -88,7 +97,6 @@ def findings_of(path: Path) -> list[Finding]:
 
 def folder_findings(folder: Path) -> list[Finding]:
     """What is found about every file of a run, of a study, or of another folder that holds runs or sealed files."""
-    from pickenv.experiments import check_experiment
     from pickenv.experiments.engine import RECORD as EXPERIMENT
     from pickenv.experiments.policy_tables import EPISODES
     from pickenv.inspect.runs.run_folder import LIST, PARTS, RECORD, STUDY
@@ -98,14 +106,12 @@ def folder_findings(folder: Path) -> list[Finding]:
     if (folder / LIST).exists():
         return listed_findings(folder)
     if (folder / EXPERIMENT).exists():
-        return [Finding(str(path), "file of an experiment", reason=reason) for path, reason in check_experiment(folder)]
+        return _faults("file of an experiment", pickenv.experiments.check_experiment(folder))
     pages = [name for name in BENCH_PAGES if (folder / name).exists()]
     if pages:
         return [Finding(str(folder / LIST), "list of files", reason=f"is missing beside {pages[0]}; {REMAKE}")]
     if (folder / STUDY).exists():
-        from pickenv.experiments import check_folder
-
-        return [Finding(str(path), "file of a study", reason=reason) for path, reason in check_folder(folder)]
+        return _faults("file of a study", pickenv.experiments.check_folder(folder))
     runs = {record.parent for name in (RECORD, LIST, EXPERIMENT) for record in folder.rglob(name)}
     runs = {run for run in runs if not runs & set(run.parents)}
     sealed = sorted(path for path in folder.rglob("*") if path.suffix in SEALED and path.is_file())
@@ -118,6 +124,11 @@ def folder_findings(folder: Path) -> list[Finding]:
         reason = f"its run is not complete: {path.parent / RECORD} is missing; {REMAKE}"
         findings.append(Finding(str(path), "file of a run", reason=reason) if lost else file_finding(path))
     return findings
+
+
+def _faults(what: str, faults: Iterable[tuple[Path, str | None]]) -> list[Finding]:
+    """What is found about files of which it is known whether they are sound."""
+    return [Finding(str(path), what, reason=reason) for path, reason in faults]
 
 
 def listed_findings(folder: Path) -> list[Finding]:
@@ -143,12 +154,11 @@ def _of_files(faults: Sequence[tuple[Path, str | None]]) -> list[Finding]:
 
 def run_findings(folder: Path) -> list[Finding]:
     """What is found about a run folder's record and every file that it lists or that lies beside it."""
-    from pickenv.inspect import read_run
     from pickenv.inspect.runs.run_folder import FORMAT, RECORD, faults_of
 
     record = str(folder / RECORD)
     try:
-        run = read_run(folder)
+        run = pickenv.inspect.read_run(folder)
     except InputError as error:
         return [Finding(record, "record of a run", reason=str(error))]
     return [
@@ -161,163 +171,139 @@ def file_finding(path: Path) -> Finding:
     """What is found about one file."""
     kind = "file"
     try:
-        kind = _kind_of(path)
-        version, about = _READERS[kind](path) if kind in _READERS else _foreign(path, kind)
+        kind, version = _kind_of(path)
+        return Finding(str(path), kind, version, _verified(path, kind))
     except InputError as error:
         return Finding(str(path), kind, reason=str(error))
-    return Finding(str(path), kind, version, about)
 
 
-def _kind_of(path: Path) -> str:
-    """What a file is; an archive says so itself."""
+def _kind_of(path: Path) -> tuple[str, int | None]:
+    """What a file is, and its version; an archive says so itself."""
     if path.suffix == ".parquet":
-        return "chunk of a study"
+        return "chunk of a study", None
     if path.suffix == ".pt":
-        return "checkpoint"  # it may be far larger than other files, and is read once
+        from pickenv.agents.training.checkpoints import FORMAT
+
+        return "checkpoint", FORMAT  # it may be far larger than other files, and is read once
     if path.suffix == ".npz":
-        return read_container(path, None, remake=REMAKE).kind
+        container = read_container(path, None, remake=REMAKE)
+        return container.kind, container.version
     raise InputError(f"{path} carries no seal; files that do end in {', '.join(SEALED)}")
 
 
-def _foreign(path: Path, what: str) -> tuple[int | None, str]:
-    raise InputError(f"{path} holds a {what[:40]}, which this program does not know; update pickenv")
+def _verified(path: Path, kind: str) -> str:
+    """A few words about a file that is sound; of which version it may be, the reader of its kind knows.
+
+    Raises:
+        InputError: If it is not sound.
+    """
+    match kind:
+        case "calibration":
+            return _calibration(path)
+        case "twin":
+            plant = pickenv.arm.read_twin(path)
+            assert plant.posterior is not None
+            count = plant.posterior.factor.shape[1]
+            return f"of arm '{plant.arm.name}', {count} parameters with their covariance"
+        case "policy" | "policy with a memory":
+            policy = pickenv.load_policy(path) if kind == "policy" else pickenv.agents.load_remembering(path)
+            return f"{policy.algorithm} on arm '{policy.arm}'"
+        case "checkpoint":
+            from pickenv.agents.training.checkpoints import check_checkpoint
+
+            if (reason := check_checkpoint(path)) is not None:
+                raise InputError(reason)
+            return "of a training"
+        case "chunk of a study":
+            remake = "run the study again to make it anew"
+            with refusing_damage(path, "a chunk", remake):
+                content = path.read_bytes()
+            check_sealed_parquet(content, path, remake)
+            return "whether it belongs to its study is found by checking the study's folder"
+        case "CalibrationTrace" | "Comparison" | "HarvestTrace" | "RecordedEpisodes":
+            from pickenv.inspect.runs.saved import load_numbers
+
+            load_numbers(path, getattr(pickenv.inspect, kind), "the command that wrote it")
+            return "the numbers behind figures"
+    raise InputError(f"{path} holds a {kind[:40]}, which this program does not know; update pickenv")
 
 
-def _twin(path: Path) -> tuple[int | None, str]:
-    from pickenv.arm import read_twin
-    from pickenv.arm.plant.twin_file import TWIN_FORMAT
-
-    plant = read_twin(path)
-    assert plant.posterior is not None
-    return TWIN_FORMAT, f"of arm '{plant.arm.name}', {plant.posterior.factor.shape[1]} parameters with their covariance"
-
-
-def _calibration(path: Path) -> tuple[int | None, str]:
-    from pickenv.calibration import Calibration
-    from pickenv.calibration.pipeline.calibration import FORMAT
+def _calibration(path: Path) -> str:
     from pickenv.experiments.methods import ORIGIN
 
-    calibration = Calibration.load(path)
+    calibration = pickenv.Calibration.load(path)
     origin = calibration.record.get(ORIGIN)
     key = re.search("-([0-9a-f]{16})$", path.stem)  # as `pickenv evaluate --cache` names them
     if origin is not None and key is not None and not str(origin).startswith(key[1]):
         raise InputError(f"{path} is the calibration of another arm or protocol than its name says; delete it")
     unit = "" if calibration.unit is None else f", unit '{calibration.unit}'"
-    return FORMAT, f"arm '{calibration.arm_name}'{unit}, geometry {calibration.arm_fingerprint}"
+    return f"arm '{calibration.arm_name}'{unit}, geometry {calibration.arm_fingerprint}"
 
 
-def _policy(path: Path) -> tuple[int | None, str]:
-    from pickenv.agents import load_policy
-    from pickenv.agents.policies.learned import FORMAT
+def schema(kind: str) -> None:
+    """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones.
 
-    policy = load_policy(path)
-    return FORMAT, f"{policy.algorithm} on arm '{policy.arm}'"
+    Args:
+        kind: arm, plant, description, study, …
 
+    Examples:
+        pickenv schema description
 
-def _remembering(path: Path) -> tuple[int | None, str]:
-    from pickenv.agents import load_remembering
-    from pickenv.agents.policies.remembering import REMEMBERING_FORMAT
-
-    policy = load_remembering(path)
-    return REMEMBERING_FORMAT, f"{policy.algorithm} on arm '{policy.arm}'"
-
-
-def _checkpoint(path: Path) -> tuple[int | None, str]:
-    from pickenv.agents.training.checkpoints import FORMAT, check_checkpoint
-
-    reason = check_checkpoint(path)
-    if reason is not None:
-        raise InputError(reason)
-    return FORMAT, "of a training"
-
-
-def _chunk(path: Path) -> tuple[int | None, str]:
-
-    remake = "run the study again to make it anew"
-    with refusing_damage(path, "a chunk", remake):
-        content = path.read_bytes()
-    check_sealed_parquet(content, path, remake)
-    return None, "whether it belongs to its study is found by checking the study's folder"
-
-
-def _saved(path: Path) -> tuple[int | None, str]:
-    from pickenv.inspect import Comparison
-    from pickenv.inspect.runs import saved
-    from pickenv.inspect.runs.calibration_trace import CalibrationTrace
-    from pickenv.inspect.runs.harvest_trace import HarvestTrace
-    from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
-
-    kinds: tuple[type, ...] = (CalibrationTrace, Comparison, HarvestTrace, RecordedEpisodes)
-    name = read_container(path, None, remake=REMAKE).kind
-    saved.load_numbers(path, next(kind for kind in kinds if kind.__name__ == name), "the command that wrote it")
-    return saved.FORMATS.get(name, saved.FORMAT), "the numbers behind figures"
-
-
-_READERS: Mapping[str, Callable[[Path], tuple[int | None, str]]] = {
-    "calibration": _calibration,
-    "twin": _twin,
-    "policy": _policy,
-    "policy with a memory": _remembering,
-    "checkpoint": _checkpoint,
-    "chunk of a study": _chunk,
-    **dict.fromkeys(("CalibrationTrace", "Comparison", "HarvestTrace", "RecordedEpisodes"), _saved),
-}
-"""How each kind of file is verified: its version, and a few words about it."""
-
-
-def schema(kind: Annotated[str, Argument(help="arm, plant, description, study, …")]) -> None:
-    """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones."""
+    More: column-descriptions.md
+    """
     from pickenv.base import json_schema  # late: it loads pydantic
 
-    classes = kinds()
-    if kind not in classes:
-        raise InputError(f"there is no kind of file '{kind}'; give one of {', '.join(classes)}")
-    print(json.dumps(json_schema(classes[kind]), indent=2))
+    if kind not in FILES:
+        raise InputError(f"there is no kind of file '{kind}'; give one of {', '.join(FILES)}")
+    print(json.dumps(json_schema(class_of_file(kind)), indent=2))
 
 
-def kinds() -> dict[str, Any]:
-    """The classes of all kinds of files; of orchard presets a file of one's own is meant."""
-    from pickenv import orchard
-    from pickenv.arm import Tolerances
-    from pickenv.arm.files.arm_file import ArmFile
-    from pickenv.arm.plant.plant_file import plant_file
+FILES: Mapping[str, str | tuple[str, Mapping[str, str]]] = {
+    "arm": "pickenv.arm.files.arm_file:ArmFile",
+    "plant": "pickenv.arm.plant.plant_file:any_plant_file",
+    "tolerances": "pickenv.arm:Tolerances",
+    "description": "pickenv.calibration.reading.description:description_file",
+    "board": ("BoardFile", {"board": "pickenv.calibration.camera.boards:Board"}),
+    "study": "pickenv.experiments:StudyConfig",
+    "branch": "pickenv.orchard:Branch",
+    "camera": "pickenv.orchard:Camera",
+    "canopy": "pickenv.orchard:Canopy",
+    "detachment": "pickenv.orchard:Detachment",
+    "fruit": "pickenv.orchard:FruitMap",
+    "fruit_size": "pickenv.orchard:FruitSize",
+    "gripper": "pickenv.orchard.gripper:gripper_file",
+    "look": "pickenv.orchard:Look",
+    "station": "pickenv.orchard:Station",
+    "vision": "pickenv.orchard:StereoCamera",
+    "machine": "pickenv.harvester.machine:MachineFile",
+    "strategy": (
+        "Strategy",
+        {
+            "zones": "pickenv.harvester:Grid",
+            "search": "pickenv.harvester.pick_points:Search",
+            "optimiser": "pickenv.harvester.optimiser:Effort",
+        },
+    ),
+    "picking": (
+        "PickingFile",
+        {
+            "pick": "pickenv.harvester:Picking",
+            "task": "pickenv.envs.harvesting.harvest_task:Rules",
+            "lab": "pickenv.harvester.trees:Lab",
+            "trees": "pickenv.harvester.trees:Orchard",
+        },
+    ),
+}
+"""Kinds of files, and the place of the class of each, or of what makes it; of several classes, a name and sections."""
+
+
+def class_of_file(kind: str) -> Any:
+    """The class of a kind of file; of orchard presets a file of one's own is meant."""
     from pickenv.base import toml_table
-    from pickenv.base.registry import load_all
-    from pickenv.calibration.camera.boards import Board
-    from pickenv.calibration.reading.description import description_file
-    from pickenv.envs.harvesting.harvest_task import Rules
-    from pickenv.experiments import StudyConfig
-    from pickenv.harvester import Grid, Picking
-    from pickenv.harvester.machine import MachineFile
-    from pickenv.harvester.optimiser import Effort
-    from pickenv.harvester.pick_points import Search
-    from pickenv.harvester.trees import Lab, Orchard
-    from pickenv.orchard import Station
-    from pickenv.orchard.camera import CameraFile
-    from pickenv.orchard.gripper import gripper_file
 
-    return {
-        "arm": ArmFile,
-        "plant": plant_file(tuple(load_all("effect"))),
-        "tolerances": Tolerances,
-        "description": description_file(),
-        "board": toml_table(make_dataclass("BoardFile", [("board", Board)])),
-        "study": StudyConfig,
-        "branch": orchard.Branch,
-        "camera": CameraFile,
-        "canopy": orchard.Canopy,
-        "detachment": orchard.Detachment,
-        "fruit": orchard.FruitMap,
-        "fruit_size": orchard.FruitSize,
-        "gripper": gripper_file(),
-        "look": orchard.Look,
-        "station": Station,
-        "vision": orchard.StereoCamera,
-        "machine": MachineFile,
-        "strategy": toml_table(
-            make_dataclass("Strategy", [("zones", Grid), ("search", Search), ("optimiser", Effort)])
-        ),
-        "picking": toml_table(
-            make_dataclass("PickingFile", [("pick", Picking), ("task", Rules), ("lab", Lab), ("trees", Orchard)])
-        ),
-    }
+    place = FILES[kind]
+    if isinstance(place, str):
+        found = resolve_name(place)
+        return found() if isfunction(found) else found
+    name, sections = place
+    return toml_table(make_dataclass(name, [(key, resolve_name(part)) for key, part in sections.items()]))

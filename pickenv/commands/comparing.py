@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
+import pickenv
 from pickenv.base import separate, write_json
 from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
-
-if TYPE_CHECKING:
-    from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes
 
 SEVERAL = ("--compensate", "--label")
 """Options that may be followed by several values."""
@@ -34,42 +32,47 @@ class SeveralValues(CommandOfNames):
 
 
 def compare(
-    policies: Annotated[
-        list[str],
-        Argument(
-            metavar="POLICY...",
-            help="{policy}, a shipped baseline, a policy file (.npz), a model of "
-            "Stable-Baselines3 (.zip), a Python file with make_policy(env, seed), a calibration (the scripted policy "
-            "behind it), or the folder of a training or of a comparison.",
-        ),
-    ],
-    compensate: Annotated[
-        list[str] | None,
-        Option(
-            metavar="CAL...",
-            help="A calibration for each policy, in the same order: none, a file, or a file and #ls for its least "
-            "squares alone; one policy is taken with each of several.",
-        ),
-    ] = None,
-    label: Annotated[list[str] | None, Option(metavar="NAME...", help="A name for each policy.")] = None,
-    env: Annotated[str, Option(help="Id of the environment.")] = "pickenv/Reach-v0",
-    episodes: Annotated[int, Option(help="Episodes of each policy.", min=1)] = 20,
-    seed: Annotated[int, Option(help="Seed of fruit, and of policies that draw.", min=0)] = 0,
-    gripper: Annotated[
-        str, Option(help="Gripper that says whether a reach picks; a name, or a file of kind {gripper}.")
-    ] = "li_cup",
-    plant: Annotated[str | None, Option(help="Plant preset or file; the environment's if left out.")] = None,
-    feedback: Annotated[str | None, Option(help="encoders or camera.")] = None,
-    camera_noise: Annotated[float | None, Option(help="Noise of what the camera sees, mm per axis.")] = None,
-    grid_step: Annotated[float, Option(help="Distance of the error field's goals, m.", min=0.01)] = 0.1,
-    allow: Annotated[
-        list[str] | None, Option(help="Use a calibration in spite of this: fitted-frames, do-not-use.")
-    ] = None,
-    out: Annotated[Path | None, Option(help="Run folder: recording, page, figures, every episode.")] = None,
-    json_file: Annotated[Path | None, Option("--json", help="Write the numbers to this file.")] = None,
+    policies: Annotated[list[str], Argument(metavar="POLICY...")],
+    compensate: Annotated[list[str] | None, Option(metavar="CAL...")] = None,
+    label: Annotated[list[str] | None, Option(metavar="NAME...")] = None,
+    env: str = "pickenv/Reach-v0",
+    episodes: Annotated[int, Option(min=1)] = 20,
+    seed: Annotated[int, Option(min=0)] = 0,
+    gripper: str = "li_cup",
+    plant: str | None = None,
+    feedback: str | None = None,
+    camera_noise: float | None = None,
+    grid_step: Annotated[float, Option(min=0.01)] = 0.1,
+    allow: list[str] | None = None,
+    out: Path | None = None,
+    json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
-    """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter."""
-    from pickenv.agents import compare as run
+    """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter.
+
+    Args:
+        policies: {policy}, a shipped baseline, a policy file (.npz), a model of Stable-Baselines3 (.zip), a Python file
+            with make_policy(env, seed), a calibration (the scripted policy behind it), or the folder of a training or
+            of a comparison.
+        compensate: A calibration for each policy, in the same order: none, a file, or a file and #ls for its least
+            squares alone; one policy is taken with each of several.
+        label: A name for each policy.
+        env: Id of the environment.
+        episodes: Episodes of each policy.
+        seed: Seed of fruit, and of policies that draw.
+        gripper: Gripper that says whether a reach picks; a name, or a file of kind {gripper}.
+        plant: Plant preset or file; the environment's if left out.
+        feedback: encoders or camera.
+        camera_noise: Noise of what the camera sees, mm per axis.
+        grid_step: Distance of the error field's goals, m.
+        allow: Use a calibration in spite of this: fitted-frames, do-not-use.
+        out: Run folder: recording, page, figures, every episode.
+        json_file: Write the numbers to this file.
+
+    Examples:
+        pickenv compare scripted scripted --compensate none my_arm.npz --episodes 20 --out runs/compare
+
+    More: comparing-policies.md
+    """
     from pickenv.agents.evaluation.compare import write_comparison
     from pickenv.inspect.runs.comparison_summary import content_of_comparison
     from pickenv.inspect.runs.run_folder import RECORD
@@ -78,7 +81,7 @@ def compare(
     separate({"POLICY": read, "--plant": plant}, {"--out": None if out is None else out / RECORD, "--json": json_file})
     arguments: dict[str, Any] = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
     with progress_bars() as report:
-        comparison = run(
+        comparison = pickenv.compare(
             policies,
             env,
             compensate=compensate or (),
@@ -100,7 +103,7 @@ def compare(
     )
 
 
-def _print_comparison(episodes: RecordedEpisodes) -> None:
+def _print_comparison(episodes: pickenv.inspect.RecordedEpisodes) -> None:
     from pickenv.inspect.runs import comparison_summary
 
     rows, lines = comparison_summary.policy_cells(episodes), comparison_summary.difference_cells(episodes)
@@ -113,23 +116,33 @@ def _print_comparison(episodes: RecordedEpisodes) -> None:
 
 
 def film(
-    run: Annotated[Path, Argument(help="Run folder of `pickenv compare`.")],
-    out: Annotated[Path, Option(help="File to write, .gif or .mp4.")] = Path("film.gif"),
-    policy: Annotated[
-        list[str] | None,
-        Option(help="Policy to show, as the run names it, left first; its first and last if left out."),
-    ] = None,
-    seconds: Annotated[float, Option(help="Length of the film, s.")] = 12.0,
-    fps: Annotated[int, Option(help="Frames per second.")] = 10,
-    dark: Annotated[bool, Option("--dark", help="Draw on a dark background.")] = False,
+    run: Path,
+    out: Path = Path("film.gif"),
+    policy: list[str] | None = None,
+    seconds: float = 12.0,
+    fps: int = 10,
+    dark: Annotated[bool, Option("--dark")] = False,
 ) -> None:
-    """Make a film of a comparison: two policies side by side at the same fruit, with misses in mm and fruit picked."""
-    from pickenv.inspect import film as make_film
+    """Make a film of a comparison: two policies side by side at the same fruit, with misses in mm and fruit picked.
+
+    Args:
+        run: Run folder of `pickenv compare`.
+        out: File to write, .gif or .mp4.
+        policy: Policy to show, as the run names it, left first; its first and last if left out.
+        seconds: Length of the film, s.
+        fps: Frames per second.
+        dark: Draw on a dark background.
+
+    Examples:
+        pickenv film runs/compare --out film.gif
+
+    More: films.md
+    """
     from pickenv.pictures.drawers import why_plain
 
     separate({}, {"--out": out})
     with progress_bars("frames") as report:
-        movie = make_film(
+        movie = pickenv.film(
             run, out, policies=policy or (), seconds=seconds, frames_per_second=fps, dark=dark, progress=report
         )
     plain = why_plain()

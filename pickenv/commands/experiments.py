@@ -7,42 +7,51 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-from typer import Argument, Option
+from typer import Option
 
-from pickenv.base import InputError, check_limit, locked, require, separate, unseen_share
-from pickenv.commands.showing import Save, deliver, print_table, progress_bars, with_options
-
-if TYPE_CHECKING:
-    from pickenv.experiments import StudyConfig
-
+import pickenv
+from pickenv.base import InputError, locked, require, separate, unseen_share
+from pickenv.commands.showing import Save, deliver, limited, print_table, progress_bars, with_options
 
 TERMINAL = 80
 """Characters of a line of the usual terminal."""
 
 
 def experiment(
-    file: Annotated[Path, Argument(help="Experiment (.toml); the Python code that it names is executed.")],
-    quick: Annotated[bool, Option("--quick", help="The file's own small sizes: minutes.")] = False,
-    seed: Annotated[int | None, Option(help="Seed of everything random; the file's if left out.", min=0)] = None,
-    seeds: Annotated[
-        int, Option(help="Seeds to run at; how often intervals of one hold the numbers of another is said.", min=1)
-    ] = 1,
-    change: Annotated[
-        list[str] | None, Option("--set", help='A unit, factor or setting: arm=20, method=["raw"]; may be repeated.')
-    ] = None,
-    executor: Annotated[str, Option(help="What computes: serial, loky, ray, dask; no number changes.")] = "loky",
-    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
-    out: Annotated[
-        Path | None, Option(help="Folder for what is done; what was cut off goes on. runs/NAME if left out.")
-    ] = None,
-    json_file: Annotated[Path | None, Option("--json", help="Write the numbers to this file.")] = None,
-    table: Annotated[Path | None, Option(help="Write the rows as .csv or .parquet.")] = None,
-    figures: Annotated[Path | None, Option(help="Folder for the file's figures.")] = None,
+    file: Path,
+    quick: Annotated[bool, Option("--quick")] = False,
+    seed: Annotated[int | None, Option(min=0)] = None,
+    seeds: Annotated[int, Option(min=1)] = 1,
+    change: Annotated[list[str] | None, Option("--set")] = None,
+    executor: str = "loky",
+    workers: Annotated[int | None, Option(min=1)] = None,
+    out: Path | None = None,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    table: Path | None = None,
+    figures: Path | None = None,
 ) -> None:
-    """Measure units at every combination of factors, and print the numbers that the file asks for."""
-    from pickenv.experiments import run
+    """Measure units at every combination of factors, and print the numbers that the file asks for.
+
+    Args:
+        file: Experiment (.toml); the Python code that it names is executed.
+        quick: The file's own small sizes: minutes.
+        seed: Seed of everything random; the file's if left out.
+        seeds: Seeds to run at; how often intervals of one hold the numbers of another is said.
+        change: A unit, factor or setting: arm=20, method=["raw"]; may be repeated.
+        executor: What computes: serial, loky, ray, dask; no number changes.
+        workers: Processes; one per core if left out.
+        out: Folder for what is done; what was cut off goes on. runs/NAME if left out.
+        json_file: Write the numbers to this file.
+        table: Write the rows as .csv or .parquet.
+        figures: Folder for the file's figures.
+
+    Examples:
+        pickenv experiment noise_cost.toml --quick --json noise_cost.json
+
+    More: experiments.md
+    """
     from pickenv.experiments.engine import RECORD, write_rows
     from pickenv.experiments.experiment_file import held_by_seeds, load_experiment, number_table, plain_estimates
 
@@ -51,13 +60,14 @@ def experiment(
     changes = dict(map(_change, change or []))
     definition = load_experiment(file, quick=quick, seed=seed, changes=changes)
     first = definition.experiment.seed
+    run = partial(pickenv.experiments.run, folder=folder, backend=executor, workers=workers)
     others: list[list[dict[str, Any]]] = []
     with progress_bars() as report:
         for further in range(first + seeds - 1, first, -1):  # the first comes last, so that the folder's rows are its
             repeat = load_experiment(file, quick=quick, seed=further, changes=changes)
-            others.insert(0, repeat.estimates(run(repeat.experiment, folder, backend=executor, workers=workers)))
+            others.insert(0, repeat.estimates(run(repeat.experiment)))
             report("seeds", len(others), seeds)
-        rows = run(definition.experiment, folder, backend=executor, workers=workers, progress=report)
+        rows = run(definition.experiment, progress=report)
     tables = definition.estimates(rows)
     counts = held_by_seeds([tables, *others])
     content = {
@@ -90,7 +100,6 @@ def experiment(
                 print(f"{title}: {count} of {of} intervals hold another seed's number; about 83 % are due")
 
     def draw(place: Path) -> list[Path]:
-        from pickenv.inspect import save_figure
         from pickenv.inspect.figures.plot_estimates import estimates_figure
 
         drawings = {name: function(rows) for name, function in definition.figures.items()}
@@ -100,7 +109,7 @@ def experiment(
                 drawings[number.figure] = estimates_figure(
                     estimates["rows"], number.title, number.by, **axes, log=number.log, scale=number.scale
                 )
-        return [save_figure(figure, place / f"{name}.png") for name, figure in drawings.items()]
+        return [pickenv.inspect.save_figure(figure, place / f"{name}.png") for name, figure in drawings.items()]
 
     deliver([(json_file, content), (table, partial(write_rows, rows=rows)), (figures, draw)], show)
 
@@ -119,39 +128,50 @@ def _change(text: str) -> tuple[str, Any]:
 
 
 def study(
-    config: Annotated[Path, Argument(help="Study (.toml); scripts/tolerance_study.toml shows every key.")],
-    quick: Annotated[bool, Option("--quick", help="40 arms and 20 fruit at most.")] = False,
-    seed: Annotated[int | None, Option(help="Of everything random; the study's own if left out.", min=0)] = None,
-    executor: Annotated[
-        Literal["serial", "joblib", "ray", "batched"], Option(help="What computes the arms.")
-    ] = "joblib",
-    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
-    device: Annotated[Literal["cpu", "cuda"], Option(help="Where batched computes.")] = "cpu",
-    out: Annotated[Path, Option(help="Results folder; a study that it holds already goes on.")] = Path("runs/study"),
-    json_file: Annotated[Path | None, Option("--json", help="Write the summary to this file.")] = None,
-    report: Annotated[
-        bool, Option("--report/--no-report", help="Figures, report.html and arms.rrd in the results folder.")
-    ] = True,
-    sobol: Annotated[bool, Option("--sobol", help="Sobol indices of the tolerances, which need further arms.")] = False,
-    samples: Annotated[
-        int, Option(help="Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.", min=0)
-    ] = 2048,
+    config: Path,
+    quick: Annotated[bool, Option("--quick")] = False,
+    seed: Annotated[int | None, Option(min=0)] = None,
+    executor: Literal["serial", "joblib", "ray", "batched"] = "joblib",
+    workers: Annotated[int | None, Option(min=1)] = None,
+    device: Literal["cpu", "cuda"] = "cpu",
+    out: Path = Path("runs/study"),
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    report: Annotated[bool, Option("--report/--no-report")] = True,
+    sobol: Annotated[bool, Option("--sobol")] = False,
+    samples: Annotated[int, Option(min=0, callback=limited("samples"))] = 2048,
 ) -> None:
-    """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count."""
-    require("pyarrow", "joblib")
-    from pickenv.experiments import load_study, run_study, write_outputs
+    """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count.
 
-    check_limit("--samples", samples, "samples")
-    full_study = load_study(config)
+    Args:
+        config: Study (.toml); scripts/tolerance_study.toml shows every key.
+        quick: 40 arms and 20 fruit at most.
+        seed: Of everything random; the study's own if left out.
+        executor: What computes the arms.
+        workers: Processes; one per core if left out.
+        device: Where batched computes.
+        out: Results folder; a study that it holds already goes on.
+        json_file: Write the summary to this file.
+        report: Figures, report.html and arms.rrd in the results folder.
+        sobol: Sobol indices of the tolerances, which need further arms.
+        samples: Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.
+
+    Examples:
+        pickenv study scripts/tolerance_study.toml --quick --out runs/study
+
+    More: tolerance-studies.md
+    """
+    require("pyarrow", "joblib")
+
+    full_study = pickenv.experiments.load_study(config)
     separate(
         {"CONFIG": [config, full_study.plant, *full_study.tolerances]},
         {"--out": [out / name for name in ("summary.json", "report.html", "arms.rrd")], "--json": json_file},
     )
-    settings = full_study.quick() if quick else full_study
+    settings, sobol_samples = full_study.quick() if quick else full_study, samples if sobol else 0
     settings = settings if seed is None else replace(settings, seed=seed)
     with locked(out):
         with progress_bars("arms") as report_progress:
-            summary = run_study(
+            summary = pickenv.experiments.run_study(
                 settings,
                 out,
                 executor=executor,
@@ -163,12 +183,12 @@ def study(
         saves: list[Save] = [
             (out / "summary.json", lambda path: path),  # written by the study, as its last file
             (json_file, summary),
-            (out if report else None, lambda folder: write_outputs(folder, samples if sobol else 0)),
+            (out if report else None, partial(pickenv.experiments.write_outputs, sobol_samples=sobol_samples)),
         ]
         deliver(saves, lambda: _print(settings, summary))
 
 
-def _print(config: StudyConfig, summary: dict[str, Any]) -> None:
+def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any]) -> None:
     """The yields, what their differences come from, and where the rest stands; 80 characters wide."""
     from pickenv.experiments.study_findings import study_verdict
     from pickenv.inspect.runs.number_words import between

@@ -3,30 +3,39 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-from typer import Argument, Option
+from typer import Option
 
+import pickenv
 from pickenv.base import InputError, separate, write_text
-
-if TYPE_CHECKING:
-    from pickenv.inspect import Run
-
 
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
 """Suffixes of pages and pictures, which may be made again."""
 
-RUN = Argument(help="Run folder.")
-
 
 def inspect(
-    run: Annotated[Path, Argument(help="Run folder, or a recording (.rrd).")],
-    web: Annotated[bool, Option("--web", help="Serve it to a browser on this machine.")] = False,
-    connect: Annotated[str | None, Option(help="Send it to the viewer at this address.")] = None,
-    serve: Annotated[int | None, Option(help="Serve it to viewers that connect to this port.")] = None,
-    policy: Annotated[str | None, Option(help="Policy of an evaluation to show; its first if left out.")] = None,
+    run: Path,
+    web: Annotated[bool, Option("--web")] = False,
+    connect: str | None = None,
+    serve: int | None = None,
+    policy: str | None = None,
 ) -> None:
-    """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet."""
+    """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet.
+
+    Args:
+        run: Run folder, or a recording (.rrd).
+        web: Serve it to a browser on this machine.
+        connect: Send it to the viewer at this address.
+        serve: Serve it to viewers that connect to this port.
+        policy: Policy of an evaluation to show; its first if left out.
+
+    Examples:
+        pickenv inspect runs/demo
+        pickenv inspect runs/demo --web
+
+    More: recordings.md
+    """
     from pickenv.inspect.recordings import open_recording as opening
 
     if web + (connect is not None) + (serve is not None) > 1:
@@ -50,7 +59,6 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
     Raises:
         InputError: If there is no such run, or nothing in it that can be recorded.
     """
-    from pickenv.inspect import read_run
     from pickenv.inspect.runs.run_folder import added_to
 
     if run.is_file() or run.suffix == ".rrd":
@@ -58,13 +66,12 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
     recordings = sorted(run.glob("*.rrd"))
     if recordings and policy is None:
         return recordings
-    record = read_run(run)
+    record = pickenv.inspect.read_run(run)
     with added_to(record):
         return [_record(record, policy)]
 
 
-def _record(run: Run, policy: str | None) -> Path:
-    from pickenv.inspect import Comparison, RecordedEpisodes, record_comparison
+def _record(run: pickenv.inspect.Run, policy: str | None) -> Path:
     from pickenv.inspect.runs.run_folder import load_part
 
     if run.kind == "evaluation":
@@ -74,22 +81,18 @@ def _record(run: Run, policy: str | None) -> Path:
     if run.kind == "comparison":
         from pickenv.inspect.recordings.policy_recording import record_policies
 
-        return record_policies(load_part(run, RecordedEpisodes), run.folder / "comparison.rrd")
+        return record_policies(load_part(run, pickenv.inspect.RecordedEpisodes), run.folder / "comparison.rrd")
     if run.kind == "demo":
-        return record_comparison(load_part(run, Comparison), run.folder / "errors.rrd")
+        return pickenv.inspect.record_comparison(load_part(run, pickenv.inspect.Comparison), run.folder / "errors.rrd")
     if run.kind == "study":
-        from pickenv.experiments import record_study
-
-        return record_study(run.folder, 0, run.folder / "arms.rrd")
+        return pickenv.experiments.record_study(run.folder, 0, run.folder / "arms.rrd")
     raise InputError(f"a run of kind '{run.kind}' has no recording; see its figures with `pickenv report {run.folder}`")
 
 
-def _record_evaluation(run: Run, policy: str | None) -> Path:
+def _record_evaluation(run: pickenv.inspect.Run, policy: str | None) -> Path:
     """One policy's compensations side by side, on the first plant and with the first feedback."""
-    from pickenv.arm import load_plant
     from pickenv.experiments.policies import reaches_in
     from pickenv.experiments.policy_tables import read_episodes
-    from pickenv.inspect import inspect_evaluation
     from pickenv.inspect.colours import policy_key
 
     rows = read_episodes(run)
@@ -99,55 +102,68 @@ def _record_evaluation(run: Run, policy: str | None) -> Path:
         raise InputError(f"{run.folder} holds no policy '{name}'; it holds {', '.join(names)}")
     plant, feedback = rows.where(policy=name).levels("plant", "feedback")[0]
     cells = rows.where(policy=name, plant=plant, feedback=feedback, training=0)
-    return inspect_evaluation(
+    return pickenv.inspect.inspect_evaluation(
         {behind: reaches_in(cells.where(compensation=behind)) for (behind,) in cells.levels("compensation")},
-        load_plant(plant),
+        pickenv.load_plant(plant),
         run.folder / f"{policy_key(name)}.rrd",
         seed=int(rows["seed"][0]),
     )
 
 
-def figures(
-    run: Annotated[Path, RUN],
-    out: Annotated[Path | None, Option(help="Folder for the figures; RUN/figures if left out.")] = None,
-    formats: Annotated[str, Option("--format", help="Formats, joined by commas: svg, png, pdf.")] = "svg,png",
-) -> None:
-    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out."""
-    from pickenv.inspect import drawings_of, read_run, write_drawings
-    from pickenv.inspect.figures.run_drawings import NotDrawn
+def figures(run: Path, out: Path | None = None, formats: Annotated[str, Option("--format")] = "svg,png") -> None:
+    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out.
+
+    Args:
+        run: Run folder.
+        out: Folder for the figures; RUN/figures if left out.
+        formats: Formats, joined by commas: svg, png, pdf.
+
+    Examples:
+        pickenv figures runs/demo --format pdf --out figures
+
+    More: figures-and-reports.md
+    """
     from pickenv.inspect.runs.run_folder import added_to
 
-    record, folder = read_run(run), out or run / "figures"
-    drawings, suffixes = drawings_of(record), formats.split(",")
+    record, folder = pickenv.inspect.read_run(run), out or run / "figures"
+    drawings, suffixes = pickenv.inspect.drawings_of(record), formats.split(",")
     separate(
         {"RUN": _numbers(run)}, {"--out": [folder / f"{d.name}.{suffix}" for d in drawings for suffix in suffixes]}
     )
     with added_to(record):
-        written = write_drawings(drawings, folder, suffixes)
+        written = pickenv.inspect.write_drawings(drawings, folder, suffixes)
     for path in written:
         print(f"wrote {path}")
     for drawing in drawings:
-        if isinstance(drawing, NotDrawn):
-            print(f"left out {drawing.name}: {drawing.reason}")
+        if drawing.draw is None:
+            print(f"left out {drawing.name}: {drawing.caption}")
 
 
 def report(
-    run: Annotated[Path, RUN],
-    out: Annotated[Path | None, Option(help="File to write (.html); RUN/report.html if left out.")] = None,
-    picture: Annotated[
-        bool, Option("--picture/--no-picture", help="Show the recording as its viewer draws it.")
-    ] = True,
+    run: Path,
+    out: Path | None = None,
+    picture: Annotated[bool, Option("--picture/--no-picture")] = True,
 ) -> None:
-    """Write a run's report: one HTML file that needs no network, verdict first, then the evidence."""
-    from pickenv.inspect import page_of, read_run
+    """Write a run's report: one HTML file that needs no network, verdict first, then the evidence.
+
+    Args:
+        run: Run folder.
+        out: File to write (.html); RUN/report.html if left out.
+        picture: Show the recording as its viewer draws it.
+
+    Examples:
+        pickenv report runs/demo
+
+    More: figures-and-reports.md
+    """
     from pickenv.inspect.recordings.open_recording import viewer_picture
     from pickenv.inspect.runs.run_folder import added_to
 
-    record = read_run(run)
+    record = pickenv.inspect.read_run(run)
     path = out or run / "report.html"
     separate({"RUN": _numbers(run)}, {"--out": path})
     with added_to(record):
-        print(f"wrote {write_text(path, page_of(record, viewer_picture if picture else None))}")
+        print(f"wrote {write_text(path, pickenv.inspect.page_of(record, viewer_picture if picture else None))}")
 
 
 def _numbers(run: Path) -> list[Path]:

@@ -7,50 +7,61 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer import Option
 
+import pickenv
 from pickenv.base import InputError, separate
-from pickenv.commands.showing import deliver, print_table, progress_bars
-
-if TYPE_CHECKING:
-    from pickenv.agents import Training
-
+from pickenv.commands.showing import PARAMETERS, deliver, print_table, progress_bars
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
 
 
 def train(
     context: typer.Context,
-    algo: Annotated[
-        Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"],
-        Option(help="Algorithm; the last two remember past picks and learn on many fruit of one arm."),
-    ] = "ppo",
-    env: Annotated[str, Option(help="Id of the environment.")] = "pickenv/Reach-v0",
-    compensate: Annotated[Path | None, Option(help="Calibration file (.npz) to train behind.")] = None,
-    allow: Annotated[
-        list[str] | None, Option(help="Train behind the calibration in spite of this: fitted-frames, do-not-use.")
-    ] = None,
-    plant: Annotated[str | None, Option(help="Plant preset or plant file; the environment's if left out.")] = None,
-    feedback: Annotated[
-        Literal["encoders", "camera"], Option(help="What the policy sees beside its joints.")
-    ] = "encoders",
-    camera_noise: Annotated[float, Option(help="Noise of the camera's view of the gap, mm per axis.")] = 0.0,
-    fruit_noise: Annotated[float, Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
-    randomise: Annotated[
-        str | None, Option(help="Tolerance class: a new arm of it in every episode (domain randomisation).")
-    ] = None,
-    steps: Annotated[int | None, Option(help="Environment steps; the tuned number if left out.", min=1)] = None,
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    checkpoint_every: Annotated[int, Option(help="Steps between checkpoints.", min=1)] = 50_000,
-    evaluate_every: Annotated[int, Option(help="Steps between evaluations.", min=1)] = 50_000,
-    out: Annotated[Path, Option(help="Run folder to write.")] = Path("runs/train"),
-    resume: Annotated[bool, Option("--resume", help="Go on from the folder's checkpoint, as it was begun.")] = False,
+    algo: Literal["ppo", "sac", "tqc", "ppo_lstm", "ppo_history"] = "ppo",
+    env: str = "pickenv/Reach-v0",
+    compensate: Path | None = None,
+    allow: list[str] | None = None,
+    plant: str | None = None,
+    feedback: Literal["encoders", "camera"] = "encoders",
+    camera_noise: float = 0.0,
+    fruit_noise: float = 0.0,
+    randomise: str | None = None,
+    steps: Annotated[int | None, Option(min=1)] = None,
+    seed: Annotated[int, Option(min=0)] = 0,
+    checkpoint_every: Annotated[int, Option(min=1)] = 50_000,
+    evaluate_every: Annotated[int, Option(min=1)] = 50_000,
+    out: Path = Path("runs/train"),
+    resume: Annotated[bool, Option("--resume")] = False,
 ) -> None:
-    """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs."""
-    from pickenv.agents import Training, train as run
+    """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs.
+
+    Args:
+        context: The command line as it was typed.
+        algo: Algorithm; the last two remember past picks and learn on many fruit of one arm.
+        env: Id of the environment.
+        compensate: Calibration file (.npz) to train behind.
+        allow: Train behind the calibration in spite of this: fitted-frames, do-not-use.
+        plant: Plant preset or plant file; the environment's if left out.
+        feedback: What the policy sees beside its joints.
+        camera_noise: Noise of the camera's view of the gap, mm per axis.
+        fruit_noise: Noise of the fruit's position, mm per axis.
+        randomise: Tolerance class: a new arm of it in every episode (domain randomisation).
+        steps: Environment steps; the tuned number if left out.
+        seed: Seed of everything random.
+        checkpoint_every: Steps between checkpoints.
+        evaluate_every: Steps between evaluations.
+        out: Run folder to write.
+        resume: Go on from the folder's checkpoint, as it was begun.
+
+    Examples:
+        pickenv train --steps 100000 --compensate my_arm.npz --out runs/policy
+
+    More: commands.md
+    """
     from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training_setup import words_of
 
@@ -72,7 +83,7 @@ def train(
             "arms": None if randomise is None else "per_episode",
             "tolerances": randomise,
         }
-        training = Training(
+        training = pickenv.agents.Training(
             algorithm=algo,
             env_id=env,
             steps=steps,
@@ -84,7 +95,7 @@ def train(
             evaluate_every=evaluate_every,
         )
     try:
-        done = run(training, out, resume=resume, progress=sys.stderr.isatty())
+        done = pickenv.agents.train(training, out, resume=resume, progress=sys.stderr.isatty())
     except KeyboardInterrupt:
         print(
             f"interrupted; `pickenv train --resume --out {shlex.quote(str(out))}` goes on from its last checkpoint",
@@ -100,29 +111,17 @@ def train(
         print(f"wrote {path}")
 
 
-def _refuse_changes(context: typer.Context, begun: Training, out: Path) -> None:
+def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out: Path) -> None:
     """Refuse options on the command line that say something else than the training that is to go on."""
-    options = {
-        "algo": begun.algorithm,
-        "env": begun.env_id,
-        "compensate": begun.compensate,
-        "allow": begun.allow,
-        "plant": begun.arguments.get("plant"),
-        "feedback": begun.arguments.get("feedback", "encoders"),
-        "camera_noise": begun.arguments.get("camera_noise_mm", 0.0),
-        "fruit_noise": begun.arguments.get("fruit_noise_mm", 0.0),
-        "randomise": begun.arguments.get("tolerances"),
-        "steps": begun.total,
-        "seed": begun.seed,
-        "checkpoint_every": begun.checkpoint_every,
-        "evaluate_every": begun.evaluate_every,
-    }
-    changed = [
-        f"without --{word}" if value is None else f"with --{word} {value}, not {value_now}"
-        for name, value in options.items()
-        for word, value_now in [(name.replace("_", "-"), context.params[name])]
-        if _was_given(context, name) and (str(value_now) if isinstance(value_now, Path) else value_now) != value
-    ]
+    usual = {"plant": None, "feedback": "encoders", "camera_noise_mm": 0.0, "fruit_noise_mm": 0.0, "tolerances": None}
+    said = usual | vars(begun) | begun.arguments | {"steps": begun.total}
+    said = {PARAMETERS.get(name, name): value for name, value in said.items()} | {"randomise": said["tolerances"]}
+    changed = []
+    for name in (str(param.name) for param in context.command.params):
+        value = str(context.params[name]) if isinstance(context.params[name], Path) else context.params[name]
+        if name in said and _was_given(context, name) and value != said[name]:
+            word = name.replace("_", "-")
+            changed.append(f"without --{word}" if said[name] is None else f"with --{word} {said[name]}, not {value}")
     if changed:
         raise InputError(
             f"the training in {out} was begun {', '.join(changed)}; leave out what was not said then, or give "
@@ -138,45 +137,61 @@ def _was_given(context: typer.Context, name: str) -> bool:
 
 def evaluate(
     context: typer.Context,
-    policy: Annotated[
-        list[str] | None,
-        Option(
-            help="{policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated."
-        ),
-    ] = None,
-    compensation: Annotated[
-        list[str] | None, Option(help="raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated.")
-    ] = None,
-    feedback: Annotated[list[str] | None, Option(help="encoders, camera; may be repeated.")] = None,
-    plant: Annotated[list[str] | None, Option(help="Plant preset; may be repeated.")] = None,
-    gripper: Annotated[
-        list[str] | None, Option(help="Gripper, by name or as a file of kind {gripper}; may be repeated.")
-    ] = None,
-    arms: Annotated[int, Option(help="Arms drawn for each plant.", min=1)] = 64,
-    episodes: Annotated[int, Option(help="Fruits per arm.", min=1)] = 32,
-    tolerances: Annotated[str, Option(help="Tolerance class of the arms.")] = "coarse",
-    camera_noise: Annotated[float, Option(help="Noise of the camera's view of the gap, mm per axis.")] = 1.0,
-    fruit_noise: Annotated[float, Option(help="Noise of the fruit's position, mm per axis.")] = 0.0,
-    epochs: Annotated[int, Option(help="Epochs of each arm's network.", min=1)] = 100,
-    seed: Annotated[int, Option(help="Seed of arms, fruit, pictures and calibrations.", min=0)] = 0,
-    json_file: Annotated[Path | None, Option("--json", help="Write the rows to this file.")] = None,
-    table: Annotated[Path | None, Option(help="Write the rows as .csv or .parquet as well.")] = None,
-    figures: Annotated[Path | None, Option(help="Folder for the figures.")] = None,
-    cache: Annotated[Path | None, Option(help="Folder that keeps the arms' calibrations.")] = None,
-    workers: Annotated[int | None, Option(help="Processes; one per core if left out.", min=1)] = None,
-    out: Annotated[Path | None, Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
+    policy: list[str] | None = None,
+    compensation: list[str] | None = None,
+    feedback: list[str] | None = None,
+    plant: list[str] | None = None,
+    gripper: list[str] | None = None,
+    arms: Annotated[int, Option(min=1)] = 64,
+    episodes: Annotated[int, Option(min=1)] = 32,
+    tolerances: str = "coarse",
+    camera_noise: float = 1.0,
+    fruit_noise: float = 0.0,
+    epochs: Annotated[int, Option(min=1)] = 100,
+    seed: Annotated[int, Option(min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    table: Path | None = None,
+    figures: Path | None = None,
+    cache: Path | None = None,
+    workers: Annotated[int | None, Option(min=1)] = None,
+    out: Path | None = None,
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit.
 
     On each of 64 arms, least squares take 0.1 s of processor time, a Gaussian process 3 s and a network 3 s: with all
     defaults about ten minutes on two cores; fewer --arms or --compensation take less, --cache keeps them.
+
+    Args:
+        context: The command line as it was typed.
+        policy: {policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated.
+        compensation: raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated.
+        feedback: encoders, camera; may be repeated.
+        plant: Plant preset; may be repeated.
+        gripper: Gripper, by name or as a file of kind {gripper}; may be repeated.
+        arms: Arms drawn for each plant.
+        episodes: Fruits per arm.
+        tolerances: Tolerance class of the arms.
+        camera_noise: Noise of the camera's view of the gap, mm per axis.
+        fruit_noise: Noise of the fruit's position, mm per axis.
+        epochs: Epochs of each arm's network.
+        seed: Seed of arms, fruit, pictures and calibrations.
+        json_file: Write the rows to this file.
+        table: Write the rows as .csv or .parquet as well.
+        figures: Folder for the figures.
+        cache: Folder that keeps the arms' calibrations.
+        workers: Processes; one per core if left out.
+        out: Run folder for `pickenv figures` and `pickenv report`.
+
+    Examples:
+        pickenv evaluate --policy runs/policy --out runs/comparison
+
+    More: findings.md
     """
     from pickenv.agents.evaluation.contenders import kind_of
     from pickenv.base import require
-    from pickenv.experiments import CalibrationPlan, PolicySettings, policy_tables as tables, run_policies
+    from pickenv.experiments import policy_tables as tables
     from pickenv.experiments.engine import write_rows
     from pickenv.experiments.methods import residual_of
-    from pickenv.inspect import write_drawings
     from pickenv.inspect.runs.run_folder import RECORD
 
     written = [] if out is None else [out / name for name in (RECORD, tables.EPISODES, tables.ROWS)]
@@ -184,22 +199,22 @@ def evaluate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
         {"--out": written, "--json": json_file, "--table": table},
     )
-    typed: dict[str, Any] = {
+    typed = {
         "policies": policy,
         "compensations": compensation,
         "feedback": feedback,
         "plants": plant,
+        "grippers": gripper,
     }
-    typed["grippers"] = gripper
     names: dict[str, Any] = {key: tuple(value) for key, value in typed.items() if value}
-    settings = PolicySettings(
+    settings = pickenv.experiments.PolicySettings(
         arms=arms,
         episodes=episodes,
         seeds=(seed,),
         tolerances=tolerances,
         camera_noise_mm=camera_noise,
         fruit_noise_mm=fruit_noise,
-        plan=CalibrationPlan(epochs=epochs),
+        plan=pickenv.experiments.CalibrationPlan(epochs=epochs),
         **names,
     )
 
@@ -210,14 +225,16 @@ def evaluate(
     workers = workers or os.cpu_count() or 1
     backend = "loky" if workers > 1 and any(map(residual_of, settings.compensations)) else "serial"
     with progress_bars() as report:
-        rows = run_policies(settings, cache=cache, backend=backend, workers=workers, progress=report)
+        rows = pickenv.experiments.run_policies(
+            settings, cache=cache, backend=backend, workers=workers, progress=report
+        )
     content = tables.evaluation_content(settings, rows)
     deliver(
         [
             (json_file, content),
             (table, lambda path: write_rows(path, tables.flat_rows(content["rows"]))),
             (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
-            (figures, lambda folder: write_drawings(tables.evaluation_drawings(rows), folder)),
+            (figures, lambda folder: pickenv.inspect.write_drawings(tables.evaluation_drawings(rows), folder)),
         ],
         lambda: _print(**content),
     )
@@ -240,24 +257,36 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
 
 
 def datasets(
-    task: Annotated[list[str] | None, Option(help="reach, pick; may be repeated. Reach if left out.")] = None,
-    quality: Annotated[
-        list[str] | None, Option(help="expert, medium, random; may be repeated. All if left out.")
-    ] = None,
-    episodes: Annotated[
-        int | None, Option(help="Episodes of each; 256 reaches or 32 canopies if left out.", min=1)
-    ] = None,
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    json_file: Annotated[Path | None, Option("--json", help="Write the cards to this file.")] = None,
-    out: Annotated[Path, Option(help="Folder to write, as Minari's.")] = Path("runs/datasets"),
+    task: list[str] | None = None,
+    quality: list[str] | None = None,
+    episodes: Annotated[int | None, Option(min=1)] = None,
+    seed: Annotated[int, Option(min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    out: Path = Path("runs/datasets"),
 ) -> None:
-    """Record Minari data sets of good, middling and random policies; those that are there are kept."""
-    from pickenv.agents import datasets as record
+    """Record Minari data sets of good, middling and random policies; those that are there are kept.
+
+    Args:
+        task: reach, pick; may be repeated. Reach if left out.
+        quality: expert, medium, random; may be repeated. All if left out.
+        episodes: Episodes of each; 256 reaches or 32 canopies if left out.
+        seed: Seed of everything random.
+        json_file: Write the cards to this file.
+        out: Folder to write, as Minari's.
+
+    Examples:
+        pickenv datasets --out runs/datasets
+        pickenv datasets --task pick --quality expert
+
+    More: clients.md
+    """
     from pickenv.agents.training.data_sets import QUALITIES
 
     separate({}, {"--json": json_file})
     with progress_bars() as report:
-        cards = record(out, task or ("reach",), quality or QUALITIES, episodes=episodes, seed=seed, progress=report)
+        cards = pickenv.agents.datasets(
+            out, task or ("reach",), quality or QUALITIES, episodes=episodes, seed=seed, progress=report
+        )
     deliver([(json_file, cards)], lambda: _print_cards(cards, out))
 
 

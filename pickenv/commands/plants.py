@@ -5,23 +5,30 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-from typer import Argument, Option
+from typer import Option
 
-from pickenv.base import check_limit, obey, separate, write_json
-from pickenv.commands.showing import command_of, deliver, print_table, progress_bars, with_options
+import pickenv
+from pickenv.base import obey, separate, write_json
+from pickenv.commands.showing import command_of, deliver, limited, print_table, progress_bars, with_options
 
-JsonFile = Annotated[Path | None, Option("--json", help="Write the figures to this file.")]
 
+def arms(json_file: Annotated[Path | None, Option("--json")] = None) -> None:
+    """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from.
 
-def arms(json_file: JsonFile = None) -> None:
-    """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from."""
-    from pickenv.arm import load_arm, shipped_arms
+    Args:
+        json_file: Write the figures to this file.
+
+    Examples:
+        pickenv arms
+
+    More: commands.md
+    """
     from pickenv.arm.kinematics.inverse import farthest
 
     separate({}, {"--json": json_file})
     table: list[dict[str, Any]] = []
-    for name in shipped_arms():
-        arm = load_arm(name)
+    for name in pickenv.arm.shipped_arms():
+        arm = pickenv.load_arm(name)
         kinds = "".join("P" if slides else "R" for slides in arm.nominal.prismatic)
         reach = round(1e3 * farthest(arm.nominal), 1)
         table.append({"name": name, "joints": kinds, "reach_mm": reach, "source": arm.source})
@@ -39,60 +46,81 @@ def arms(json_file: JsonFile = None) -> None:
 
 
 def effects(
-    plant: Annotated[str, Option(help="Plant preset or plant file (.toml).")] = "orchard",
-    reaches: Annotated[int, Option(help="Reaches to average over.", min=2)] = 300,
-    dwell: Annotated[float, Option(help="Waiting time after arrival, s.", min=0.0)] = 0.5,
-    hours: Annotated[float, Option(help="Time since the machine was switched on, h.", min=0.0)] = 2.0,
-    seed: Annotated[int, Option(help="Seed of the reaches.", min=0)] = 0,
-    json_file: JsonFile = None,
+    plant: str = "orchard",
+    reaches: Annotated[int, Option(min=2, callback=limited("reaches"))] = 300,
+    dwell: Annotated[float, Option(min=0.0, callback=limited("dwell_s"))] = 0.5,
+    hours: Annotated[float, Option(min=0.0, callback=limited("hours"))] = 2.0,
+    seed: Annotated[int, Option(min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
-    """Each effect's share of the tip error of a simulated arm, in mm: alone, what is left without it, and all."""
+    """Each effect's share of the tip error of a simulated arm, in mm: alone, what is left without it, and all.
+
+    Args:
+        plant: Plant preset or plant file (.toml).
+        reaches: Reaches to average over.
+        dwell: Waiting time after arrival, s.
+        hours: Time since the machine was switched on, h.
+        seed: Seed of the reaches.
+        json_file: Write the figures to this file.
+
+    Examples:
+        pickenv effects --plant orchard
+
+    More: commands.md
+    """
     import numpy as np
 
-    from pickenv.arm import load_plant
-    from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares
+    from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares, shares_report
 
-    check_limit("--reaches", reaches, "reaches")
-    check_limit("--dwell", dwell, "dwell_s")
-    check_limit("--hours", hours, "hours")
     separate({"--plant": plant}, {"--json": json_file})
-    machine = load_plant(plant)
+    machine = pickenv.load_plant(plant)
     joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
     shares = effect_shares(machine, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
-    deliver([(json_file, shares.as_dict())], shares.report())
+    deliver([(json_file, shares)], shares_report(shares))
 
 
 def iso9283(
-    plant: Annotated[str, Option(help="Plant preset or plant file (.toml).")] = "orchard",
-    calibration: Annotated[Path | None, Option(help="Fitted calibration (.npz) to test as well.")] = None,
-    allow: Annotated[
-        list[str] | None, Option(help="Test the calibration in spite of this: fitted-frames, do-not-use.")
-    ] = None,
-    cycles: Annotated[int, Option(help="Measurements per pose; 30 by the standard.", min=2)] = 30,
-    speed: Annotated[float, Option(help="Share of the largest speed.", min=0.01, max=1.0)] = 1.0,
-    dwell: Annotated[float, Option(help="Waiting time before each measurement, s.", min=0.0)] = 2.0,
-    seed: Annotated[int, Option(help="Seed of friction and instrument noise.", min=0)] = 0,
-    json_file: JsonFile = None,
-    out: Annotated[Path | None, Option(help="Run folder for `pickenv figures` and `pickenv report`.")] = None,
+    plant: str = "orchard",
+    calibration: Path | None = None,
+    allow: list[str] | None = None,
+    cycles: Annotated[int, Option(min=2, callback=limited("cycles"))] = 30,
+    speed: Annotated[float, Option(min=0.01, max=1.0)] = 1.0,
+    dwell: Annotated[float, Option(min=0.0, callback=limited("dwell_s"))] = 2.0,
+    seed: Annotated[int, Option(min=0)] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    out: Path | None = None,
 ) -> None:
-    """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated."""
+    """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated.
+
+    Args:
+        plant: Plant preset or plant file (.toml).
+        calibration: Fitted calibration (.npz) to test as well.
+        allow: Test the calibration in spite of this: fitted-frames, do-not-use.
+        cycles: Measurements per pose; 30 by the standard.
+        speed: Share of the largest speed.
+        dwell: Waiting time before each measurement, s.
+        seed: Seed of friction and instrument noise.
+        json_file: Write the figures to this file.
+        out: Run folder for `pickenv figures` and `pickenv report`.
+
+    Examples:
+        pickenv iso9283 --plant qiao2026 --out runs/iso
+
+    More: commands.md
+    """
     typed = dict(locals())
     import numpy as np
 
-    from pickenv.arm import load_plant
     from pickenv.arm.plant.campaign import Pace
     from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283 as test
-    from pickenv.calibration import Calibration
     from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
 
-    check_limit("--cycles", cycles, "cycles")
-    check_limit("--dwell", dwell, "dwell_s")
     separate(
         {"--plant": plant, "--calibration": [] if calibration is None else [calibration, f"{calibration}.npz"]},
         {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},
     )
-    machine = load_plant(plant)
-    fitted = Calibration.load(calibration, machine.arm) if calibration is not None else None
+    machine = pickenv.load_plant(plant)
+    fitted = pickenv.Calibration.load(calibration, machine.arm) if calibration is not None else None
     if fitted is not None:
         obey(fitted.reservations(), allow or ())
     result = test(
@@ -115,39 +143,53 @@ WIDE = 170
 
 
 def conditions(
-    subject: Annotated[str, Argument(help="Plant preset or plant file (.toml), or fitted calibration (.npz).")],
-    plant: Annotated[str, Option(help="The simulated arm that a calibration is judged on.")] = "orchard",
-    payload: Annotated[float, Option(help="Largest payload, kg.", min=0.0)] = 0.5,
-    weather: Annotated[float, Option(help="How much cooler or warmer a day may be, K.", min=0.0)] = 10.0,
-    hours: Annotated[float, Option(help="Length of a working day, h.", min=0.0)] = 8.0,
-    arms: Annotated[int, Option(help="Drawn arms; fewer than 10 have no intervals.", min=1)] = 10,
-    tolerances: Annotated[str, Option(help="Tolerance class that arms are drawn from.")] = "medium",
-    sessions: Annotated[int, Option(help="Training sessions, each under other conditions.", min=2)] = 12,
-    poses: Annotated[int, Option(help="Poses of a session.", min=5)] = 25,
-    residual: Annotated[str, Option(help="What learns the rest: {residual}.")] = "rbf",
-    allow: Annotated[
-        list[str] | None, Option(help="Judge the calibration in spite of this: fitted-frames, do-not-use.")
-    ] = None,
-    seed: Annotated[int, Option(help="Seed of everything random.", min=0)] = 0,
-    json_file: Annotated[Path | None, Option("--json", help="Write the figures to this file.")] = None,
-    out: Annotated[Path | None, Option(help="Run folder with figure and page.")] = None,
+    subject: str,
+    plant: str = "orchard",
+    payload: Annotated[float, Option(min=0.0, callback=limited("payload_kg"))] = 0.5,
+    weather: Annotated[float, Option(min=0.0, callback=limited("weather_K"))] = 10.0,
+    hours: Annotated[float, Option(min=0.0, callback=limited("hours"))] = 8.0,
+    arms: Annotated[int, Option(min=1, callback=limited("arms"))] = 10,
+    tolerances: str = "medium",
+    sessions: Annotated[int, Option(min=2, callback=limited("poses"))] = 12,
+    poses: Annotated[int, Option(min=5, callback=limited("poses"))] = 25,
+    residual: str = "rbf",
+    allow: list[str] | None = None,
+    seed: Annotated[int, Option(min=0, callback=limited("seed"))] = 0,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+    out: Path | None = None,
 ) -> None:
-    """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves."""
+    """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves.
+
+    Args:
+        subject: Plant preset or plant file (.toml), or fitted calibration (.npz).
+        plant: The simulated arm that a calibration is judged on.
+        payload: Largest payload, kg.
+        weather: How much cooler or warmer a day may be, K.
+        hours: Length of a working day, h.
+        arms: Drawn arms; fewer than 10 have no intervals.
+        tolerances: Tolerance class that arms are drawn from.
+        sessions: Training sessions, each under other conditions.
+        poses: Poses of a session.
+        residual: What learns the rest: {residual}.
+        allow: Judge the calibration in spite of this: fitted-frames, do-not-use.
+        seed: Seed of everything random.
+        json_file: Write the figures to this file.
+        out: Run folder with figure and page.
+
+    Examples:
+        pickenv conditions orchard --out runs/conditions
+
+    More: conditions.md
+    """
     typed = dict(locals())
-    from pickenv.arm import load_plant
-    from pickenv.calibration import Calibration
     from pickenv.experiments.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
-    numbers = {"--payload": (payload, "payload_kg"), "--hours": (hours, "hours"), "--arms": (arms, "arms")}
-    numbers |= {"--weather": (weather, "weather_K"), "--poses": (poses, "poses"), "--sessions": (sessions, "poses")}
-    for option, (value, quantity) in (numbers | {"--seed": (seed, "seed")}).items():
-        check_limit(option, value, quantity)
     is_calibration = subject.endswith(".npz")
     folder = [] if out is None else [out / RECORD, out / CONDITIONS]
     separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
-    machine = load_plant(plant if is_calibration else subject)
-    fitted = Calibration.load(subject, machine.arm) if is_calibration else None
+    machine = pickenv.load_plant(plant if is_calibration else subject)
+    fitted = pickenv.Calibration.load(subject, machine.arm) if is_calibration else None
     if fitted is not None:
         obey(fitted.reservations(), allow or ())
     ranges = ConditionRanges(payload, weather, hours)
@@ -157,12 +199,11 @@ def conditions(
 
     def write_run(folder: Path) -> list[Path]:
         from pickenv.base import write_text
-        from pickenv.inspect import write_drawings
         from pickenv.inspect.reports.conditions_report import drawings, page
 
         with recorded_run(folder, "conditions", command_of(conditions, typed), seed) as run:
             written = [write_json(folder / CONDITIONS, result)]
-            written += write_drawings(drawings(run), folder / "figures")
+            written += pickenv.inspect.write_drawings(drawings(run), folder / "figures")
             return [*written, write_text(folder / REPORT, page(run))]
 
     def show() -> None:

@@ -1,7 +1,8 @@
 """The words of commands: progress bars on standard error, so that standard output stays clean, tables, names in help.
 
-The library names its parameters, in backticks; commands print options in their place (`with_options`). Results are
-saved first, then printed, so that a screen that fails costs nothing (`deliver`).
+A command's docstring is its help (`CommandOfNames`). The library names its parameters, in backticks; commands print
+options in their place (`with_options`). Results are saved first, then printed, so that a screen that fails costs
+nothing (`deliver`).
 """
 
 from __future__ import annotations
@@ -14,21 +15,50 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
+from importlib import metadata
+from inspect import signature
 from pathlib import Path
 from typing import Any, TypeAlias, get_type_hints
 
+from typer import CallbackParam
 from typer.core import TyperArgument, TyperCommand, TyperOption
-from typer.models import ArgumentInfo
+from typer.models import ArgumentInfo, OptionInfo
 
-from pickenv.base import InputError, command_line, screen_width, side_by_side, write_json, write_text
+from pickenv.base import InputError, check_limit, command_line, screen_width, side_by_side, write_json, write_text
 from pickenv.base.registry import names
+
+
+def pages_address() -> str:
+    """Where the pages stand: the address that the package itself names, or the folder of a checkout."""
+    try:
+        addresses = metadata.metadata("pickenv").get_all("Project-URL") or []
+    except metadata.PackageNotFoundError:
+        addresses = []
+    return next((text.partition(", ")[2] for text in addresses if text.startswith("Documentation, ")), "docs")
+
 
 WIDTH = 150
 """Characters of a table that goes elsewhere than to a terminal."""
 
 
 class CommandOfNames(TyperCommand):
-    """A command whose help says ``{residual}`` where the names of all registered residual models belong."""
+    """A command whose help is its docstring: options by "Args:", and "Examples:" and "More:" at the end.
+
+    It says ``{residual}`` where the names of all registered residual models belong.
+    """
+
+    def __init__(self, *args: Any, help: str | None, params: list[Any], **more: Any) -> None:
+        """Take the docstring apart."""
+        text, _, end = (help or "").partition("\n\nExamples:\n")
+        text, _, options = text.partition("\n\nArgs:\n")
+        helps = dict(re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", options, re.MULTILINE))
+        for param in params:
+            param.help = " ".join(helps.get(param.name, "").split()) or param.help
+        if end:
+            lines, _, page = end.partition("\n\nMore: ")
+            typed = [f"[bold]{line.strip()}[/bold]" for line in lines.split("\n")]
+            more["epilog"] = "\n\n".join(["Examples:", *typed, f"More: {pages_address()}/{page}"])
+        super().__init__(*args, help=text, params=params, **more)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Put the names in, which are looked for only now."""
@@ -116,14 +146,17 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
         values: Values by parameter.
     """
     words, options = ["pickenv", command.__name__.replace("_", "-")], dict[str, Any]()
+    parameters = signature(command).parameters
     for name, hint in get_type_hints(command, include_extras=True).items():
         if name in WRITTEN or name == "return":
             continue
-        declared, value = hint.__metadata__[0], values[name]
-        if isinstance(declared, ArgumentInfo):
+        declared, value = next(iter(getattr(hint, "__metadata__", ())), None), values[name]
+        required = parameters[name].default is parameters[name].empty
+        if isinstance(declared, ArgumentInfo) or (required and not isinstance(declared, OptionInfo)):
             words += value if isinstance(value, list) else [value]
             continue
-        option, _, opposite = (declared.default if isinstance(declared.default, str) else name).partition("/")
+        given = getattr(declared, "default", None)
+        option, _, opposite = (given if isinstance(given, str) else name).partition("/")
         options |= {opposite.strip("-"): not value} if opposite else {option.strip("-"): value}
     return command_line(*words, **options)
 
@@ -131,6 +164,17 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
 def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
     """The values whose names are those of fields of a dataclass."""
     return {attribute.name: values[attribute.name] for attribute in fields(kind) if attribute.name in values}
+
+
+def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:
+    """What an option calls back to refuse a number beyond the limits of its quantity (`pickenv.base.LIMITS`)."""
+
+    def checked(param: CallbackParam, value: Any) -> Any:
+        if value is not None:
+            check_limit(param.opts[0], value, quantity)
+        return value
+
+    return checked
 
 
 Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]] | str | Mapping[str, Any] | list[Any]]

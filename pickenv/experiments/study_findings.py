@@ -29,7 +29,7 @@ from pickenv.experiments.study_rows import Row, held, quantiles_of, read_rows, s
 from pickenv.experiments.study_variance import sensitivities_of
 from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours
 from pickenv.inspect.figures import style
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import alike, headline
 from pickenv.inspect.reports.report_page import PageVerdict
 from pickenv.inspect.runs.number_words import percent
@@ -315,14 +315,14 @@ def study_drawings(findings: Findings) -> Drawings:
     """The figures of a study."""
     rows, specification = findings.yields, specified(findings.protocol.config)
     has_results = any(row["failed"] < row["arms"] for row in rows)
-    drawings: list[Drawing | NotDrawn] = []
+    drawings: list[Drawing] = []
 
     def add(name: str, caption: str, figure: Callable[..., Figure], *arguments: Any) -> None:
         drawings.append(Drawing(name, caption, partial(figure, *arguments)))
 
     for along, (words, *_) in AXES.items():
         if along not in varied(rows):
-            drawings.append(NotDrawn(f"yield_by_{along}", f"the study does not vary {words}"))
+            drawings.append(Drawing(f"yield_by_{along}", f"the study does not vary {words}"))
             continue
         caption = f"Share of arms that pick {specification}, against {words}, with Wilson 95 % bands."
         add(f"yield_by_{along}", caption, yield_curves, rows, along, specification)
@@ -335,14 +335,14 @@ def study_drawings(findings: Findings) -> Drawings:
     for setting, shares in findings.sensitivities.items():
         name, label = f"sensitivity_{_word(rows[setting])}", findings.label(setting)
         if isinstance(shares, str):
-            drawings.append(NotDrawn(name, shares))
+            drawings.append(Drawing(name, shares))
         else:
             caption = f"What each tolerance explains of the variance between arms, each at its own fruit: {label}."
             add(name, caption, tornado, shares, label)
     for setting, placement in findings.placements.items():
         name = f"placement_{_word(rows[setting])}"
         if isinstance(placement, str):
-            drawings.append(NotDrawn(name, placement))
+            drawings.append(Drawing(name, placement))
         else:
             caption = f"Where {placement.arm} stands in its population: {findings.label(setting)}."
             add(name, caption, arm_among_population, findings.dense, setting, placement)

@@ -94,7 +94,7 @@ def study_page(folder: str | Path, findings: study_findings.Findings) -> str:
         InputError: If the study is not finished.
     """
     summary, config = read_summary(folder), findings.protocol.config
-    drawings = [d for d in study_findings.study_drawings(findings) if isinstance(d, Drawing)]
+    drawings = [d for d in study_findings.study_drawings(findings) if d.draw is not None]
 
     def figures(start: str) -> tuple[Drawing, ...]:
         return tuple(drawing for drawing in drawings if drawing.name.startswith(start))

@@ -5,9 +5,7 @@ from .harvest_run import (
     Round as Round,
     Strategy as Strategy,
     funnel as funnel,
-    funnel_shares as funnel_shares,
     harvest as harvest,
-    summary as summary,
     work_trees as work_trees,
 )
 from .interference import arm_distances as arm_distances, pairs_of as pairs_of

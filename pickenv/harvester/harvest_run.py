@@ -2,11 +2,7 @@
 
 Many trees go on in step, so that the true arms of a zone are computed for all of them at once. Each tree draws from a
 generator of its own, so results do not depend on which trees go together. `work_trees` draws the same trees for
-every strategy from one seed, whatever the number of workers.
-
-`summary` says what the harvests were worth, with 95 % intervals over trees: fruit of one tree share their machine
-stops, so a tree counts as one. With fewer than ten trees there is no interval, nor is there one of a count of rare
-events or of an extreme. Units: m, rad, s.
+every strategy from one seed, whatever the number of workers. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -21,13 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array
-from pickenv.arm.plant.plant_batch import leaves
-from pickenv.base import InputError, clustered_share_interval, ratio_interval
+from pickenv.base import InputError
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
 from pickenv.harvester.machine import Machine, master_time
 from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_points import pick_point
-from pickenv.harvester.picking import Luck, Outcome, Picking, attempt, displacements, draw_luck
+from pickenv.harvester.picking import Luck, Picking, attempt, displacements, draw_luck
 from pickenv.harvester.trees import Orchard, Tree, sample_tree, tree_leaves
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
@@ -76,7 +71,7 @@ class Round:
         times: When each pick happened.
         closest: Least distance between the centre lines of two arms, m; infinite for one arm.
         skipped: Tree numbers of fruit located but out of every arm's reach.
-        outcome: What became of each pick, once they are done.
+        collected: Whether each pick brought an undamaged fruit into a tube, once they are done, (picks,).
     """
 
     zone: Zone
@@ -88,7 +83,7 @@ class Round:
     times: Timetable
     closest: float
     skipped: tuple[int, ...]
-    outcome: Outcome = field(init=False)
+    collected: Flags = field(init=False)
 
     @property
     def fruit(self) -> NDArray[np.int64]:
@@ -253,27 +248,27 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
     rng, times, numbers = state.rng, plan.times, plan.fruit
     arm = times.arm
     tips = tips + rng.normal(size=(len(arm), 2, 3)).sum(axis=1) * true.repeatability
-    outcome = _outcome(model, state, numbers, tips, times.start + plan.work.out[arm, times.fruit])
+    attached, detached, collected = _outcome(model, state, numbers, tips, times.start + plan.work.out[arm, times.fruit])
     hung = numbers >= 0
     fruit = numbers[hung]
     state.repicks += int(state.attempted[fruit].sum())
     state.misled += int((~hung).sum())
     state.attempted[fruit] = True
-    state.attached[fruit] |= outcome.attached[hung]
-    state.detached[fruit] = outcome.detached[hung]  # only what hangs is picked
-    state.collected[fruit] = outcome.collected[hung]
+    state.attached[fruit] |= attached[hung]
+    state.detached[fruit] = detached[hung]  # only what hangs is picked
+    state.collected[fruit] = collected[hung]
     state.by_arm[fruit] = arm[hung]
-    np.add.at(state.load, arm[outcome.collected], 1)
-    plan.outcome = outcome
+    np.add.at(state.load, arm[collected], 1)
+    plan.collected = collected
     state.rounds.append(plan)
     state.spend("pick", times.makespan)
     if strategy.unload_full and state.load.max() >= true.machine.cycle.tube_fruit:
         _unload(true.machine, state)
-    return bool((~outcome.detached).any())
+    return bool((~detached).any())
 
 
-def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: Array, entry: Array) -> Outcome:
-    """Outcome of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
+def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: Array, entry: Array) -> Flags:
+    """What `attempt` says (3, picks) of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
 
     A cup that was sent where no fruit is comes back empty, but pushes the foliage all the same.
     """
@@ -290,14 +285,9 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
     real_luck = Luck(*(values[real] for values in luck))
     diameters = tree.diameters[numbers[mine]]
     done = attempt(model, tips[mine], places[mine], shifts[real], diameters, tree.fruit[hanging], real_luck)
-    empty = Outcome(
-        lateral=np.full(len(numbers), np.inf),
-        displaced=np.linalg.norm(shifts, axis=-1)[np.argsort(order)],
-        **{name: np.zeros(len(numbers), dtype=bool) for name in ("attached", "detached", "collected")},
-    )
-    for mine_too, values in zip(leaves(empty), leaves(done), strict=True):
-        mine_too[mine] = values
-    return empty
+    flags = np.zeros((3, len(numbers)), dtype=bool)
+    flags[:, mine] = done
+    return flags
 
 
 def _unload(machine: Machine, state: Harvest) -> None:
@@ -373,7 +363,6 @@ def work_trees(
 
 
 STAGES = ("present", "visible", "located", "reachable", "attempted", "attached", "detached", "collected")
-ROUND_NUMBERS = ("makespan", "busy", "held", "waits", "parallel", "travel", "picks", "collisions")
 
 
 @dataclass(frozen=True)
@@ -391,103 +380,11 @@ class Measure:
 
 def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
     """Fruit at each stage, over all harvests."""
-    return {stage: int(sum(_at_stage(h, stage) for h in harvests)) for stage in STAGES}
+    return {stage: int(sum(at_stage(h, stage) for h in harvests)) for stage in STAGES}
 
 
-def funnel_shares(harvests: Sequence[Harvest]) -> dict[str, Measure]:
-    """Share of the fruit present that comes to each stage."""
-    present = np.array([float(len(h.tree)) for h in harvests])
-    return {stage: _share(np.array([float(_at_stage(h, stage)) for h in harvests]), present) for stage in STAGES}
-
-
-def _at_stage(harvest: Harvest, stage: str) -> int:
+def at_stage(harvest: Harvest, stage: str) -> int:
+    """Fruit of one tree at a stage."""
     if stage == "present":
         return len(harvest.tree)
     return int(getattr(harvest, "seen" if stage == "visible" else stage).sum())
-
-
-def _share(taken: Array, tried: Array) -> Measure:
-    """Of fruit, which come in trees."""
-    if not tried.sum():
-        return Measure(0.0)
-    return Measure(float(taken.sum() / tried.sum()), *(clustered_share_interval(taken, tried) or ()))
-
-
-def summary(machine: Machine, harvests: Sequence[Harvest]) -> dict[str, Measure]:
-    """Measures over trees, with intervals where there are ten trees or more.
-
-    ``recovery`` is collected over reachable fruit, ``harvested`` collected over present; ``collisions`` are rounds
-    whose arms came nearer than two radii, ``closest`` the nearest that any came; both stand alone.
-
-    Raises:
-        InputError: If there are no harvests.
-    """
-    if not harvests:
-        raise InputError("there is no harvest to sum up; work at least one tree")
-    rows = [_tree_numbers(machine, h) for h in harvests]
-    names, sums = list(rows[0]), np.array([list(row.values()) for row in rows])
-    table = dict(zip(names, sums.T, strict=True))
-
-    def ratio(part: str, of: str, scale: float = 1.0, *, rest: bool = False) -> Measure:
-        """A ratio of sums over trees, or one minus it."""
-        over, under = table[part], table[of]
-        shown = float(over.sum()) / max(float(under.sum()), 1e-12), *(ratio_interval(over, under) or ())
-        value, *ends = (1.0 - scale * number if rest else scale * number for number in shown)
-        return Measure(value, *sorted(ends))
-
-    measures = {
-        "recovery": _share(table["collected"], table["reachable"]),
-        "harvested": _share(table["collected"], table["present"]),
-        "picks_per_hour": ratio("collected", "seconds", 3600.0),
-        "seconds_per_tree": ratio("seconds", "trees"),
-        "makespan": ratio("makespan", "zones"),
-        "idle_share": ratio("busy", "makespan", 1.0 / machine.arms, rest=True),
-        "parallel_ratio": ratio("parallel", "makespan"),
-        "held_per_pick": ratio("held", "picks"),
-        "wait_events": ratio("waits", "picks"),
-        "travel_per_pick": ratio("travel", "picks"),
-        "repicks_per_tree": ratio("repicks", "trees"),
-        "misled_per_tree": ratio("misled", "trees"),
-        "collisions": Measure(float(table["collisions"].sum())),
-    }
-    closest = [min((r.closest for r in h.rounds), default=np.inf) for h in harvests]
-    if np.isfinite(min(closest)):
-        measures["closest"] = Measure(min(closest))
-    return measures
-
-
-def _tree_numbers(machine: Machine, harvest: Harvest) -> dict[str, float]:
-    """Sums of one tree."""
-    rounds = [_round_numbers(machine, r) for r in harvest.rounds]
-    return {
-        **{stage: float(_at_stage(harvest, stage)) for stage in ("collected", "reachable", "present")},
-        "seconds": harvest.seconds,
-        "repicks": float(harvest.repicks),
-        "misled": float(harvest.misled),
-        "trees": 1.0,
-        "zones": float(len(rounds)),
-        **{name: float(sum(numbers[name] for numbers in rounds)) for name in ROUND_NUMBERS},
-    }
-
-
-def _round_numbers(machine: Machine, r: Round) -> dict[str, float]:
-    """Sums of one round."""
-    times = r.times
-    edges = np.sort(np.concatenate([times.start, times.end]))
-    middle, lengths = (edges[1:] + edges[:-1]) / 2, np.diff(edges)
-    out = ((times.start[:, None] <= middle) & (middle < times.end[:, None])).sum(axis=0)
-    reach = np.hypot(*(r.aimed[:, 1] * r.aimed[:, 2], r.aimed[:, 2] - machine.slave_home[2]))
-    climbs = 0.0
-    for arm in range(machine.arms):
-        heights = [float(machine.slave_home[0]), *r.aimed[times.arm == arm, 0].tolist()]
-        climbs += float(np.abs(np.diff(heights)).sum())
-    return {
-        "makespan": times.makespan,
-        "busy": float((times.end - times.start).sum()),
-        "held": float(times.held.sum()),
-        "waits": float((times.held > 1e-6).sum()),
-        "parallel": float(lengths[out > 1].sum()),
-        "travel": 2 * float(reach.sum()) + climbs,
-        "picks": float(len(times.fruit)),
-        "collisions": float(r.closest < 2 * machine.body.radius),
-    }

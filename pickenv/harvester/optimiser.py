@@ -1,22 +1,21 @@
 """Plans, who picks what in which order, by the name of the method, and a makespan that no plan beats.
 
-Li's rule and the baselines that the field expects say it at once; a local search takes milliseconds, and CP-SAT
-(OR-Tools) serves where the last share matters. These two keep the no-overlap constraints of `Work.conflict`. Fruit out
-of every arm's reach is left out. Units: s.
+Li's rule and the baselines that the field expects say it at once; a local search takes milliseconds and keeps the
+no-overlap constraints of `Work.conflict`. Fruit out of every arm's reach is left out. Units: s.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache, partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
 from pickenv.arm import Array
-from pickenv.base import NUMBER, InputError, read_toml, require, toml_table
+from pickenv.base import NUMBER, InputError, read_toml, toml_table
 from pickenv.harvester.work import Plan, Work, last_arm, makespan_of
 from pickenv.harvester.zones import SHIPPED
 
@@ -120,10 +119,6 @@ def _ordered(work: Work, parts: list[list[int]], key: Callable[[int, float], flo
     )
 
 
-TICKS = 1000
-"""CP-SAT counts whole milliseconds."""
-
-
 def local_search(
     work: Work, rng: np.random.Generator | None = None, *, bound: float | None = None, patience: float = 1.0
 ) -> Plan:
@@ -145,7 +140,7 @@ def local_search(
     limit = lower_bound(work, integral=False) if bound is None else bound
     reached, duration = work.reached.tolist(), work.lists[0]
     current, current_cost = [list(fruit) for fruit in best], value
-    rounds = int(_effort().rounds * patience) * count
+    rounds = int(load_effort().rounds * patience) * count
     last = 0
     for step in range(rounds):
         if value <= limit * 1.01:
@@ -200,87 +195,6 @@ def _changed(
     return new
 
 
-def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float | None = None) -> Plan:
-    """Least makespan by constraint programming, started from `local_search`.
-
-    Fruit is an optional interval on each arm that reaches it; a circuit per arm orders them with their travel, and
-    conflicting excursions of two arms do not overlap.
-
-    Args:
-        work: The zone.
-        rng: For the local search.
-        seconds: Time limit of the solver.
-
-    Raises:
-        InputError: If OR-Tools is not installed.
-    """
-    limit = lower_bound(work)
-    start = local_search(work, rng, bound=limit, patience=6.0)
-    value = makespan_of(work, start)
-    if sum(len(fruit) for fruit in start) < 2 or value <= limit * 1.01:
-        return start
-    require("ortools")
-    from ortools.sat.python import cp_model
-
-    model: Any = cp_model.CpModel()
-    horizon = int(np.ceil(value * TICKS)) + 1
-    span = model.new_int_var(int(limit * TICKS), horizon, "makespan")
-    begin: dict[tuple[int, int], Any] = {}
-    present: dict[tuple[int, int], Any] = {}
-    intervals: dict[tuple[int, int], Any] = {}
-    for arm in range(work.arms):
-        arcs = [(0, 0, model.new_bool_var(f"idle {arm}"))]
-        mine = np.flatnonzero(work.reached[arm]).tolist()
-        for j in mine:
-            length = _ticks(work.duration[arm, j])
-            begin[arm, j] = model.new_int_var(_ticks(work.first[j]), horizon, f"start {arm} {j}")
-            present[arm, j] = model.new_bool_var(f"pick {arm} {j}")
-            intervals[arm, j] = model.new_optional_fixed_size_interval_var(
-                begin[arm, j], length, present[arm, j], f"excursion {arm} {j}"
-            )
-            model.add(begin[arm, j] + length <= span).only_enforce_if(present[arm, j])
-            arcs += [
-                (0, j + 1, model.new_bool_var(f"first {arm} {j}")),
-                (j + 1, 0, model.new_bool_var(f"last {arm} {j}")),
-                (j + 1, j + 1, ~present[arm, j]),
-            ]
-        for j in mine:
-            for k in mine:
-                if j != k:
-                    follows = model.new_bool_var(f"{arm}: {k} after {j}")
-                    arcs.append((j + 1, k + 1, follows))
-                    after = begin[arm, j] + _ticks(work.duration[arm, j]) + _ticks(work.travel[j, k])
-                    model.add(begin[arm, k] >= after).only_enforce_if(follows)
-        model.add_circuit(arcs)
-        if mine:
-            model.add_no_overlap([intervals[arm, j] for j in mine])
-    for j in np.flatnonzero(work.reachable).tolist():
-        model.add_exactly_one(present[arm, j] for arm in range(work.arms) if work.reached[arm, j])
-    for arm, j in intervals:
-        for second, k in intervals:
-            if arm < second and j != k and work.conflict[arm, j, second, k]:
-                model.add_no_overlap([intervals[arm, j], intervals[second, k]])
-    for key, literal in present.items():
-        model.add_hint(literal, key[1] in start[key[0]])
-    model.minimize(span)
-    solver: Any = cp_model.CpSolver()
-    solver.parameters.max_time_in_seconds = _effort().seconds if seconds is None else seconds
-    solver.parameters.num_workers = 1
-    solver.parameters.random_seed = 0
-    if solver.solve(model) not in (cp_model.OPTIMAL, cp_model.FEASIBLE):
-        return start
-    starts: list[list[tuple[int, int]]] = [[] for _ in range(work.arms)]
-    for (arm, j), literal in present.items():
-        if solver.value(literal):
-            starts[arm].append((solver.value(begin[arm, j]), j))
-    plan = tuple(tuple(j for _, j in sorted(fruit)) for fruit in starts)
-    return plan if makespan_of(work, plan) < value else start
-
-
-def _ticks(seconds: float) -> int:
-    return int(np.ceil(seconds * TICKS))
-
-
 @toml_table
 class Effort:
     """[optimiser] of a strategy file: rounds of the local search per fruit, and seconds of CP-SAT."""
@@ -289,7 +203,8 @@ class Effort:
     seconds: Annotated[float, NUMBER.positive]
 
 
-_effort = cache(partial(read_toml, Effort, SHIPPED, section="optimiser"))
+load_effort = cache(partial(read_toml, Effort, SHIPPED, section="optimiser"))
+"""Reads how long plans are searched for."""
 
 
 # A plan for a zone by the name of the method that makes it.
@@ -307,7 +222,6 @@ def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> P
         "columns": static_columns,
         "hungarian": hungarian_waves,
         "search": lambda work: local_search(work, rng),
-        "cp-sat": lambda work: cp_sat(work, rng),
     }
     if method not in methods:
         raise InputError(f"unknown assignment '{method}'; give one of {', '.join(methods)}")

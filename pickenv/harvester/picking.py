@@ -6,7 +6,6 @@ Units: m, kg, s.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -98,28 +97,9 @@ def draw_luck(rng: np.random.Generator, count: int) -> Luck:
     return Luck(grasp, cluster, cut, whole, rng.normal(size=count), rng.uniform(0.0, 2 * np.pi, count))
 
 
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """Outcomes of attempts, in the order of their times; each (picks,).
-
-    Attributes:
-        lateral: Distance of the fruit from the cup's axis, m.
-        displaced: How far earlier pushes had moved the fruit, m.
-        attached: Whether the fruit was in the cup.
-        detached: Whether its stalk was cut.
-        collected: Whether it came into the tube undamaged.
-    """
-
-    lateral: Array
-    displaced: Array
-    attached: Flags
-    detached: Flags
-    collected: Flags
-
-
 def attempt(
     model: Picking, tips: Array, fruit: Array, moved: Array, diameters: Array, others: Array, luck: Luck
-) -> Outcome:
+) -> tuple[Flags, Flags, Flags]:
     """Let cups go to fruit, one after another.
 
     Args:
@@ -130,6 +110,10 @@ def attempt(
         diameters: (picks,).
         others: Fruit that hangs and is not attempted here, (m, 3).
         luck: What chance decides.
+
+    Returns:
+        Whether each fruit was in the cup, whether its stalk was cut, and whether it came into the tube undamaged;
+        (picks,) each.
     """
     n = len(tips)
     offset = fruit + moved - tips
@@ -146,13 +130,7 @@ def attempt(
         attached[i] = alone[i] and (not crowded or luck.cluster[i] < model.cluster_success)
         hanging[i] = not (attached[i] and cut[i])
     detached = attached & cut
-    return Outcome(
-        lateral=lateral,
-        displaced=np.linalg.norm(moved, axis=-1),
-        attached=attached,
-        detached=detached,
-        collected=detached & (luck.whole < model.undamaged),
-    )
+    return attached, detached, detached & (luck.whole < model.undamaged)
 
 
 def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Flags:

@@ -47,7 +47,7 @@ class Zone:
     @property
     def view(self) -> Viewpoint:
         """The viewpoint of its picture: before its middle, at the machine's column."""
-        return Viewpoint(np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD)
+        return np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD
 
 
 @toml_table

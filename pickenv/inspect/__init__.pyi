@@ -1,6 +1,5 @@
 from .figures.plot_calibration import (
     joint_coverage as joint_coverage,
-    joint_ranges as joint_ranges,
     least_squares_convergence as least_squares_convergence,
     network_convergence as network_convergence,
     parameter_spectrum as parameter_spectrum,
@@ -35,7 +34,6 @@ from .figures.plot_policies import (
 )
 from .figures.run_drawings import (
     Drawing as Drawing,
-    NotDrawn as NotDrawn,
     comparison_drawings as comparison_drawings,
     trace_drawings as trace_drawings,
     write_drawings as write_drawings,
@@ -53,7 +51,6 @@ from .reports.calibration_report import (
 from .reports.report_page import (
     PageTable as PageTable,
     PageVerdict as PageVerdict,
-    Picture as Picture,
     Section as Section,
     drawings_of as drawings_of,
     html_of as html_of,
@@ -63,12 +60,10 @@ from .reports.report_page import (
 from .runs.calibration_trace import CalibrationTrace as CalibrationTrace, trace_of as trace_of
 from .runs.harvest_trace import (
     HarvestTrace as HarvestTrace,
-    JointCurves as JointCurves,
     PickedTree as PickedTree,
     picked_tree as picked_tree,
 )
 from .runs.matters import (
-    PickChange as PickChange,
     gripped as gripped,
     gripper_curves as gripper_curves,
     matters as matters,

@@ -7,14 +7,9 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Sequence
-from functools import cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-
-if TYPE_CHECKING:
-    from matplotlib.colors import ListedColormap
 
 Rgb = tuple[int, int, int]
 
@@ -49,22 +44,6 @@ ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_b
 
 ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
 """Of a harvester's arms, in turn."""
-
-TABLE = 2048
-
-# Sixth-degree polynomial fit to Viridis by Matt Zucker (public domain), constant term first. The Rerun viewer's own
-# Viridis is this polynomial, so arrows (coloured here) and voxels (coloured there) agree.
-_VIRIDIS = np.array(
-    [
-        [0.2777273272234177, 0.005407344544966578, 0.3340998053353061],
-        [0.1050930431085774, 1.404613529898575, 1.384590162594685],
-        [-0.3308618287255563, 0.214847559468213, 0.09509516302823659],
-        [-4.634230498983486, -5.799100973351585, -19.33244095627987],
-        [6.228269936347081, 14.17993336680509, 56.69055260068105],
-        [4.776384997670288, -13.74514537774601, -65.35303263337234],
-        [-5.435455855934631, 4.645852612178535, 26.3124352495832],
-    ]
-)
 
 
 def policy_key(name: str) -> str:
@@ -125,19 +104,7 @@ def arm_colour(arm: int) -> Rgb:
 
 def viridis(fraction: ArrayLike) -> NDArray[np.uint8]:
     """Viridis colours ``(..., 3)`` in 0..255 for fractions ``(...)``, which are clipped to 0..1."""
-    t = np.clip(np.asarray(fraction, dtype=float), 0.0, 1.0)
-    return _viridis_table()[np.asarray(np.round(t * (TABLE - 1)), dtype=np.intp)]
+    from matplotlib import colormaps
 
-
-def viridis_map() -> ListedColormap:
-    """Viridis for matplotlib."""
-    from matplotlib.colors import ListedColormap
-
-    return ListedColormap(viridis(np.linspace(0.0, 1.0, 256)) / 255.0)
-
-
-@cache
-def _viridis_table() -> NDArray[np.uint8]:
-    """The polynomial at `TABLE` fractions: finer than 8 bits can show, and quick for large fields."""
-    colour = np.polynomial.polynomial.polyval(np.linspace(0.0, 1.0, TABLE), _VIRIDIS).T
-    return np.asarray(np.round(np.clip(colour, 0.0, 1.0) * 255.0), dtype=np.uint8)
+    colours = colormaps["viridis"](np.clip(np.asarray(fraction, dtype=float), 0.0, 1.0), bytes=True)
+    return np.asarray(colours, dtype=np.uint8)[..., :3]

@@ -4,13 +4,11 @@ from .camera import (
     camera_frame as camera_frame,
     depth_bias as depth_bias,
     depth_noise as depth_noise,
-    detect as detect,
     detection_probability as detection_probability,
     in_image as in_image,
     load_camera as load_camera,
     measured_positions as measured_positions,
     orchard_frame as orchard_frame,
-    stereo_depth_noise as stereo_depth_noise,
 )
 from .canopy import (
     Canopy as Canopy,
@@ -43,6 +41,7 @@ from .fruit import (
     sample_diameters as sample_diameters,
     sample_strength as sample_strength,
     swing as swing,
+    swung as swung,
 )
 from .gripper import (
     CompliantHand as CompliantHand,
@@ -71,6 +70,7 @@ from .sight import (
     Viewpoint as Viewpoint,
     draw_chances as draw_chances,
     foliage as foliage,
+    left_eye as left_eye,
     load_eyes as load_eyes,
     load_sight_errors as load_sight_errors,
     next_picture as next_picture,
@@ -79,7 +79,6 @@ from .sight import (
 )
 from .vision import (
     CircleSearch as CircleSearch,
-    Detections as Detections,
     StereoCamera as StereoCamera,
     fruit_circles as fruit_circles,
     fruit_mask as fruit_mask,

@@ -7,18 +7,14 @@ r/2. Fruit drops out as it disappears. Units: m, px, lx.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import KW_ONLY, fields
-from pathlib import Path
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.base import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, InputError, Kinds, Unit, toml_table
+from pickenv.base import LX, NUMBER, PX, REQUIRED, SHARE, WHOLE_PX, InputError, Unit, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags
-from pickenv.orchard.vision import Detections
 
 DRAWS = 5  # normal numbers per measurement: three of noise, two for the side from which leaves hide the fruit
 
@@ -48,8 +44,8 @@ class Camera:
         lost_below: Visible share below which fruit is never found.
         found_above: Visible share above which only ``dropout`` loses it; linear between the two.
         occlusion_pull: Largest pull of the centroid to the visible side, in radii.
-        false_detections: Mean number of detections per image where there is no fruit.
-        light: Light in which it is used, unless told otherwise, lx.
+        false_detections: Mean number of detections per image where there is no fruit; environments leave them out.
+        light: Light in which it is used, lx.
     """
 
     name: str
@@ -83,62 +79,20 @@ class Camera:
             raise InputError(f"found_above {name} is {self.found_above}; give at least lost_below, {self.lost_below}")
 
 
-@toml_table
-class PairedCamera(Camera):
-    """A camera of a file that gives its base line and disparity noise: its depth noise follows from them.
-
-    Attributes:
-        baseline: m.
-        disparity_noise: px.
-    """
-
-    _: KW_ONLY
-    depth_noise: Annotated[float, Unit("mm_at_1m", 1e-3)] = float("nan")
-    baseline: Annotated[float, MM]
-    disparity_noise: Annotated[float, PX]
-
-    def __post_init__(self) -> None:
-        if not np.isnan(self.depth_noise):
-            raise InputError(f"camera '{self.name}' has depth_noise_mm_at_1m and baseline_mm; give one of them")
-        noise = stereo_depth_noise(self.focal_length, self.baseline, self.disparity_noise)
-        object.__setattr__(self, "depth_noise", noise)
-        super().__post_init__()
+load_camera = preset_files.loader("camera", Camera)
+"""Reads a camera by name (`shipped("camera")`) or from a path to a TOML file."""
 
 
-def camera_kind(table: Mapping[str, Any]) -> type[Camera]:
-    """The class of camera that a table of a file describes."""
-    return PairedCamera if "baseline_mm" in table else Camera
-
-
-CameraFile: TypeAlias = Annotated[Camera | PairedCamera, Kinds(camera_kind)]
-"""What a camera file holds."""
-
-
-def load_camera(name: str | Path) -> Camera:
-    """Read a camera by name (`shipped("camera")`) or from a path to a TOML file."""
-    camera = preset_files.load("camera", name, camera_kind)
-    return Camera(**{field.name: getattr(camera, field.name) for field in fields(Camera)})
-
-
-def stereo_depth_noise(focal_length: float, baseline: float, disparity_noise: float) -> float:
-    """Depth noise of a stereo pair at 1 m, in 1/m: σ_z = d² σ_disparity/(f_px b)."""
-    checks.positive("the focal length of a stereo pair (px)", focal_length)
-    checks.positive("the base line of a stereo pair (m)", baseline)
-    checks.not_negative("the disparity noise of a stereo pair (px)", disparity_noise)
-    return disparity_noise / (focal_length * baseline)
-
-
-def depth_noise(camera: Camera, distance: ArrayLike, light: ArrayLike | None = None) -> Array:
-    """Standard deviation along the line of sight, m, at distances in m under light in lx, the camera's own if None."""
+def depth_noise(camera: Camera, distance: ArrayLike) -> Array:
+    """Standard deviation along the line of sight, m, at distances in m."""
     law = np.hypot(camera.depth_noise_floor, camera.depth_noise * np.asarray(distance, dtype=float) ** 2)
-    light = camera.light if light is None else checks.numbers("the light (lx)", light, lowest=0.0)
-    return np.asarray(law * np.exp(camera.noise_growth * (light - camera.noise_light)))
+    return np.asarray(law * np.exp(camera.noise_growth * (camera.light - camera.noise_light)))
 
 
-def depth_bias(camera: Camera, distance: ArrayLike, light: ArrayLike | None = None) -> Array:
+def depth_bias(camera: Camera, distance: ArrayLike) -> Array:
     """Mean error along the line of sight, m; positive is too far."""
     beyond = np.asarray(distance, dtype=float) - camera.bias_distance
-    brighter = np.asarray(camera.light if light is None else light, dtype=float) - camera.bias_light
+    brighter = camera.light - camera.bias_light
     return np.asarray(camera.bias + camera.bias_per_distance * beyond + camera.bias_per_light * brighter)
 
 
@@ -156,7 +110,6 @@ def measured_positions(
     viewpoint: ArrayLike,
     draws: ArrayLike,
     *,
-    light: ArrayLike | None = None,
     visible: ArrayLike = 1.0,
     diameters: ArrayLike = 0.0,
     visible_side: ArrayLike | None = None,
@@ -168,7 +121,6 @@ def measured_positions(
         positions: True fruit centres, m, shape (..., 3).
         viewpoint: Camera positions, m, shape (..., 3).
         draws: Standard normal numbers, shape (..., DRAWS): the caller owns the randomness.
-        light: lx, shape (...); None is the camera's own.
         visible: Visible share of each fruit, shape (...).
         diameters: Fruit diameters, m, shape (...); they scale the pull of occlusion.
         visible_side: Directions in which the visible part lies, shape (..., 3), zero or None where leaves decide at
@@ -188,7 +140,7 @@ def measured_positions(
     ray = sight / distance[..., None]
     right, up = _across(ray)
     lateral = camera.pixel_noise * distance / camera.focal_length
-    along = depth_bias(camera, distance, light) + depth_noise(camera, distance, light) * draws[..., 2]
+    along = depth_bias(camera, distance) + depth_noise(camera, distance) * draws[..., 2]
     hidden = 1.0 - np.clip(checks.numbers("the visible share", visible), 0.0, 1.0)
     pull = camera.occlusion_pull * hidden * checks.numbers("fruit diameters", diameters, lowest=0.0) / 2
     chance = pull / np.maximum(np.hypot(draws[..., 3], draws[..., 4]), 1e-300)  # of a random side
@@ -230,58 +182,6 @@ def orchard_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike
     local = checks.points("positions", positions)
     return np.asarray(
         np.einsum("...ji,...j->...i", camera_axes(looking), local) + checks.points("viewpoint", viewpoint)
-    )
-
-
-def detect(
-    camera: Camera,
-    positions: ArrayLike,
-    diameters: ArrayLike,
-    viewpoint: ArrayLike,
-    looking: ArrayLike,
-    rng: np.random.Generator,
-    *,
-    light: float | None = None,
-    visible: ArrayLike = 1.0,
-    visible_side: ArrayLike | None = None,
-) -> Detections:
-    """One image: which fruit is reported, where, and what else is taken for fruit.
-
-    Args:
-        camera: Error model.
-        positions: True fruit centres, m, shape (n, 3).
-        diameters: Fruit diameters, m, shape (n,) or a number.
-        viewpoint: Camera position, m, shape (3,).
-        looking: Direction in which the camera looks, shape (3,).
-        rng: Source of every random draw; its use does not depend on what is found.
-        light: lx; None is the camera's own.
-        visible: Visible share of each fruit, see `occlusion`.
-        visible_side: From `occlusion`, too.
-
-    Returns:
-        Detections in the frame of ``positions``; confidence is the visible share, one half for false ones.
-    """
-    positions, diameters = checks.fruit_arrays(positions, diameters)
-    viewpoint = checks.points("the viewpoint", viewpoint)
-    count = len(positions)
-    share = np.broadcast_to(checks.numbers("the visible share", visible, lowest=0.0), (count,))
-    chance, draws = rng.random(count), rng.normal(size=(count, DRAWS))
-    distance = np.linalg.norm(positions - viewpoint, axis=-1)
-    reported = chance < detection_probability(camera, distance, share)
-    reported &= in_image(camera, positions, viewpoint, looking)
-    measured = measured_positions(
-        camera, positions, viewpoint, draws, light=light, visible=share, diameters=diameters, visible_side=visible_side
-    )
-    false = int(rng.poisson(camera.false_detections))
-    pixel = (rng.random((false, 2)) - 0.5) * np.array(camera.image) / camera.focal_length
-    far = distance.max() if count else camera.farthest
-    near = distance.min() if count else camera.nearest
-    depth = rng.uniform(near, far, size=(false, 1))
-    phantoms = orchard_frame(np.concatenate([pixel * depth, depth], axis=-1), viewpoint, looking)
-    return Detections(
-        positions=np.concatenate([measured[reported], phantoms]),
-        fruit=np.concatenate([np.flatnonzero(reported), np.full(false, -1)]).astype(np.int64),
-        confidence=np.concatenate([np.clip(share[reported], 0.0, 1.0), np.full(false, 0.5)]),
     )
 
 

@@ -5,8 +5,8 @@ whose mean depends on the row of blocks and whose variance/mean is common to all
 ``cluster_size`` apples. Blocks are independent: in the field neighbours correlate by 0.1 to 0.3.
 
 Fruit on its branch is a damped spring-pendulum, so that a push displaces fruit, and its neighbours, for a while: each
-axis obeys x'' + 2ζω x' + ω² x = F/m with ω² = g/l + k/m sideways and k/m upright; steps of constant force are solved
-exactly, whatever their length. Units: m, s, N, kg. Axes as in canopy.py: x, y sideways, z up.
+axis obeys x'' + 2ζω x' + ω² x = 0 with ω² = g/l + k/m sideways and k/m upright; steps are solved exactly, whatever
+their length. Units: m, s, N, kg. Axes as in canopy.py: x, y sideways, z up.
 """
 
 from __future__ import annotations
@@ -202,10 +202,7 @@ load_branch = preset_files.loader("branch", Branch)
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
     """Undamped angular frequencies along x, y, z, rad/s, shape (..., 3), for fruit masses (...) in kg."""
-    return _frequencies(branch, _moving_mass(branch, mass))
-
-
-def _frequencies(branch: Branch, moving: Array) -> Array:
+    moving = _moving_mass(branch, mass)
     omega = np.empty((*moving.shape, 3))
     omega[..., 0] = omega[..., 1] = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
     omega[..., 2] = np.sqrt(branch.stiffness_upright / moving)
@@ -213,14 +210,9 @@ def _frequencies(branch: Branch, moving: Array) -> Array:
 
 
 def swing(
-    branch: Branch,
-    displacement: ArrayLike,
-    velocity: ArrayLike,
-    mass: ArrayLike,
-    dt: ArrayLike,
-    force: ArrayLike = (0.0, 0.0, 0.0),
+    branch: Branch, displacement: ArrayLike, velocity: ArrayLike, mass: ArrayLike, dt: ArrayLike
 ) -> tuple[Array, Array]:
-    """Displacement and velocity of fruit after ``dt`` under a constant force.
+    """Displacement and velocity of fruit that swings freely, after ``dt``.
 
     Args:
         branch: What the fruit hangs from.
@@ -228,18 +220,19 @@ def swing(
         velocity: m/s, shape (..., 3).
         mass: Fruit masses, kg, shape (...).
         dt: s, shape (...); exact for any length.
-        force: On the fruit, N, shape (..., 3).
 
     Returns:
         Displacement and velocity, each of shape (..., 3).
     """
-    start = checks.points("the displacement of fruit", displacement)
+    x = checks.points("the displacement of fruit", displacement)
     speed = checks.points("the velocity of fruit", velocity)
     time = checks.numbers("the time step (s)", dt, lowest=0.0)[..., None]
-    moving = _moving_mass(branch, mass)
-    omega = _frequencies(branch, moving)
-    balance = checks.points("the force on fruit", force) / (moving[..., None] * omega**2)
-    zeta, x = branch.damping_ratio, start - balance
+    return swung(branch, x, speed, natural_frequencies(branch, mass), time)
+
+
+def swung(branch: Branch, x: Array, speed: Array, omega: Array, time: Array) -> tuple[Array, Array]:
+    """`swing` of numbers that are known to be sound, with `natural_frequencies` and times (..., 1)."""
+    zeta = branch.damping_ratio
     if zeta < 1.0:
         damped = omega * np.sqrt(1.0 - zeta**2)
         decay = np.exp(-zeta * omega * time)
@@ -253,7 +246,7 @@ def swing(
         even, odd = (slow + fast) / 2, (slow - fast) / (2 * omega * root)
     drag = zeta * omega
     return (
-        np.asarray(balance + (even + drag * odd) * x + odd * speed),
+        np.asarray((even + drag * odd) * x + odd * speed),
         np.asarray((even - drag * odd) * speed - omega**2 * odd * x),
     )
 

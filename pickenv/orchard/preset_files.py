@@ -63,12 +63,4 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
 
 def loader(kind: str, thing: type[Thing]) -> Callable[[str | Path], Thing]:
     """`load` of one kind: a function of a preset's name, or of a path."""
-    read = partial(load, kind, thing=thing)
-    article = "an" if kind[0] in "aeiou" else "a"
-    told = f"""Read {article} {kind.replace("_", " ")} by name (`shipped("{kind}")`) or from a path to a TOML file.
-
-    Raises:
-        InputError: If the preset is unknown or a number is missing or impossible; names the file and the key.
-    """
-    read.__doc__ = told
-    return read
+    return partial(load, kind, thing=thing)

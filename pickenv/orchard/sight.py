@@ -215,16 +215,14 @@ def _errors_in(canopy: Canopy, detector: str) -> SightErrors:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Viewpoint:
-    """The middle of the stereo pair, m, and its direction of view, (3,) each, in any frame with z up."""
+Viewpoint = tuple[Array, Array]
+"""The middle of the stereo pair, m, and its direction of view, (3,) each, in any frame with z up."""
 
-    middle: Array
-    looking: Array
 
-    def left_eye(self, camera: stereo.StereoCamera) -> Array:
-        """The place of the left camera, m."""
-        return np.asarray(self.middle - camera.baseline / 2 * camera_axes(self.looking)[0])
+def left_eye(camera: stereo.StereoCamera, view: Viewpoint) -> Array:
+    """The place of the left camera, m."""
+    middle, looking = view
+    return np.asarray(middle - camera.baseline / 2 * camera_axes(looking)[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,33 +264,33 @@ def picture(
     looks: int = 1,
 ) -> StereoPair:
     """The pair of pictures that the eyes take; ``looks`` of them averaged, which only lowers the sensor's noise."""
-    camera, eye = eyes.camera, view.left_eye(eyes.camera)
+    camera, eye, looking = eyes.camera, left_eye(eyes.camera, view), view[1]
     if leaves is None:
         leaves = turned_leaves(np.zeros((0, 3)), eyes.look, rng)
-    places = camera_frame(leaves.places, eye, view.looking)
+    places = camera_frame(leaves.places, eye, looking)
     half = np.array(camera.image) / 2 / camera.focal_length
     edge = np.array([camera.baseline + eyes.look.leaf_length, eyes.look.leaf_length])
     visible = (np.abs(places[:, :2]) <= half * places[:, 2:] + edge).all(axis=1)
     leaves = Leaves(places[visible], leaves.shapes[visible], leaves.colours[visible])
     look = replace(eyes.look, pixel_noise=eyes.look.pixel_noise / np.sqrt(looks))
-    return render_stereo(camera, camera_frame(fruit, eye, view.looking), diameters, leaves, look, rng)
+    return render_stereo(camera, camera_frame(fruit, eye, looking), diameters, leaves, look, rng)
 
 
-def read_picture(eyes: Eyes, pair: StereoPair) -> stereo.Detections:
-    """Fruit that the detector finds, camera frame."""
+def read_picture(eyes: Eyes, pair: StereoPair) -> Array:
+    """Places of the fruit that the detector finds, camera frame, m, (k, 3)."""
     if eyes.detector == "circles":
-        return stereo.locate_circles(eyes.camera, eyes.search, pair.left, pair.right)
-    return stereo.locate(eyes.camera, pair.left, pair.right)
+        return stereo.locate_circles(eyes.camera, eyes.search, pair.left, pair.right)[0]
+    return stereo.locate(eyes.camera, pair.left, pair.right)[0]
 
 
 def located_fruit(
-    pair: StereoPair, detections: stereo.Detections, places: Array, diameters: ArrayLike
+    pair: StereoPair, detections: Array, places: Array, diameters: ArrayLike
 ) -> tuple[Flags, Array, Array]:
     """Fruit that the detections of a picture locate.
 
     Args:
         pair: The pictures.
-        detections: Of these pictures.
+        detections: What was found in them, camera frame, m, (k, 3).
         places: True centres in the camera frame, m, (n, 3).
         diameters: m, (n,).
 
@@ -303,12 +301,11 @@ def located_fruit(
     located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)
     if not len(visible):
-        return located, positions, detections.positions
+        return located, positions, detections
     matched = stereo.match_detections(detections, places[visible], SAME * float(np.max(diameters)))
-    true = matched.fruit >= 0
-    fruit = visible[matched.fruit[true]]
-    located[fruit], positions[fruit] = True, matched.positions[true]
-    return located, positions, matched.positions[~true]
+    fruit = visible[matched[matched >= 0]]
+    located[fruit], positions[fruit] = True, detections[matched >= 0]
+    return located, positions, detections[matched < 0]
 
 
 def see(
@@ -338,8 +335,8 @@ def see(
     if eyes.vision == "ideal":
         everything = np.ones(len(fruit), dtype=bool)
         return Sight(everything, everything, fruit.copy(), np.zeros((0, 3)))
-    eye = view.left_eye(eyes.camera)
-    places = camera_frame(fruit, eye, view.looking)
+    eye, looking = left_eye(eyes.camera, view), view[1]
+    places = camera_frame(fruit, eye, looking)
     if eyes.vision == "rendered":
         pair = picture(eyes, view, fruit, diameters, leaves, rng, looks)
         located, positions, false = located_fruit(pair, read_picture(eyes, pair), places, diameters)
@@ -349,7 +346,7 @@ def see(
         chances = draw_chances(rng, len(fruit)) if chances is None else chances
         in_sight, located, error = sighted(eyes.errors, places[:, 2], chances, looks)
         positions, false = places + error, _phantoms(eyes, eyes.errors.false_per_picture, rng)
-    positions, false = (orchard_frame(local, eye, view.looking) for local in (positions, false))
+    positions, false = (orchard_frame(local, eye, looking) for local in (positions, false))
     return Sight(in_sight, located, positions, false)
 
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -24,53 +23,29 @@ from pickenv.base import NUMBER, PX, SHARE, WHOLE, WHOLE_PX, InputError, require
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags, Integers
 
-# What any camera, modelled or rendered, tells the arm: where fruit is believed to be, and with what confidence.
-# Units: m.
 
-
-@dataclass(frozen=True, eq=False)
-class Detections:
-    """Fruit as a camera reports it.
-
-    Attributes:
-        positions: Believed fruit centres, m, shape (m, 3), in the frame in which the true fruit was given.
-        fruit: Index of the true fruit behind each detection, -1 where there is none or it is not known, shape (m,).
-        confidence: From 0 to 1, shape (m,).
-    """
-
-    positions: Array
-    fruit: Integers
-    confidence: Array
-
-    def __post_init__(self) -> None:
-        if self.positions.ndim != 2 or self.positions.shape[-1] != 3:
-            raise InputError(f"detected positions must have shape (m, 3), not {self.positions.shape}")
-        for name in ("fruit", "confidence"):
-            if getattr(self, name).shape != (len(self.positions),):
-                raise InputError(f"there are {len(self.positions)} detections but {name} has another length")
-
-    def __len__(self) -> int:
-        return len(self.positions)
-
-
-def match_detections(detections: Detections, positions: ArrayLike, within: float) -> Detections:
-    """Name the true fruit behind each detection: one to one, least total distance, none farther than ``within`` m.
+def match_detections(detections: ArrayLike, positions: ArrayLike, within: float) -> Integers:
+    """The true fruit behind each detection (m,): one to one, least total distance, none farther than ``within`` m.
 
     Args:
-        detections: What a camera reported; its fruit indices are ignored.
+        detections: Where fruit was found, m, shape (m, 3).
         positions: True fruit centres, m, shape (n, 3), in the same frame.
         within: Largest distance at which a detection counts as this fruit, m.
+
+    Returns:
+        Numbers of fruit, -1 where there is none.
     """
     from scipy.optimize import linear_sum_assignment
 
     checks.positive("the matching distance (m)", within)
+    seen = checks.points("detected positions", detections).reshape(-1, 3)
     truth = checks.points("true fruit positions", positions).reshape(-1, 3)
-    distance = np.linalg.norm(detections.positions[:, None] - truth[None], axis=-1)
-    rows, fruit = linear_sum_assignment(np.minimum(distance, 2 * within * max(len(detections), len(truth), 1)))
+    distance = np.linalg.norm(seen[:, None] - truth[None], axis=-1)
+    rows, fruit = linear_sum_assignment(np.minimum(distance, 2 * within * max(len(seen), len(truth), 1)))
     near = distance[rows, fruit] <= within
-    index = np.full(len(detections), -1, dtype=np.int64)
+    index = np.full(len(seen), -1, dtype=np.int64)
     index[rows[near]] = fruit[near]
-    return replace(detections, fruit=index)
+    return index
 
 
 # A stereo pair of pinhole cameras and the steps by which fruit is read from its pictures. Camera frame: x right, y
@@ -208,7 +183,7 @@ def matched_sizes(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[
             )
 
 
-def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> Detections:
+def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Array, Array]:
     """Fruit in the camera frame from a stereo pair.
 
     Args:
@@ -217,8 +192,7 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
         right: Right image, likewise.
 
     Returns:
-        One detection per region that finds its match in the right image; its confidence is the match's correlation,
-        and which true fruit it is, is not known (-1).
+        Places of the regions that find their match in the right image, m, (m, 3), and the matches' correlation (m,).
 
     Raises:
         InputError: If the images are not of the camera's size or are not colour images.
@@ -229,11 +203,11 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
     return _detections(camera, matches)
 
 
-def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> Detections:
-    """Detections of column, row, disparity and agreement, of those that agree well enough."""
+def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> tuple[Array, Array]:
+    """Places and agreement of column, row, disparity and agreement, of those that agree well enough."""
     pixels = np.array(matches, dtype=float).reshape(-1, 4)
     pixels = pixels[pixels[:, 3] >= camera.least_correlation]
-    return Detections(triangulate(camera, pixels[:, :3]), np.full(len(pixels), -1), np.minimum(pixels[:, 3], 1.0))
+    return triangulate(camera, pixels[:, :3]), np.minimum(pixels[:, 3], 1.0)
 
 
 def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers) -> tuple[float, float]:
@@ -415,7 +389,7 @@ def _filled(mask: Flags, column: float, row: float, radius: float) -> float:
 
 def locate_circles(
     camera: StereoCamera, search: CircleSearch, left: NDArray[np.uint8], right: NDArray[np.uint8]
-) -> Detections:
+) -> tuple[Array, Array]:
     """Fruit in the camera frame from a stereo pair; arguments and result as of `pickenv.orchard.vision.locate`."""
     matched_sizes(camera, left, right)
     (circles, mask), first, second = fruit_circles(search, left), red_minus_green(left), red_minus_green(right)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from pickenv.arm import Array, Geometry
 from pickenv.arm.kinematics.forward import drawn_parts, nominal_points, true_points
 from pickenv.pictures.solids import ring_around, turned
-from pickenv.pictures.stage import Balls, Mesh, Rgb, Rods, rgba
+from pickenv.pictures.stage import Mesh, Rgb, Rods, rgba, spheres
 
 GAIN = 20
 """The ghost stands so many times as far from the arm as the arm is from where its controller believes it to be."""
@@ -36,12 +36,8 @@ FOOT = 1.9
 TAPER, TELESCOPE, CAP = 0.5, 0.55, 1.28
 
 
-class Solids(NamedTuple):
-    """Parts of a picture."""
-
-    rods: tuple[Rods, ...] = ()
-    balls: tuple[Balls, ...] = ()
-    meshes: tuple[Mesh, ...] = ()
+Solids = tuple[tuple[Rods, ...], tuple[Rods, ...], tuple[Mesh, ...]]
+"""Parts of a picture, in the order in which a `pickenv.pictures.stage.Stage` takes them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +94,8 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
     reach = np.minimum(1.0, look.sleeve / length)[:, None]
     sleeve = (start + along * reach)[outer]
     tubes = Rods(start[outer], sleeve, look.radius[outer], rgba(accent or LINK, len(sleeve)))
-    joints = Balls(start, CAP * look.radius, rgba(JOINT, len(start)))
-    return Solids((inner, tubes), (joints,))
+    joints = spheres(start, CAP * look.radius, rgba(JOINT, len(start)))
+    return (inner, tubes), (joints,), ()
 
 
 def ghost_points(geometry: Geometry, command: ArrayLike, tool: Array, believed: Array) -> Array:
@@ -110,8 +106,8 @@ def ghost_points(geometry: Geometry, command: ArrayLike, tool: Array, believed: 
 def ghost_solids(look: ArmLook, points: Array) -> Solids:
     """An arm that is seen through."""
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
-    tip = Balls(points[-1:], 0.95 * look.radius[-1:], rgba(GHOST, 1, FAINT))
-    return Solids((Rods(start, end, 0.8 * look.radius, rgba(GHOST, len(start), FAINT)),), (tip,))
+    tip = spheres(points[-1:], 0.95 * look.radius[-1:], rgba(GHOST, 1, FAINT))
+    return (Rods(start, end, 0.8 * look.radius, rgba(GHOST, len(start), FAINT)),), (tip,), ()
 
 
 def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
@@ -120,7 +116,7 @@ def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
     inner = radius - WALL
     across = [0.4 * radius, 0.7 * radius, radius, radius, radius, inner, inner, inner, 0.6 * radius, 0.0]
     heights = deep * np.array([-1.35, -1.0, -0.55, 0.0, 0.0, 0.0, 0.0, -0.5, -0.9, -1.0])
-    return Solids(meshes=(turned(np.column_stack([across, heights]), tool, axis, GRIPPER),))
+    return (), (), (turned(np.column_stack([across, heights]), tool, axis, GRIPPER),)
 
 
 def hand_solids(tool: Array, axis: Array, radius: float, closed: bool) -> Solids:
@@ -131,7 +127,7 @@ def hand_solids(tool: Array, axis: Array, radius: float, closed: bool) -> Solids
     middle = tool + (1.1 if closed else 1.4) * radius * out - 0.7 * radius * axis
     start, end = np.concatenate([knuckle, middle]), np.concatenate([middle, tip])
     fingers = Rods(start, end, np.full(6, 0.2 * radius), rgba(GRIPPER, 6))
-    return Solids((fingers,), (Balls(palm[None], np.array([0.75 * radius]), rgba(JOINT, 1)),))
+    return (fingers,), (spheres(palm[None], np.array([0.75 * radius]), rgba(JOINT, 1)),), ()
 
 
 def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], length: float, colour: Rgb) -> Solids:
@@ -152,13 +148,10 @@ def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], lengt
     start, end = np.concatenate([np.broadcast_to(eye, (4, 3)), far]), np.concatenate([far, np.roll(far, -1, axis=0)])
     edges = Rods(start, end, np.full(8, 0.003), rgba(colour, 8))
     body = Rods((eye - 0.05 * ahead)[None], eye[None], np.array([0.028]), rgba(JOINT, 1))
-    return Solids((edges, body))
+    return (edges, body), (), ()
 
 
 def joined_solids(*parts: Solids) -> Solids:
     """All of several parts."""
-    return Solids(
-        tuple(rods for part in parts for rods in part.rods),
-        tuple(balls for part in parts for balls in part.balls),
-        tuple(mesh for part in parts for mesh in part.meshes),
-    )
+    rods, balls, meshes = zip(*parts, strict=True)
+    return tuple(chain(*rods)), tuple(chain(*balls)), tuple(chain(*meshes))

@@ -21,7 +21,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from pickenv.arm import Array
 from pickenv.base import InputError, is_there, require
-from pickenv.pictures.stage import CORNERS, Balls, Dial, Eye, Mesh, Pixels, Rgb, Rods, Stage, backdrop, ink
+from pickenv.pictures.stage import CORNERS, Dial, Eye, Mesh, Pixels, Rgb, Rods, Stage, backdrop, ink
 
 if TYPE_CHECKING:
     from pickenv.pictures.vtk_drawer import VtkDrawer
@@ -141,8 +141,8 @@ def _draw_stroke(line: tuple[float, ...], radius: float, colour: Array, pen: Ima
     pen.line([x0, y0 - up, x1, y1 - up], fill=light, width=max(round(1.1 * radius), 1))
 
 
-def _discs(balls: Balls, eye: Eye, size: tuple[int, int]) -> Iterator[Shape]:
-    centres = eye.project(balls.centre, size)
+def _discs(balls: Rods, eye: Eye, size: tuple[int, int]) -> Iterator[Shape]:
+    centres = eye.project(balls.start, size)
     for (x, y, depth), radius, colour in zip(centres.tolist(), balls.radius, balls.colour.astype(int), strict=True):
         if depth > NEAREST:
             scaled = float(radius * eye.pixels_per_metre(depth, size))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.pictures.stage import Balls, Colours, Mesh, Rgb, Rods, rgba
+from pickenv.pictures.stage import Colours, Mesh, Rgb, Rods, rgba
 
 AROUND, ARCS = 14, 4
 """Corners around a rod, and steps from its rim to its pole: as few as look round in a picture of 480 x 360 px."""
@@ -41,23 +41,16 @@ def _template() -> tuple[Array, NDArray[np.bool_], NDArray[np.intp]]:
 
 
 def rod_triangles(rods: Rods) -> Mesh:
-    """Rods as triangles, all of one template."""
+    """Rods as triangles, all of one template; those of no length are balls."""
     corners, far, faces = _template()
     along = rods.end - rods.start
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     z = np.where(length > 1e-9, along / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
     x = np.cross(z, np.where(np.abs(z[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
-    x /= np.linalg.norm(x, axis=-1, keepdims=True)
+    x = np.where(length > 1e-9, x / np.linalg.norm(x, axis=-1, keepdims=True), [1.0, 0.0, 0.0])
     normals = np.einsum("vk,nkj->nvj", corners, np.stack([x, np.cross(z, x), z], axis=1))
     ends = np.where(far[None, :, None], rods.end[:, None], rods.start[:, None])
     return _joined(ends + normals * rods.radius[:, None, None], normals, rods.colour, faces)
-
-
-def ball_triangles(balls: Balls) -> Mesh:
-    """Balls as triangles, all of one template."""
-    corners, _, faces = _template()
-    normals = np.broadcast_to(corners, (len(balls.centre), *corners.shape))
-    return _joined(balls.centre[:, None] + normals * balls.radius[:, None, None], normals, balls.colour, faces)
 
 
 def _joined(corners: Array, normals: Array, colour: Colours, faces: NDArray[np.intp]) -> Mesh:

@@ -40,19 +40,9 @@ class Rods:
     colour: Colours
 
 
-@dataclass(frozen=True, eq=False)
-class Balls:
-    """Spheres.
-
-    Attributes:
-        centre: ``(N, 3)``, m.
-        radius: ``(N,)``, m.
-        colour: Red, green, blue and opacity ``(N, 4)``, 0 to 255.
-    """
-
-    centre: Array
-    radius: Array
-    colour: Colours
+def spheres(centre: Array, radius: Array, colour: Colours) -> Rods:
+    """Balls: rods of no length, with centres ``(N, 3)``, m."""
+    return Rods(centre, centre, radius, colour)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +153,7 @@ class Stage:
 
     Attributes:
         eye: Whence it is seen.
-        rods: All of them, in any number of groups; likewise balls and meshes.
+        rods: All of them, in any number of groups; likewise balls (`spheres`) and meshes.
         still: Meshes that do not change between pictures: the same objects again, which a drawer may keep.
         words: In the order in which they are read.
         dial: The miss, drawn into the lower right corner, or None.
@@ -173,7 +163,7 @@ class Stage:
 
     eye: Eye
     rods: tuple[Rods, ...] = ()
-    balls: tuple[Balls, ...] = ()
+    balls: tuple[Rods, ...] = ()
     meshes: tuple[Mesh, ...] = ()
     still: tuple[Mesh, ...] = ()
     words: tuple[Words, ...] = ()

@@ -15,7 +15,7 @@ from pickenv.arm import Array
 from pickenv.orchard import load_look, sample_leaves
 from pickenv.pictures.arm_shapes import JOINT, Solids
 from pickenv.pictures.solids import chequered, leaf_mesh, rod_triangles, turned
-from pickenv.pictures.stage import Balls, Eye, Mesh, Rods, rgba
+from pickenv.pictures.stage import Eye, Mesh, Rods, rgba, spheres
 
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
 BARK, STEM = (122, 92, 66), (104, 84, 52)
@@ -33,12 +33,12 @@ def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, stems: boo
     """Fruit at ``places`` (N, 3) in colours (N, 3), each on its stem."""
     radius = np.broadcast_to(np.asarray(diameters, dtype=float) / 2, len(places))
     shades = np.column_stack([colours, np.full(len(places), 255)]).astype(np.uint8).reshape(-1, 4)
-    balls = Balls(places, radius, shades)
+    balls = spheres(places, radius, shades)
     if not stems:
-        return Solids(balls=(balls,))
+        return (), (balls,), ()
     top = places + radius[:, None] * [0.0, 0.0, 0.9]
     twigs = Rods(top, top + np.array([0.012, 0.0, TWIG]), np.full(len(places), 0.004), rgba(STEM, len(places)))
-    return Solids((twigs,), (balls,))
+    return (twigs,), (balls,), ()
 
 
 def sprig(place: Array, diameter: float) -> Solids:
@@ -47,7 +47,7 @@ def sprig(place: Array, diameter: float) -> Solids:
     ends = top + np.array([[-0.16, -0.05, -0.01], [0.14, 0.04, 0.03]])
     branch = Rods(ends[:1], ends[1:], np.array([0.009]), rgba(BARK, 1))
     rng = np.random.default_rng(0)
-    return Solids((branch,), meshes=(_leaves(top + rng.normal(0.0, 1.0, (9, 3)) * [0.09, 0.05, 0.025], rng),))
+    return (branch,), (), (_leaves(top + rng.normal(0.0, 1.0, (9, 3)) * [0.09, 0.05, 0.025], rng),)
 
 
 def _leaves(places: Array, rng: np.random.Generator) -> Mesh:
@@ -94,7 +94,9 @@ def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: 
     wide, along = 5, diameter * 1.05
     number = np.arange(count)
     place = np.stack([number % wide, (number // wide) % wide, number // wide**2], axis=-1) + 0.5
-    balls = fruit_solids(corner + along * place, diameter, np.broadcast_to(np.array(RIPE), (count, 3)), stems=False)
+    _, balls, _ = fruit_solids(
+        corner + along * place, diameter, np.broadcast_to(np.array(RIPE), (count, 3)), stems=False
+    )
     side = along * wide
     edge = np.array([[0, 0, 0], [side, 0, 0], [side, side, 0], [0, side, 0]], dtype=float)
     start = np.concatenate([corner + edge + [0.0, 0.0, z] for z in (0.0, 0.6 * along)])
@@ -102,7 +104,7 @@ def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: 
     feet = (corner + edge) * [1.0, 1.0, 0.0] + [0.0, 0.0, ground]
     start, end = np.concatenate([start, feet]), np.concatenate([end, corner + edge])
     slats = Rods(start, end, np.full(12, 0.008), rgba((196, 160, 110), 12))
-    return Solids((slats, *balls.rods), balls.balls)
+    return (slats,), balls, ()
 
 
 def fruit_colours(count: int) -> Array:

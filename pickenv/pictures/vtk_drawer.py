@@ -17,7 +17,7 @@ from vtkmodules.vtkCommonCore import vtkPoints, vtkUnsignedCharArray
 from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData
 from vtkmodules.vtkRenderingCore import vtkActor, vtkLight, vtkPolyDataMapper, vtkRenderer, vtkRenderWindow
 
-from pickenv.pictures.solids import all_triangles, ball_triangles, mesh_triangles, rod_triangles
+from pickenv.pictures.solids import all_triangles, mesh_triangles, rod_triangles
 from pickenv.pictures.stage import Eye, Mesh, Pixels, Stage, backdrop
 
 _NUMPY: Any = numpy_support  # it carries no annotations
@@ -58,8 +58,7 @@ class VtkDrawer:
     def draw(self, stage: Stage) -> Pixels:
         """The stage without its words, ``(height, width, 3)``."""
         self._keep(stage.still)
-        parts = [rod_triangles(rods) for rods in stage.rods if len(rods.start)]
-        parts += [ball_triangles(balls) for balls in stage.balls if len(balls.centre)]
+        parts = [rod_triangles(rods) for rods in (*stage.rods, *stage.balls) if len(rods.start)]
         parts += [mesh_triangles(mesh) for mesh in stage.meshes]
         for body, opaque in ((self.solid, True), (self.clear, False)):
             body.show(all_triangles([_some(part, opaque) for part in parts]))

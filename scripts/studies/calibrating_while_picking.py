@@ -19,7 +19,7 @@ import numpy as np
 from train_baselines import training_of
 
 import pickenv  # noqa: F401
-from pickenv.agents import AdaptiveReach, AdaptiveSettings, RememberingPolicy, load_remembering, train
+from pickenv.agents import AdaptiveReach, RememberingPolicy, load_remembering, train
 from pickenv.arm import Array, forward
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.base import seed_words, stream
@@ -76,9 +76,9 @@ class Remembering:
 class Filtering:
     """Aims as one Kalman filter per arm says."""
 
-    def __init__(self, settings: AdaptiveSettings) -> None:
-        std = float(np.hypot(settings.camera_std / np.sqrt(LOOKS), settings.unmodelled_std))
-        self.settings, self.noise = settings, MeasurementNoise(std, 0.0)
+    def __init__(self, unmodelled_std: float, prior: float) -> None:
+        std = float(np.hypot(CAMERA_MM * 1e-3 / np.sqrt(LOOKS), unmodelled_std))
+        self.prior, self.noise = prior, MeasurementNoise(std, 0.0)
         self.filters: list[Any] = []
         self.stood: Array = np.zeros(0)
 
@@ -86,7 +86,7 @@ class Filtering:
         """The next actions."""
         run, n = envs.run, envs.run.task.joints
         if not run.pick:
-            self.filters = [AdaptiveReach(envs, self.settings).start] * len(seen)
+            self.filters = [AdaptiveReach(envs, prior=self.prior).start] * len(seen)
         else:
             error = seen[:, 2 * n : 2 * n + 3].astype(float) * SEEN_MM * 1e-3
             tools = forward(run.geometry, self.stood).position + error
@@ -98,13 +98,11 @@ class Filtering:
 
 
 @cache
-def tuned_filter(arms: int = 12) -> AdaptiveSettings:
+def tuned_filter(arms: int = 12) -> tuple[float, float]:
     """The settings of the filter that leave least in the second half of a run, on arms that nothing is judged on."""
     envs = task("qiao2026", arms, 1, 0)
-    tried = [
-        AdaptiveSettings(camera_std=CAMERA_MM * 1e-3, unmodelled_std=u, prior=p) for u, p in product(*TRIED.values())
-    ]
-    left = [picked(envs, partial(Filtering, each), 1, 0)[..., PICKS // 2 :].mean() for each in tried]
+    tried = list(product(*TRIED.values()))
+    left = [picked(envs, partial(Filtering, *each), 1, 0)[..., PICKS // 2 :].mean() for each in tried]
     return tried[int(np.argmin(left))]
 
 
@@ -125,7 +123,7 @@ def measure(
     rng: np.random.Generator, training: int, plant: str, policy: str, arms: int, runs: int, folder: str, seed: int
 ) -> Any:
     """Errors of one policy, a row for each arm, run and pick."""
-    make: Any = partial(Filtering, tuned_filter()) if policy == FILTER else lambda: aims_at_the_fruit
+    make: Any = partial(Filtering, *tuned_filter()) if policy == FILTER else lambda: aims_at_the_fruit
     if policy in LEARNT:
         make = partial(Remembering, trained(LEARNT[policy], training, Path(folder)))
     errors = picked(task(plant, arms, 0, seed), make, runs, seed)

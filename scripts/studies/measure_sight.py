@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array
 from pickenv.base import InputError, clustered_share_interval, statistic_interval, write_text
 from pickenv.harvester import cut, load_grid, load_machine, load_orchard, sample_tree, tree_leaves
-from pickenv.orchard import DETECTORS, Eyes, Leaves, Viewpoint, camera_frame, load_eyes, load_stereo_camera
+from pickenv.orchard import DETECTORS, Eyes, Leaves, Viewpoint, camera_frame, left_eye, load_eyes, load_stereo_camera
 from pickenv.orchard.sight import PAIRS, located_fruit, picture, read_picture
 
 SEED = 2016
@@ -96,7 +96,7 @@ def sightings(
         rng: Source of every draw.
         tree: Number of the tree.
     """
-    places = camera_frame(fruit, view.left_eye(eyes[0].camera), view.looking)
+    places = camera_frame(fruit, left_eye(eyes[0].camera, view), view[1])
     pairs = [picture(eyes[0], view, fruit, diameters, leaves, rng) for _ in range(2)]
     found = []
     for each in eyes:

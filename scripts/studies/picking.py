@@ -1,6 +1,6 @@
 """When does learning beat scripted picking? The script, in haste, with learnt numbers, and PPO, on the same canopies.
 
-Policy search (`pickenv.agents.training.policy_search`) learns the script's nine numbers; PPO learns to pick with steps
+Policy search (`policy_search`, beside this) learns the script's nine numbers; PPO learns to pick with steps
 of the tool. No canopy that judges was seen by a search or a training. Simulated.
 """
 
@@ -12,20 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from policy_search import KNOBS, Searches, arguments_of, search
 
-from pickenv.agents import (
-    HASTY,
-    HELD_OUT,
-    KNOBS,
-    ScriptedPick,
-    Training,
-    arguments_of,
-    load_policy,
-    pick_canopies,
-    search,
-    train,
-)
-from pickenv.agents.training.policy_search import Searches
+from pickenv.agents import HASTY, HELD_OUT, ScriptedPick, Training, load_policy, pick_canopies, train
 from pickenv.agents.training.training import CHECKPOINT
 from pickenv.arm import Array
 from pickenv.base import seed_words, stream

@@ -45,8 +45,8 @@ def refused(path, said=None):
 
 def test_a_sound_checkpoint_says_what_it_is_of(checkpoint, trained):
     assert check_checkpoint(checkpoint) is None
-    found = read_checkpoint(checkpoint)
-    assert found.training == resumed(trained) and found.inputs == inputs_of(found.training)
+    training, inputs, _, _ = read_checkpoint(checkpoint)
+    assert training == resumed(trained) and inputs == inputs_of(training)
 
 
 class Code:
@@ -140,7 +140,7 @@ def test_a_state_without_one_of_its_parts_is_refused(checkpoint):
 def test_a_state_of_another_network_is_refused(trained, tmp_path):
     shutil.copytree(trained, tmp_path / "run")
     path = tmp_path / "run" / "checkpoint.pt"
-    settings = read_checkpoint(path).training.parameters | {"policy_kwargs": {"net_arch": [8]}}
+    settings = read_checkpoint(path)[0].parameters | {"policy_kwargs": {"net_arch": [8]}}
     rewritten(path, training={"parameters": settings})
     with pytest.raises(InputError, match=r"checkpoint\.pt is not a checkpoint of this training or is damaged"):
         train(resumed(tmp_path / "run"), tmp_path / "run", resume=True)

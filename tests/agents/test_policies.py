@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 import pickenv  # noqa: F401
 from pickenv.agents import (
     AdaptiveReach,
-    AdaptiveSettings,
     OracleReach,
     RandomReach,
     Rollout,
@@ -62,17 +61,9 @@ def test_a_gain_averages_noise_as_a_first_order_filter_does(gain):
     assert rms == pytest.approx(np.sqrt(3 * gain / (2 - gain)), rel=0.15)
 
 
-@pytest.mark.parametrize("delay", [1, 5, 10])
-def test_late_pictures_do_not_upset_the_servo(delay):
-    late = errors(lambda env: ServoReach(env, delay=delay), plant="qiao2026", feedback="camera")
-    assert late.mean() < 0.1
-
-
-def test_impossible_settings_are_refused():
-    with gym.make("pickenv/Reach-v0") as env:
-        for settings, message in (({"gain": 0.0}, "gain is 0.0"), ({"delay": -1}, "delay is -1")):
-            with pytest.raises(InputError, match=message):
-                ServoReach(env, **settings)
+def test_an_impossible_gain_is_refused():
+    with gym.make("pickenv/Reach-v0") as env, pytest.raises(InputError, match=r"gain is 0\.0"):
+        ServoReach(env, gain=0.0)
 
 
 @pytest.mark.parametrize("policy", [ServoReach, AdaptiveReach])
@@ -84,9 +75,8 @@ def test_a_camera_is_asked_for(policy):
 
 
 def test_the_adaptive_policy_gets_better_from_pick_to_pick():
-    settings = AdaptiveSettings(camera_std=1e-3)
     found = roll_out(
-        lambda env, seed: AdaptiveReach(env, settings), 4, 16, 5, sequential=True, plant="geometry_only", steps=30,
+        lambda env, seed: AdaptiveReach(env), 4, 16, 5, sequential=True, plant="geometry_only", steps=30,
         tolerances="coarse", **CAMERA,
     )  # fmt: skip
     by_pick = found.reaches.position_error_mm.reshape(16, 4).mean(axis=1)
@@ -191,24 +181,22 @@ def test_the_nearest_joints_are_taken_for_a_fruit_up_to_a_decimetre_out_of_reach
         assert act(observation) == pytest.approx(0.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("gain", "delay"), [(1.0, 0), (0.3, 0), (0.25, 2)])
-def test_the_servo_adds_the_filtered_pictures_through_the_jacobian_at_the_goal(gain, delay):
-    """First picture whole, later ones by the gain, each ``delay`` steps late; the Jacobian's inverse has its rank 5."""
+@pytest.mark.parametrize("gain", [1.0, 0.3, 0.25])
+def test_the_servo_adds_the_filtered_pictures_through_the_jacobian_at_the_goal(gain):
+    """First picture whole, later ones by the gain; the Jacobian's inverse has its rank 5."""
     rng = np.random.default_rng(0)
-    policy = ServoReach(far_reaching(), gain=gain, delay=delay)
+    policy = ServoReach(far_reaching(), gain=gain)
     back = np.linalg.pinv(joint_jacobian(ARM, GOAL), rcond=5e-3)[:, :3]
     for _ in range(2):  # a second episode knows nothing of the first
         policy.reset()
         pictures = rng.normal(0.0, 2e-3, (6, 3))
         known = None
-        for turn, picture in enumerate(pictures):
+        for picture in pictures:
             joints = GOAL + rng.uniform(-1e-3, 1e-3, 6)
             observation = seen_at(joints)
             camera = observation[12:15] + picture
-            if turn >= delay:
-                late = pictures[turn - delay]
-                known = late if known is None else (1 - gain) * known + gain * late
-            wanted = GOAL + (0.0 if known is None else back @ known)
+            known = picture if known is None else (1 - gain) * known + gain * picture
+            wanted = GOAL + back @ known
             step = step_of(policy.act(np.concatenate([observation, camera])))
             assert joints + step == pytest.approx(wanted, abs=2e-6)
 
@@ -223,24 +211,18 @@ def test_a_correction_stays_within_the_joints_limits():
         assert step[1] == pytest.approx(moved, abs=1e-4)
 
 
-def test_gains_up_to_one_and_delays_from_zero_are_possible():
-    ServoReach(far_reaching(), gain=1.0, delay=0)
-    for settings in ({"gain": 1.001}, {"gain": 0.0}, {"delay": -1}):
+def test_gains_up_to_one_are_possible():
+    ServoReach(far_reaching(), gain=1.0)
+    for gain in (1.001, 0.0):
         with pytest.raises(InputError, match="give a number"):
-            ServoReach(far_reaching(), **settings)
+            ServoReach(far_reaching(), gain=gain)
 
 
 def test_what_an_episode_showed_is_one_observation_of_the_place_where_the_arm_stood(monkeypatch):
     """Three pictures while it stood, none before: their mean, with sqrt(1.2^2 (1 + 1/3) + 0.5^2) mm of noise."""
     asked = []
-    monkeypatch.setattr(
-        extended_kalman_filter, "predict", lambda state, noise, seconds: asked.append((noise, seconds)) or state
-    )
-    monkeypatch.setattr(
-        extended_kalman_filter, "update", lambda state, *given, gate: asked.append((*given, gate)) or state
-    )
-    settings = AdaptiveSettings(camera_std=1.2e-3, unmodelled_std=0.5e-3, drift=0.3, pick_seconds=7.0, gate=0.99)
-    policy = AdaptiveReach(far_reaching(), settings)
+    monkeypatch.setattr(extended_kalman_filter, "update", lambda state, *given: asked.append(given) or state)
+    policy = AdaptiveReach(far_reaching(), camera_std=1.2e-3, unmodelled_std=0.5e-3)
     pictures = np.random.default_rng(1).normal(0.0, 1e-2, (4, 3))
     policy.increment = np.full(6, 0.05)
     for turn, picture in enumerate(pictures):
@@ -248,9 +230,8 @@ def test_what_an_episode_showed_is_one_observation_of_the_place_where_the_arm_st
         policy.act(seen_at(joints, camera=picture))
     assert not asked
     policy.reset()
-    (noise, seconds), (joints, place, std, gate) = asked
-    assert noise == pytest.approx(extended_kalman_filter.random_walk(policy.start, 0.3)) and seconds == 7.0
-    assert joints == pytest.approx(GOAL, abs=1e-6) and gate == 0.99
+    ((joints, place, std),) = asked
+    assert joints == pytest.approx(GOAL, abs=1e-6)
     assert place == pytest.approx(forward(ARM, GOAL).position - pictures[1:].mean(axis=0), abs=1e-9)
     assert std.position_std == pytest.approx(1e-3 * np.sqrt(1.44 * 4 / 3 + 0.25)) and std.attitude_std == 0.0
     asked.clear()
@@ -260,20 +241,17 @@ def test_what_an_episode_showed_is_one_observation_of_the_place_where_the_arm_st
 
 def test_settings_of_which_nothing_is_said_are_a_camera_of_a_millimetre_and_half_of_one_unmodelled(monkeypatch):
     asked = []
-    monkeypatch.setattr(
-        extended_kalman_filter, "update", lambda state, *given, gate: asked.append((given, gate)) or state
-    )
-    monkeypatch.setattr(extended_kalman_filter, "predict", None)  # no drift, so nothing is predicted
+    monkeypatch.setattr(extended_kalman_filter, "update", lambda state, *given: asked.append(given) or state)
     policy = AdaptiveReach(far_reaching())
     policy.act(seen_at(GOAL, camera=np.zeros(3)))
     policy.reset()
-    (((_, _, noise), gate),) = asked
-    assert noise.position_std == pytest.approx(1e-3 * np.sqrt(2 + 0.25)) and gate is None
+    ((_, _, noise),) = asked
+    assert noise.position_std == pytest.approx(1e-3 * np.sqrt(2 + 0.25))
 
 
 def test_the_filters_begin_with_the_prior_that_is_given_in_tolerances():
     for prior in (1.0, 0.2):
-        start = AdaptiveReach(far_reaching(), AdaptiveSettings(prior=prior)).start
+        start = AdaptiveReach(far_reaching(), prior=prior).start
         np.testing.assert_allclose(np.sqrt(np.diag(start.covariance)), prior * start.tolerance)
     assert np.array_equal(AdaptiveReach(far_reaching()).start.covariance, np.diag(start.tolerance**2))
 
@@ -290,7 +268,7 @@ def test_the_filters_know_only_what_positions_can_tell():
 def test_each_arm_of_a_batch_notes_its_own_pictures_and_goes_to_its_own_joints(monkeypatch):
     """Of two arms the second has not arrived: only the first one's filter learns."""
     asked = []
-    monkeypatch.setattr(extended_kalman_filter, "update", lambda state, *given, gate: asked.append(given) or state)
+    monkeypatch.setattr(extended_kalman_filter, "update", lambda state, *given: asked.append(given) or state)
     policy = AdaptiveReach(far_reaching())
     policy.increment = np.full(6, 0.05)
     pictures = np.array([[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]])

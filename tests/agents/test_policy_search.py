@@ -4,9 +4,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from pickenv.agents import HASTY, KNOBS, ScriptedPick, arguments_of, pick_canopies, search
+from pickenv.agents import HASTY, ScriptedPick, pick_canopies
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import PickVectorEnv
+from scripts.studies.policy_search import KNOBS, arguments_of, search
 
 ONE = {"fruit": np.array([[0.6, -0.72, 0.6]])}
 EXACT = {"plant": "ideal", "camera": "perfect"}

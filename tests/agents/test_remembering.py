@@ -152,8 +152,8 @@ def test_a_training_goes_on_as_if_it_had_never_stopped(algorithm: str, tmp_path)
     whole = train(small(algorithm, steps=240, checkpoint_every=80), tmp_path / "whole")
     half = small(algorithm, steps=240, checkpoint_every=80)
     train(small(algorithm, steps=160, checkpoint_every=80), tmp_path / "half")
-    begun = read_checkpoint(tmp_path / "half" / "checkpoint.pt")
-    assert bool(begun.state["memory"]) == (algorithm == "ppo_lstm")
+    *_, state = read_checkpoint(tmp_path / "half" / "checkpoint.pt")
+    assert bool(state["memory"]) == (algorithm == "ppo_lstm")
     with pytest.raises(InputError, match="another training"):
         train(half, tmp_path / "half", resume=True)
     assert whole.evaluations[-1].keys() == {"steps", "mean_mm", "p95_mm", "success_rate"}

@@ -15,7 +15,7 @@ from pickenv.base.toml_tables import line_of
 from pickenv.calibration.camera import boards
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.cli import app
-from pickenv.commands.check import kinds
+from pickenv.commands.check import FILES, class_of_file
 from pickenv.harvester import machine, trees, zones
 from pickenv.orchard import preset_files
 
@@ -129,14 +129,14 @@ def test_the_line_of_every_value_names_it(path: Path) -> None:
 
 @pytest.mark.parametrize(("kind", "path"), [(kind, path) for kind in WHOLE_FILES for path in WHOLE_FILES[kind]])
 def test_a_shipped_file_fits_the_schema_of_its_kind(kind: str, path: Path) -> None:
-    jsonschema.validate(tomllib.loads(path.read_text(encoding="utf-8")), json_schema(kinds()[kind]))
+    jsonschema.validate(tomllib.loads(path.read_text(encoding="utf-8")), json_schema(class_of_file(kind)))
 
 
-@pytest.mark.parametrize("kind", [kind for kind in kinds() if kind not in WHOLE_FILES])
+@pytest.mark.parametrize("kind", [kind for kind in FILES if kind not in WHOLE_FILES])
 def test_shipped_presets_fit_the_schema_of_their_kind(kind: str) -> None:
     content = tomllib.loads((preset_files.FOLDER / f"{kind}.toml").read_text(encoding="utf-8"))
     for preset in content.values():
-        jsonschema.validate(preset, json_schema(kinds()[kind]))
+        jsonschema.validate(preset, json_schema(class_of_file(kind)))
 
 
 def test_the_schema_refuses_what_the_reader_refuses() -> None:

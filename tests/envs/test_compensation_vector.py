@@ -44,7 +44,7 @@ def test_observations_stay_and_the_true_error_shrinks(compensator):
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 @pytest.mark.parametrize("learnt", [False, True], ids=["geometry", "geometry and network"])
 def test_native_and_synchronous_agree(compensator, mode, learnt):
-    compensator = dataclasses.replace(compensator, residual=fast_network(6) if learnt else None)
+    compensator = dataclasses.replace(compensator, residual=fast_network(6).predict if learnt else None)
 
     def single():
         return gym.make("pickenv/Reach-v0", max_episode_steps=3, executor="numpy", disable_env_checker=True)
@@ -61,7 +61,7 @@ def test_native_and_synchronous_agree(compensator, mode, learnt):
 def test_the_compiled_step_with_a_compensator_is_numpys_up_to_roundings(plant):
     pytest.importorskip("llvmlite")
     g = native(1, plant=plant).unwrapped.task.plant.arm.nominal
-    plain = Compensator(g, dataclasses.replace(g, a=g.a + 2e-4, theta=g.theta + 1e-3), fast_network(g.joints))
+    plain = Compensator(g, dataclasses.replace(g, a=g.a + 2e-4, theta=g.theta + 1e-3), fast_network(g.joints).predict)
     one, other = (
         taken(CompensationVectorWrapper(native(7, plant=plant, executor=executor), plain))
         for executor in ("numpy", "compiled")

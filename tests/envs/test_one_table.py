@@ -166,7 +166,7 @@ def test_a_cup_this_far_off_does_the_same_in_the_experiment_in_one_machine_and_i
     fruit = many.fruit[:, 0].copy()
     still, none = np.zeros((1, 3)), np.zeros((0, 3))
     expected = [
-        bool(attempt(task.model, at[None] + off, at[None], still, many.diameters[0], none, luck).collected[0])
+        bool(attempt(task.model, at[None] + off, at[None], still, many.diameters[0], none, luck)[2][0])
         for at, off in zip(fruit, miss, strict=True)
     ]
     clearance = (task.model.cup.opening - diameter_mm * 1e-3) / 2

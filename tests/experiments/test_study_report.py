@@ -30,7 +30,7 @@ from pickenv.experiments.study_findings import place, ranked, specified, study_d
 from pickenv.experiments.study_report import _failures, arms_compared, page, study_page
 from pickenv.experiments.study_rows import read_sobol, write_record, write_sobol
 from pickenv.experiments.study_variance import sobol_of, tolerance_groups
-from pickenv.inspect import Drawing, NotDrawn, read_run
+from pickenv.inspect import read_run
 
 STUDY = """
 plant = "qiao2026"
@@ -177,12 +177,12 @@ def test_the_page_says_what_the_differences_come_from(html, folder):
 
 def test_figures_that_the_study_does_not_allow_are_named(found):
     drawings = study_drawings(found)
-    left_out = {d.name: d.reason for d in drawings if isinstance(d, NotDrawn)}
+    left_out = {d.name: d.caption for d in drawings if d.draw is None}
     assert left_out == {
         "yield_by_poses": "the study does not vary the number of calibration poses",
         "yield_by_noise_mm": "the study does not vary the tracker's noise",
     }
-    names = {d.name for d in drawings if isinstance(d, Drawing)}
+    names = {d.name for d in drawings if d.draw is not None}
     assert names >= {"yield_by_it_grade", "error_distribution", "sensitivity_raw", "sensitivity_ls", "placement_ls"}
 
 

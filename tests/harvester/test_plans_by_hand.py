@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.optimize import milp
 
+from papers.li2016.cp_sat import cp_sat
 from pickenv.base import InputError
 from pickenv.harvester import Grid, Work, assign, cut, lower_bound, optimiser, pick_point, timetable
-from pickenv.harvester.optimiser import cp_sat, local_search
+from pickenv.harvester.optimiser import local_search
 from pickenv.harvester.pick_points import _heights, _point_costs, border_indices, pick_heading
 
 

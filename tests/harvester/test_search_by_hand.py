@@ -9,6 +9,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from papers.li2016 import cp_sat as referee
+from papers.li2016.cp_sat import _ticks, cp_sat
 from pickenv.arm import forward
 from pickenv.base import InputError
 from pickenv.harvester import (
@@ -23,7 +25,7 @@ from pickenv.harvester import (
     pick_point,
     timetable,
 )
-from pickenv.harvester.optimiser import _ticks, cp_sat, local_search
+from pickenv.harvester.optimiser import local_search
 from pickenv.harvester.pick_points import Search, _heights, _point_costs, _search, pick_heading, searched
 from pickenv.harvester.zones import AHEAD
 
@@ -164,7 +166,7 @@ def test_the_solver_starts_from_a_patient_search_and_keeps_its_time(monkeypatch)
             return cp_model.UNKNOWN
 
     monkeypatch.setattr(cp_model, "CpSolver", Noted)
-    monkeypatch.setattr(optimiser, "local_search", lambda *given, **more: asked.append((given, more)) or start)
+    monkeypatch.setattr(referee, "local_search", lambda *given, **more: asked.append((given, more)) or start)
     rng = np.random.default_rng(0)
     assert cp_sat(work, rng) == cp_sat(work, rng, seconds=0.125) == start
     assert asked == [((work, rng), {"bound": bound, "patience": 6.0})] * 2
@@ -362,6 +364,6 @@ def test_a_machine_as_drawn_has_no_spread_and_its_own_arms(true):
 
 def test_a_zone_is_looked_at_from_before_its_middle():
     view = Zone("", -0.5, 0.1, 1.0, 1.6).view
-    np.testing.assert_allclose(view.middle, [-0.2, 0.0, 1.3])
-    np.testing.assert_array_equal(view.looking, [0.0, -1.0, 0.0])
+    np.testing.assert_allclose(view[0], [-0.2, 0.0, 1.3])
+    np.testing.assert_array_equal(view[1], [0.0, -1.0, 0.0])
     np.testing.assert_array_equal(AHEAD, [0.0, -1.0, 0.0])

@@ -246,7 +246,7 @@ def reader() -> Callable[[Path], Reading]:
 
 @pytest.fixture(scope="session")
 def reading(comparison: Comparison, tmp_path_factory: pytest.TempPathFactory) -> Reading:
-    return read_recording(record_comparison(comparison, tmp_path_factory.mktemp("run") / "errors.rrd", gain=25.0))
+    return read_recording(record_comparison(comparison, tmp_path_factory.mktemp("run") / "errors.rrd"))
 
 
 def demo_run_folder(folder: Path, comparison: Comparison) -> Run:

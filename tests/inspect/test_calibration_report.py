@@ -11,7 +11,6 @@ from pickenv.arm import load_instrument, load_plant
 from pickenv.calibration import (
     GEOMETRIC,
     Choices,
-    GateReport,
     GateVerdict,
     assess,
     calibrate,
@@ -32,11 +31,7 @@ def verdict(model, accepted, blocked, reason):
     return GateVerdict(model, blocked, 7e-4, None, None, None, None, accepted, reason)
 
 
-GATE = GateReport(
-    (verdict("gp", True, 2.5e-4, "cuts the blocked RMS by 60%"), verdict("rbf", False, 7e-4, "no gain: raises <it>")),
-    "gp",
-    2.5e-4,
-)
+GATE = (verdict("gp", True, 2.5e-4, "cuts the blocked RMS by 60%"), verdict("rbf", False, 7e-4, "no gain: raises <it>"))
 
 
 class Page(HTMLParser):

@@ -71,7 +71,7 @@ def test_fruit_end_as_the_harvest_says(reading: Any, harvest: Harvest) -> None:
     np.testing.assert_allclose(places, harvest.tree.fruit[numbers], atol=1e-6)
     packed = reading.values("/world/fruit", "Points3D:colors").reshape(-1, len(numbers))
     rgb = np.stack([packed >> shift & 0xFF for shift in (24, 16, 8)], axis=-1)
-    picked = {int(n): bool(ok) for n, ok in zip(shown.fruit, shown.outcome.collected, strict=True)}
+    picked = {int(n): bool(ok) for n, ok in zip(shown.fruit, shown.collected, strict=True)}
     fate = {True: "collected", False: "missed", None: "hanging"}
     for i, number in enumerate(numbers.tolist()):
         assert tuple(rgb[0, i]) == FATES["hanging"]
@@ -83,7 +83,7 @@ def test_every_pick_is_in_its_arms_lane(reading: Any, harvest: Harvest, true: Tr
     ends = []
     for arm in range(true.machine.arms):
         states = reading.values(f"/arms/slave_{arm + 1}", "StateChange:state").tolist()
-        mine = shown.outcome.collected[shown.times.arm == arm]
+        mine = shown.collected[shown.times.arm == arm]
         assert states.count("collected") == int(mine.sum())
         assert states.count("missed") == int((~mine).sum())
         ends.append(reading.times(f"/arms/slave_{arm + 1}", "sim_time").max())
@@ -155,7 +155,7 @@ def test_lanes_and_fruit_change_when_a_pick_does(reading: Any, harvest: Harvest,
     for arm in range(3):
         picks = sorted(np.flatnonzero(shown.times.arm == arm), key=lambda pick: shown.times.start[pick])
         moments = [0.0, arrival, *(arrival + t[pick] for pick in picks for t in (shown.times.start, shown.times.end))]
-        outs = ["collected" if shown.outcome.collected[pick] else "missed" for pick in picks]
+        outs = ["collected" if shown.collected[pick] else "missed" for pick in picks]
         reading.holds(
             f"/arms/slave_{arm + 1}",
             state=["carried", "travel", *(state for out in outs for state in (out, "travel"))],
@@ -170,7 +170,7 @@ def test_lanes_and_fruit_change_when_a_pick_does(reading: Any, harvest: Harvest,
     for pick, number in enumerate(shown.fruit):
         for row, end in zip(colours, ends, strict=True):
             if end >= shown.times.end[pick] and number in numbers:
-                row[numbers.tolist().index(number)] = GREEN if shown.outcome.collected[pick] else RED
+                row[numbers.tolist().index(number)] = GREEN if shown.collected[pick] else RED
     reading.holds(
         "/world/fruit",
         positions=harvest.tree.fruit[numbers],
@@ -236,7 +236,7 @@ def test_what_a_run_keeps_of_a_tree_is_its_rounds_one_after_another(harvest: Har
                 one.begin + times.start[i],
                 one.begin + times.end[i],
                 times.held[i],
-                one.outcome.collected[i],
+                one.collected[i],
             ]
             pick += 1
     assert pick == len(kept.arm) == len(kept.got) > 5 and 0 < kept.got.sum() < pick

@@ -154,8 +154,8 @@ def test_the_viewer_is_this_pythons_and_keeps_to_itself(monkeypatch: pytest.Monk
     """A package that is seen from another folder has no program beside this Python; and telemetry is off."""
     monkeypatch.delenv("CI", raising=False)
     monkeypatch.delenv("FORCE_RERUN_ANALYTICS", raising=False)
-    said = subprocess.run([*live.rerun_program(), "--version"], capture_output=True, text=True, check=True).stdout
-    assert "0.41" in said and live.rerun_program()[:2] == [sys.executable, "-m"]
+    said = subprocess.run(live.rerun_command(version=True), capture_output=True, text=True, check=True).stdout
+    assert "0.41" in said and live.rerun_command()[:2] == [sys.executable, "-m"]
     assert live.viewer_environment() == {**os.environ, "CI": "1"}
     monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
     assert live.viewer_environment() == dict(os.environ)

@@ -16,7 +16,7 @@ from pickenv.inspect import Comparison, record_comparison
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, lane
 from pickenv.inspect.runs.comparison_summary import summary_markdown
 
-GAIN = 25.0
+GAIN = 20.0
 COLOURS = {"raw": (230, 159, 0), "ls": (0, 114, 178), "ls_bpnn": (0, 158, 115)}
 WIRE, SOLID = 1, 3
 """Of rerun's ways to fill a body."""
@@ -180,7 +180,7 @@ def test_a_file_says_of_which_arm_and_how_drawn(reading: Any, comparison: Compar
         "plant": ["qiao2026"],
         "policies": ["raw", "ls", "ls_bpnn"],
     }
-    reading.holds("/summary", text=[summary_markdown(comparison, GAIN)], media_type=["text/markdown"])
+    reading.holds("/summary", text=[summary_markdown(comparison)], media_type=["text/markdown"])
 
 
 def dense(reading: Any, key: str) -> Array:
@@ -191,7 +191,7 @@ def dense(reading: Any, key: str) -> Array:
 def test_a_field_alone_draws_a_grid_of_three_lengths_with_holes(
     without_reaches: Comparison, reader: Callable[[Path], Any], tmp_path: Path
 ) -> None:
-    """Cells without a point are no number; and what is drawn is twenty times as long as it is, if not told else."""
+    """Cells without a point are no number; and what is drawn is twenty times as long as it is."""
     wider = replace(without_reaches, grid=replace(without_reaches.grid, shape=(10, 11, 12)))
     reading = reader(record_comparison(wider, tmp_path / "errors.rrd"))
     values, (x, y, z) = dense(reading, "raw"), wider.grid.index.T
@@ -210,11 +210,3 @@ def test_a_key_is_lower_case_words(key: str, without_reaches: Comparison, tmp_pa
     (raw,) = without_reaches.policies
     with pytest.raises(InputError, match="cannot name an entity"):
         record_comparison(replace(without_reaches, policies=(replace(raw, key=key),)), tmp_path / "errors.rrd")
-
-
-def test_a_gain_below_one_draws_errors_shorter(
-    without_reaches: Comparison, reader: Callable[[Path], Any], tmp_path: Path
-) -> None:
-    reading = reader(record_comparison(without_reaches, tmp_path / "errors.rrd", gain=0.5))
-    vectors = reading.values("/world/field/raw/vectors", "Arrows3D:vectors")
-    np.testing.assert_allclose(vectors, 0.5 * without_reaches.policies[0].field_errors, rtol=1e-6, atol=1e-9)

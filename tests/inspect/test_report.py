@@ -18,10 +18,8 @@ from pickenv.inspect import (
     CalibrationTrace,
     Comparison,
     Drawing,
-    NotDrawn,
     PageTable,
     PageVerdict,
-    Picture,
     Run,
     Section,
     html_of,
@@ -246,7 +244,7 @@ def test_figures_that_the_data_do_not_allow_are_left_out_with_a_reason(demo_run:
     trace = load_part(demo_run, CalibrationTrace)
 
     def left(found: CalibrationTrace) -> dict[str, str]:
-        return {d.name: d.reason for d in trace_drawings(found) if isinstance(d, NotDrawn)}
+        return {d.name: d.caption for d in trace_drawings(found) if d.draw is None}
 
     reasons = left(trace)
     assert set(reasons) == {"error_against_payload", "error_against_temperature", "network_convergence"}
@@ -274,7 +272,6 @@ BLOCKS: dict[str, tuple[Part, int]] = {
     "table": (PageTable(HOSTILE, [HOSTILE, HOSTILE], [[HOSTILE, HOSTILE]]), 6),
     "figure": (hostile_drawing(), 3),
     "interactive figure": (replace(hostile_drawing(), spec={HOSTILE: HOSTILE}, hint=HOSTILE), 5),
-    "picture": (Picture(b"webp", HOSTILE), 2),
     "pair": ((HOSTILE, HOSTILE), 2),
 }
 
@@ -291,10 +288,12 @@ def test_names_and_values_are_text_wherever_they_stand_in_a_block(name: str) -> 
 
 def test_names_and_values_are_text_in_every_part_of_a_page() -> None:
     verdict = PageVerdict("good", HOSTILE, HOSTILE, [("note", HOSTILE)])
-    section = Section(HOSTILE, ["text"], HOSTILE)
+    section = Section(HOSTILE, ["text", b"webp"], HOSTILE)
     page = html_of(HOSTILE, HOSTILE, verdict, [section], {}, {HOSTILE: HOSTILE}, contents=True)
     assert "<script" not in page
-    assert page.count("&lt;script&gt;") == 2 + 1 + 3 + 2 + 1 + 2  # title, subtitle, verdict, tiles, contents, section
+    assert (
+        page.count("&lt;script&gt;") == 2 + 1 + 3 + 2 + 1 + 3
+    )  # title, subtitle, verdict, tiles, contents, section and picture
     assert "script" not in {name for name, _ in Page(page).tags}
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 
 import pytest
 import typer
+from typer.testing import CliRunner
 
 from pickenv.cli import app
-from pickenv.commands.examples import EXAMPLES
 
 PAGES = Path(__file__).parents[2] / "docs"
 COMMANDS = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-LINES = [(name, line) for name, (_, lines) in EXAMPLES.items() for line in lines]
+EXAMPLES = {name: command.epilog for name, command in COMMANDS.items() if command.epilog}
+LINES = [(name, line) for name, text in EXAMPLES.items() for line in re.findall(r"\[bold\](.*)\[/bold\]", text)]
 
 
 def parsed(line: str) -> None:
@@ -27,7 +29,16 @@ def parsed(line: str) -> None:
 
 def test_every_command_has_examples_and_a_page() -> None:
     assert set(EXAMPLES) == set(COMMANDS) - {"bench"}  # whose own commands have theirs
-    assert [page for page, _ in EXAMPLES.values() if not (PAGES / page).is_file()] == []
+    pages = [text.rpartition("/")[2] for text in EXAMPLES.values()]
+    assert [page for page in pages if not (PAGES / page).is_file()] == []
+    assert {name for name, _ in LINES} == set(EXAMPLES)
+
+
+def test_every_argument_and_option_is_explained() -> None:
+    bench = COMMANDS["bench"].commands
+    params = [(name, param) for name, one in {**COMMANDS, **bench}.items() for param in one.params if one.callback]
+    assert [f"{name} {param.name}" for name, param in params if not param.help and param.name != "context"] == []
+    assert [name for name, param in params if "Args:" in (param.help or "")] == []
 
 
 @pytest.mark.parametrize(("name", "line"), LINES, ids=[line for _, line in LINES])
@@ -43,7 +54,6 @@ def test_an_example_with_a_wrong_option_would_be_seen() -> None:
 
 
 @pytest.mark.parametrize("name", ["calibrate", "demo"])
-def test_the_help_shows_them(name: str) -> None:
-    command = COMMANDS[name]
-    with command.context_class(command, info_name=name):
-        assert all(line in command.epilog for line in EXAMPLES[name][1])
+def test_the_help_shows_them_once(name: str) -> None:
+    shown = CliRunner().invoke(app, [name, "--help"], env={"COLUMNS": "120"}).output
+    assert all(shown.count(line) == 1 for owner, line in LINES if owner == name)

@@ -9,18 +9,15 @@ from hypothesis import given, settings, strategies as st
 from pickenv.orchard import (
     DRAWS,
     Camera,
-    Detections,
     camera_frame,
     depth_bias,
     depth_noise,
-    detect,
     detection_probability,
     load_camera,
     match_detections,
     measured_positions,
     orchard_frame,
     shipped,
-    stereo_depth_noise,
 )
 
 quick = settings(deadline=None, derandomize=True)
@@ -31,7 +28,8 @@ units = st.floats(-1.0, 1.0)
 
 def depth_errors(camera: Camera, distance: float, light: float) -> np.ndarray:
     draws = np.random.default_rng(0).normal(size=(20_000, DRAWS))
-    return measured_positions(camera, [0.0, distance, 0.0], ORIGIN, draws, light=light)[:, 1] - distance
+    camera = replace(camera, light=light)
+    return measured_positions(camera, [0.0, distance, 0.0], ORIGIN, draws)[:, 1] - distance
 
 
 def test_azure_kinect_in_sun_at_one_and_a_half_metres() -> None:
@@ -46,7 +44,8 @@ def test_the_bias_grows_by_what_it_is_said_to_grow_with_distance_and_light() -> 
         load_camera("perfect"), bias=0.01, bias_distance=1.0, bias_light=40_000.0, bias_per_distance=0.02,
         bias_per_light=5e-7,
     )  # fmt: skip
-    found = depth_bias(camera, [1.0, 2.0, 1.0, 2.0], [40_000.0, 40_000.0, 100_000.0, 0.0])
+    cases = zip([1.0, 2.0, 1.0, 2.0], [40_000.0, 40_000.0, 100_000.0, 0.0], strict=True)
+    found = [float(depth_bias(replace(camera, light=light), distance)) for distance, light in cases]
     assert found == pytest.approx([0.01, 0.03, 0.04, 0.01])
     assert depth_errors(camera, 1.0, 100_000).mean() == pytest.approx(0.04)
 
@@ -71,7 +70,7 @@ def test_the_perfect_camera_does_not_err(x: float, y: float, z: float, seed: int
 
 def test_stereo_noise_grows_with_the_square_of_distance() -> None:
     camera = load_camera("bumblebee2")
-    assert camera.depth_noise == stereo_depth_noise(513.5, 0.120, 0.5)
+    assert camera.depth_noise == 0.5 / (513.5 * 0.120)
     assert depth_noise(camera, 2.0) == pytest.approx(4 * depth_noise(camera, 1.0))
     assert depth_noise(camera, 1.0) == pytest.approx(0.0081, abs=1e-4)
 
@@ -109,32 +108,6 @@ def test_the_more_is_visible_the_likelier_it_is_found(a: float, b: float) -> Non
         assert 0.0 <= low <= high <= 1.0
 
 
-def test_fruit_hidden_too_far_or_beside_the_picture_is_not_reported() -> None:
-    positions = [[0.0, 1.5, 0.0], [0.0, 9.0, 0.0], [5.0, 1.5, 0.0], [0.0, -1.5, 0.0], [0.1, 1.5, 0.0]]
-    camera, rng = load_camera("azure_kinect"), np.random.default_rng(3)
-    found = [detect(camera, positions, 0.075, ORIGIN, AHEAD, rng, visible=[1, 1, 1, 1, 0.1]) for _ in range(50)]
-    assert all(set(d.fruit) <= {0, -1} and 0 in d.fruit for d in found)
-    assert 0 < np.mean([(d.fruit == -1).sum() for d in found]) < 0.3
-
-
-def test_dropout_is_as_frequent_as_stated() -> None:
-    camera, rng = load_camera("d455f"), np.random.default_rng(4)
-    grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 50), [1.5], np.linspace(-0.3, 0.3, 40)), axis=-1).reshape(-1, 3)
-    found = detect(camera, grid, 0.075, ORIGIN, AHEAD, rng)
-    assert (found.fruit >= 0).sum() / len(grid) == pytest.approx(0.95, abs=0.02)
-
-
-def test_one_seed_gives_one_image() -> None:
-    rng = np.random.default_rng(0)
-    positions = rng.uniform([-0.5, 1, -0.5], [0.5, 2, 0.5], size=(30, 3))
-    images = [
-        detect(load_camera("d455f"), positions, 0.075, ORIGIN, AHEAD, np.random.default_rng(9), visible=0.6)
-        for _ in range(2)
-    ]
-    np.testing.assert_array_equal(images[0].positions, images[1].positions)
-    np.testing.assert_array_equal(images[0].fruit, images[1].fruit)
-
-
 @quick
 @given(st.tuples(units, units, units), st.tuples(units, units, units))
 def test_the_camera_frame_and_back(position: tuple, looking: tuple) -> None:
@@ -150,9 +123,10 @@ def test_a_level_camera_sees_right_to_the_right_and_up_above() -> None:
 
 
 def test_detections_are_named_by_the_nearest_fruit_one_to_one() -> None:
-    seen = Detections(np.array([[0.0, 0, 1], [0.02, 0, 1], [5.0, 0, 1]]), np.full(3, -1), np.ones(3))
-    named = match_detections(seen, [[0.03, 0, 1], [0.001, 0, 1], [2.0, 0, 1]], within=0.05)
-    assert named.fruit.tolist() == [1, 0, -1]
+    named = match_detections(
+        [[0.0, 0, 1], [0.02, 0, 1], [5.0, 0, 1]], [[0.03, 0, 1], [0.001, 0, 1], [2.0, 0, 1]], within=0.05
+    )
+    assert named.tolist() == [1, 0, -1]
 
 
 @pytest.mark.parametrize("looking", [[0.0, 0.0, 1.0], [0.0, 0.0, -2.0], [1.0, 1.0, 0.3], [0.0, -1.0, 1e-12]])

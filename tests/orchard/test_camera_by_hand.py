@@ -12,12 +12,9 @@ from pickenv.orchard import (
     camera_frame,
     depth_bias,
     depth_noise,
-    detect,
     detection_probability,
     in_image,
-    load_camera,
     measured_positions,
-    orchard_frame,
 )
 
 ORIGIN, AHEAD = np.zeros(3), np.array([0.0, 1.0, 0.0])
@@ -35,17 +32,15 @@ def test_a_camera_of_which_nothing_else_is_said_does_not_err():
     found = measured_positions(PLAIN, fruit, ORIGIN, draws, visible=0.1, diameters=0.08)
     np.testing.assert_allclose(found, fruit, atol=1e-15)
     assert detection_probability(PLAIN, 1.0, 1e-9) == 1.0
-    assert len(detect(PLAIN, fruit[:1] * 0 + AHEAD, 0.08, ORIGIN, AHEAD, np.random.default_rng(2))) == 1
 
 
 def test_depth_noise_is_floor_and_square_law_and_grows_with_light():
     """At 2 m: sqrt(3^2 + (1 x 2^2)^2) = 5 mm, and exp(1e-5 x 50 000) times as much in 50 000 lx more."""
     camera = replace(PLAIN, depth_noise_floor=0.003, depth_noise=0.001, noise_growth=1e-5, noise_light=20_000.0)
-    assert depth_noise(camera, 2.0, 20_000.0) == pytest.approx(0.005)
-    assert depth_noise(camera, 2.0, 0.0) == pytest.approx(0.005 * math.exp(-0.2))  # at night
+    assert depth_noise(replace(camera, light=20_000.0), 2.0) == pytest.approx(0.005)
+    assert depth_noise(replace(camera, light=0.0), 2.0) == pytest.approx(0.005 * math.exp(-0.2))  # at night
     corners = depth_bias(replace(camera, bias=0.01, bias_distance=1.0, bias_per_distance=0.02), [1.0, 3.0])
     assert corners == pytest.approx([0.01, 0.05])
-    assert depth_noise(camera, 2.0, 70_000.0) == pytest.approx(0.005 * math.exp(0.5))
     assert depth_noise(replace(camera, light=70_000.0), 2.0) == pytest.approx(0.005 * math.exp(0.5))
     assert depth_noise(camera, 2.0) == pytest.approx(0.005 * math.exp(0.8))  # a clear day, 100 000 lx
     assert depth_bias(replace(camera, bias_per_light=1e-7), 2.0) == pytest.approx(0.01)
@@ -93,46 +88,8 @@ def test_the_picture_ends_at_half_its_size_over_the_focal_length():
     assert in_image(PLAIN, inside, ORIGIN, AHEAD).all() and not in_image(PLAIN, outside, ORIGIN, AHEAD).any()
 
 
-def test_false_detections_fill_the_picture_between_the_nearest_and_the_farthest_fruit():
-    """Uniform over pixels and depth: within four standard errors of a uniform distribution's mean and spread."""
-    camera = replace(PLAIN, false_detections=4000.0)
-    view, looking = np.array([0.3, -1.0, 2.0]), np.array([1.0, 1.0, 0.0])
-    fruit = orchard_frame([[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]], view, looking)
-    for positions, near, far in ((np.zeros((0, 3)), 0.5, 3.0), (fruit, 1.0, 2.0), (fruit[:1], 1.0, 1.0)):
-        found = detect(camera, positions, 0.07, view, looking, np.random.default_rng(0))
-        false = found.fruit == -1
-        n = int(false.sum())
-        assert abs(n - 4000) < 4 * math.sqrt(4000) and (found.confidence[false] == 0.5).all()
-        local = camera_frame(found.positions[false], view, looking)
-        numbers = np.column_stack([500.0 * local[:, :2] / local[:, 2:], local[:, 2]])
-        for values, low, high in zip(numbers.T, (-400, -300, near), (400, 300, far), strict=True):
-            width = high - low
-            assert low - 1e-9 <= values.min() and values.max() <= high + 1e-9
-            assert abs(values.mean() - (low + high) / 2) <= 4 * width / math.sqrt(12 * n) + 1e-9
-            assert values.std() == pytest.approx(width / math.sqrt(12), rel=0.06, abs=1e-9)
-        assert found.fruit[~false].tolist() == list(range(len(positions)))
-
-
-def test_reported_fruit_is_sure_by_what_is_visible_of_it():
-    fruit = [[-0.3, 1.0, 0.0], [0.3, 1.0, 0.0], [0.0, 1.0, 0.3]]
-    found = detect(PLAIN, fruit, 0.07, ORIGIN, AHEAD, np.random.default_rng(0), visible=[0.25, 1.5, 0.75])
-    assert found.confidence.tolist() == [0.25, 1.0, 0.75]
-    assert found.fruit.dtype == np.int64 and found.fruit.tolist() == [0, 1, 2]
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_camera_that_looks_straight_up_or_down_has_its_rows_along_x(sign):
     """And its axes are right-handed: x right, y down, z ahead."""
     axes = camera_frame(np.eye(3), ORIGIN, [0.0, 0.0, sign]).T
     np.testing.assert_allclose(axes, [[1, 0, 0], [0, sign, 0], [0, 0, sign]], atol=1e-12)
-
-
-def test_a_file_may_give_base_line_and_disparity_noise_for_the_depth_noise(tmp_path):
-    """0.5 px over 500 px x 0.1 m is 10 mm at 1 m."""
-    lines = ("focal_length_px = 500", "image_px = [800, 600]", "nearest_mm = 500", "farthest_mm = 3000",
-             "baseline_mm = 100", "disparity_noise_px = 0.5", "pixel_noise_px = 0.5", "bias_mm = 0", "dropout = 0",
-             "lost_below = 0", "found_above = 0", "occlusion_pull = 0", "false_detections = 0")  # fmt: skip
-    path = tmp_path / "pair.toml"
-    path.write_text('source = "by hand"\n' + "\n".join(lines))
-    camera = load_camera(path)
-    assert type(camera) is Camera and camera.depth_noise == pytest.approx(0.010)

@@ -44,7 +44,7 @@ def test_depth_is_told_to_a_fifth_of_a_pixel_of_disparity():
     for seed in range(4):
         place = [rng.uniform(-0.3, 0.3), rng.uniform(-0.2, 0.2), rng.uniform(1.0, 1.4)]
         pair = picture(place, seed)
-        (found,) = project(CAMERA, locate_circles(CAMERA, SEARCH, pair.left, pair.right).positions)
+        (found,) = project(CAMERA, locate_circles(CAMERA, SEARCH, pair.left, pair.right)[0])
         miss.append(found[2] - project(CAMERA, place)[2])
     assert np.abs(miss).max() < 0.35 and np.sqrt(np.mean(np.square(miss))) < 0.2
 
@@ -69,7 +69,7 @@ def test_what_covers_a_part_of_a_fruit_does_not_move_its_middle(share):
     found, _ = fruit_circles(SEARCH, pair.left)
     assert found[0, :2] == pytest.approx([column, row], abs=0.8)
     assert fruit_regions(CAMERA, pair.left)[0][0, 0] - column > 0.25 * radius * share * 2
-    (seen,) = locate_circles(CAMERA, SEARCH, pair.left, pair.right).positions
+    (seen,) = locate_circles(CAMERA, SEARCH, pair.left, pair.right)[0]
     assert seen == pytest.approx([0.0, 0.0, 1.1], abs=8e-3)
 
 
@@ -83,10 +83,10 @@ def test_in_leaves_circles_find_more_and_miss_the_same_fruit_by_less():
         pair = render_stereo(CAMERA, fruit, 0.06, leaves, LOOK, rng)
         miss = np.full((2, 12, 3), np.nan)
         seen = locate(CAMERA, pair.left, pair.right), locate_circles(CAMERA, SEARCH, pair.left, pair.right)
-        for i, found in enumerate(seen):
-            matched = match_detections(found, fruit, 0.06)
-            true = matched.fruit >= 0
-            miss[i, matched.fruit[true]] = matched.positions[true] - fruit[matched.fruit[true]]
+        for i, (places, _) in enumerate(seen):
+            matched = match_detections(places, fruit, 0.06)
+            true = matched >= 0
+            miss[i, matched[true]] = places[true] - fruit[matched[true]]
         found = np.isfinite(miss).all(axis=-1)
         count += found.sum(axis=1)
         both.append(miss[:, found.all(axis=0)])
@@ -99,7 +99,7 @@ def test_leaves_alone_and_pictures_of_one_colour_hold_no_circles():
     rng = np.random.default_rng(2)
     leaves = sample_leaves([-0.8, -0.6, 1.0], [0.8, 0.6, 1.4], 2.0, LOOK, rng)
     pair = render_stereo(CAMERA, NONE, 0.06, leaves, LOOK, rng)
-    assert len(locate_circles(CAMERA, SEARCH, pair.left, pair.right)) == 0
+    assert len(locate_circles(CAMERA, SEARCH, pair.left, pair.right)[0]) == 0
     black = np.zeros_like(pair.left)
     assert len(fruit_circles(SEARCH, black)[0]) == 0
 
@@ -401,12 +401,12 @@ def test_detections_are_the_circles_that_match_well_enough(monkeypatch):
     found, mask = np.column_stack([centres, np.full(4, 10.0)]), np.zeros((2, 2), dtype=bool)
     monkeypatch.setattr(vision, "fruit_circles", lambda search, image: (found, mask))
     monkeypatch.setattr(vision, "_matched", lambda *given: matches[centres[:, 0].tolist().index(given[5][0])])
-    seen = locate_circles(CAMERA, SEARCH, PAIR.left, PAIR.right)
+    places, agreement = locate_circles(CAMERA, SEARCH, PAIR.left, PAIR.right)
     expected = [[*centres[k], matches[k][0]] for k in (0, 2, 3)]
-    np.testing.assert_array_equal(seen.positions, triangulate(CAMERA, expected))
-    assert seen.confidence.tolist() == [least, 1.0, 0.9] and seen.fruit.tolist() == [-1, -1, -1]
+    np.testing.assert_array_equal(places, triangulate(CAMERA, expected))
+    assert agreement.tolist() == [least, 1.0, 0.9]
     monkeypatch.setattr(vision, "fruit_circles", lambda search, image: (found[:0], mask))
-    assert len(locate_circles(CAMERA, SEARCH, PAIR.left, PAIR.right)) == 0
+    assert len(locate_circles(CAMERA, SEARCH, PAIR.left, PAIR.right)[0]) == 0
 
 
 # Votes for circles and their matches in the right picture, written out edge by edge and pixel by pixel.

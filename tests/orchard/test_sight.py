@@ -9,13 +9,12 @@ from pickenv.base import InputError
 from pickenv.orchard import (
     DETECTORS,
     VISIONS,
-    Detections,
     Leaves,
     StereoPair,
-    Viewpoint,
     camera_frame,
     draw_chances,
     foliage,
+    left_eye,
     load_canopy,
     load_eyes,
     load_sight_errors,
@@ -31,7 +30,7 @@ from pickenv.orchard.sight import located_fruit, picture
 from scripts.studies.measure_sight import share_of, sightings, tabulated, together
 
 LEAFY = load_canopy("li2016")
-VIEW = Viewpoint(np.array([0.1, -1.0, 1.6]), np.array([0.0, 1.0, 0.0]))
+VIEW = MIDDLE, LOOKING = np.array([0.1, -1.0, 1.6]), np.array([0.0, 1.0, 0.0])
 FRUIT = np.array([[0.1, 0.05, 1.6], [-0.2, 0.2, 1.75], [0.35, 0.3, 1.5], [0.3, 0.1, 1.75], [-0.1, 0.39, 1.45]])
 LISTED = ("tree", "depth", "visible", "found", "error", "again")
 TABLES = [load_sight_errors(name) for name in shipped("sight")]
@@ -42,9 +41,9 @@ def test_a_picture_shows_every_leaf_that_hangs_before_either_eye():
     eyes = load_eyes("rendered", LEAFY)
     leaves = foliage(eyes, np.random.default_rng(0))
     found = picture(eyes, VIEW, FRUIT, np.full(5, 0.06), leaves, np.random.default_rng(1))
-    eye = VIEW.left_eye(eyes.camera)
-    every = Leaves(camera_frame(leaves.places, eye, VIEW.looking), leaves.shapes, leaves.colours)
-    places = camera_frame(FRUIT, eye, VIEW.looking)
+    eye = left_eye(eyes.camera, VIEW)
+    every = Leaves(camera_frame(leaves.places, eye, LOOKING), leaves.shapes, leaves.colours)
+    places = camera_frame(FRUIT, eye, LOOKING)
     whole = render_stereo(eyes.camera, places, np.full(5, 0.06), every, eyes.look, np.random.default_rng(1))
     for name in ("left", "right", "visible"):
         np.testing.assert_array_equal(getattr(found, name), getattr(whole, name))
@@ -66,7 +65,7 @@ def test_false_detections_lie_anywhere_in_the_picture_as_deep_as_the_canopy():
     eyes = replace(eyes, errors=replace(eyes.errors, false_per_picture=3000.0))
     found = see(eyes, VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(3)).false
     assert abs(len(found) - 3000) < 4 * np.sqrt(3000)
-    local = camera_frame(found, VIEW.left_eye(eyes.camera), VIEW.looking)
+    local = camera_frame(found, left_eye(eyes.camera, VIEW), LOOKING)
     half = np.array(eyes.camera.image) / 2 / eyes.camera.focal_length
     numbers = np.column_stack([local[:, :2] / local[:, 2:] / half, local[:, 2]])
     ends = [(-1.0, 1.0), (-1.0, 1.0), (LEAFY.standoff, LEAFY.standoff + LEAFY.depth)]
@@ -81,7 +80,7 @@ def test_eyes_say_where_fruit_is_in_the_frame_in_which_it_was_given(vision):
     """The same fruit in the orchard and in a machine's base frame, half a turn about z away and somewhere else."""
     eyes = load_eyes(vision, load_canopy("li2016_bare"), "circles")
     there = FRUIT * [-1.0, -1.0, 1.0] + [3.0, 2.0, -0.4]
-    turned = Viewpoint(VIEW.middle * [-1.0, -1.0, 1.0] + [3.0, 2.0, -0.4], -VIEW.looking)
+    turned = MIDDLE * [-1.0, -1.0, 1.0] + [3.0, 2.0, -0.4], -LOOKING
     one = see(eyes, VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(4))
     other = see(eyes, turned, there, np.full(5, 0.06), np.random.default_rng(4))
     assert one.located.sum() >= 4 and np.array_equal(one.located, other.located)
@@ -95,15 +94,16 @@ def test_a_rendered_sight_is_its_picture_read():
     leaves = foliage(eyes, rng)
     found = see(eyes, VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(1), leaves=leaves)
     pair = picture(eyes, VIEW, FRUIT, np.full(5, 0.06), leaves, np.random.default_rng(1))
-    places = camera_frame(FRUIT, VIEW.middle - [0.06, 0.0, 0.0], VIEW.looking)  # the left eye, half a base line aside
-    read = match_detections(locate(eyes.camera, pair.left, pair.right), places, 0.06)
-    assert set(np.flatnonzero(found.located)) == set(read.fruit[read.fruit >= 0].tolist())
-    for position, number in zip(read.positions, read.fruit, strict=True):
+    places = camera_frame(FRUIT, MIDDLE - [0.06, 0.0, 0.0], LOOKING)  # the left eye, half a base line aside
+    seen, _ = locate(eyes.camera, pair.left, pair.right)
+    read = match_detections(seen, places, 0.06)
+    assert set(np.flatnonzero(found.located)) == set(read[read >= 0].tolist())
+    for position, number in zip(seen, read, strict=True):
         if number >= 0:
             miss = found.believed[number] - FRUIT[number]
             wanted = position - places[number]  # x right, y down, z ahead: x, -z and y of the orchard
             assert miss == pytest.approx([wanted[0], wanted[2], -wanted[1]], abs=1e-9)
-    assert len(found.false) == int((read.fruit < 0).sum())
+    assert len(found.false) == int((read < 0).sum())
     assert np.array_equal(found.in_sight, pair.visible > 0)
 
 
@@ -135,10 +135,9 @@ def test_leaves_hang_behind_a_leaning_face_as_far_aside_as_the_picture_reaches()
 
 def test_a_picture_without_leaves_is_one_of_no_leaves():
     eyes = load_eyes("rendered", load_canopy("li2016_bare"))
-    view = Viewpoint(VIEW.middle, VIEW.looking)
-    found = picture(eyes, view, FRUIT, np.full(5, 0.06), None, np.random.default_rng(1))
+    found = picture(eyes, VIEW, FRUIT, np.full(5, 0.06), None, np.random.default_rng(1))
     rng = np.random.default_rng(1)
-    places = camera_frame(FRUIT, view.left_eye(eyes.camera), view.looking)
+    places = camera_frame(FRUIT, left_eye(eyes.camera, VIEW), LOOKING)
     whole = render_stereo(eyes.camera, places, np.full(5, 0.06), np.zeros((0, 3)), eyes.look, rng)
     assert np.array_equal(found.left, whole.left) and np.array_equal(found.right, whole.right)
 
@@ -161,7 +160,7 @@ def test_given_chances_decide():
     eyes = load_eyes("measured_errors", LEAFY)
     chances = draw_chances(np.random.default_rng(7), 5)
     found = see(eyes, VIEW, FRUIT, np.full(5, 0.06), np.random.default_rng(0), chances=chances)
-    depth = camera_frame(FRUIT, VIEW.left_eye(eyes.camera), VIEW.looking)[:, 2]
+    depth = camera_frame(FRUIT, left_eye(eyes.camera, VIEW), LOOKING)[:, 2]
     in_sight, located, error = sighted(eyes.errors, depth, chances)
     assert np.array_equal(found.in_sight, in_sight) and np.array_equal(found.located, located)
     miss = found.believed - FRUIT
@@ -181,15 +180,15 @@ def test_a_detection_is_of_fruit_in_sight_within_a_diameter_of_it():
     black = np.zeros((2, 2, 3), dtype=np.uint8)
     pair = StereoPair(black, black, np.zeros((2, 2), dtype=np.int64), visible)
     seen = places[[3, 2, 0]] + [[0.0, 0.0601, 0.0], [0.0, 0.0599, 0.0], [0.0, 0.0, 0.0]]
-    found, sizes = Detections(seen, np.full(3, -1), np.ones(3)), [0.02, 0.06, 0.05, 0.03]
-    located, where, false = located_fruit(pair, found, places, sizes)
+    sizes = [0.02, 0.06, 0.05, 0.03]
+    located, where, false = located_fruit(pair, seen, places, sizes)
     assert located.dtype == bool and located.tolist() == [False, True, True, False]
     np.testing.assert_array_equal(where, [places[0], seen[2], seen[1], places[3]])
     np.testing.assert_array_equal(false, seen[:1])
     hidden = replace(pair, visible=np.zeros(4))
-    located, where, false = located_fruit(hidden, found, places, sizes)
+    located, where, false = located_fruit(hidden, seen, places, sizes)
     assert not located.any() and np.array_equal(where, places) and np.array_equal(false, seen)
-    located, where, false = located_fruit(pair, Detections(seen[:0], np.full(0, -1), np.ones(0)), places, sizes)
+    located, where, false = located_fruit(pair, seen[:0], places, sizes)
     assert not located.any() and np.array_equal(where, places) and len(false) == 0
 
 
@@ -294,7 +293,7 @@ def test_a_single_detector_reads_both_pictures():
     eyes = [load_eyes("rendered", load_canopy("li2016_bare"), "circles")]
     rng = np.random.default_rng(0)
     (seen,) = sightings(eyes, VIEW, FRUIT, np.full(5, 0.06), np.arange(5) != 2, None, rng, 8)
-    depth = camera_frame(FRUIT, VIEW.left_eye(eyes[0].camera), VIEW.looking)[:, 2]
+    depth = camera_frame(FRUIT, left_eye(eyes[0].camera, VIEW), LOOKING)[:, 2]
     assert seen.tree.tolist() == [8] * 4 and np.array_equal(seen.depth, depth[[0, 1, 3, 4]])
     assert seen.pictures == 1 and seen.found.any() and np.abs(seen.error[seen.found]).max() < 0.06
 

@@ -102,19 +102,18 @@ def referee(left, right, row, column, size, disparity):
 def test_depth_is_base_line_and_focal_length_over_the_disparity_of_the_best_match(disparity, row, column):
     """The match reads the fruit and 3 px around it, as far as there are any, to a fraction of a pixel by a parabola."""
     left, right = pair(disparity, np.random.default_rng(disparity), row=row, column=column)
-    found = locate(CAMERA, picture(left), picture(right))
+    places, agreement = locate(CAMERA, picture(left), picture(right))
     confidence, exact = referee(left, right, row, column, (30, 40), disparity)
-    assert len(found) == len(fruit_regions(CAMERA, picture(left))[0]) == 1
-    assert found.confidence[0] == pytest.approx(confidence, abs=1e-9)
-    assert found.positions[0, 2] == pytest.approx(CAMERA.focal_length * CAMERA.baseline / exact, rel=1e-9)
+    assert len(places) == len(fruit_regions(CAMERA, picture(left))[0]) == 1
+    assert agreement[0] == pytest.approx(confidence, abs=1e-9)
+    assert places[0, 2] == pytest.approx(CAMERA.focal_length * CAMERA.baseline / exact, rel=1e-9)
 
 
 @pytest.mark.parametrize(("disparity", "found"), [(24, True), (103, True), (22, False), (105, False)])
 def test_matches_are_looked_for_between_the_nearest_and_the_farthest_distance(disparity, found):
     """513.5 x 0.12/0.6 = 102.7, rounded up, to 61.62/2.5 = 24.6, rounded down."""
     left, right = pair(disparity, np.random.default_rng(disparity), noise=3.0)
-    located = locate(CAMERA, picture(left), picture(right))
-    depths = located.positions[:, 2]
+    depths = locate(CAMERA, picture(left), picture(right))[0][:, 2]
     wanted = CAMERA.focal_length * CAMERA.baseline / disparity
     assert bool(np.any(np.abs(depths - wanted) < 0.01 * wanted)) == found
 
@@ -122,21 +121,21 @@ def test_matches_are_looked_for_between_the_nearest_and_the_farthest_distance(di
 def test_a_fruit_whose_match_would_lie_outside_the_right_picture_is_left_out():
     left, right = pair(5, np.random.default_rng(0), column=10)
     assert len(fruit_regions(CAMERA, picture(left))[0]) == 1
-    assert len(locate(CAMERA, picture(left), picture(right))) == 0
+    assert len(locate(CAMERA, picture(left), picture(right))[0]) == 0
 
 
 def test_a_match_may_begin_with_the_right_pictures_first_column():
     """The patch begins 3 px before the fruit, at column 61 of the left picture, and at 0 of the right one."""
     left, right = pair(61, np.random.default_rng(4), column=64, noise=3.0)
-    found = locate(CAMERA, picture(left), picture(right))
-    assert found.positions[:, 2] == pytest.approx([513.5 * 0.12 / 61])
+    places, _ = locate(CAMERA, picture(left), picture(right))
+    assert places[:, 2] == pytest.approx([513.5 * 0.12 / 61])
 
 
 def test_a_match_counts_from_the_correlation_that_the_camera_asks_for():
     left, right = pair(61, np.random.default_rng(2))
-    confidence = float(locate(CAMERA, picture(left), picture(right)).confidence[0])
+    confidence = float(locate(CAMERA, picture(left), picture(right))[1][0])
     for share, count in ((confidence - 1e-6, 1), (confidence, 1), (confidence + 1e-6, 0)):
-        assert len(locate(replace(CAMERA, least_correlation=share), picture(left), picture(right))) == count
+        assert len(locate(replace(CAMERA, least_correlation=share), picture(left), picture(right))[0]) == count
 
 
 def test_projection_has_its_centre_in_the_middle_of_the_picture():

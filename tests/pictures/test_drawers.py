@@ -13,7 +13,7 @@ import pytest
 from pickenv.pictures import drawers
 from pickenv.pictures.drawers import draw_plainly, lettered
 from pickenv.pictures.solids import chequered
-from pickenv.pictures.stage import Balls, Dial, Eye, Rods, Stage, Words, backdrop, rgba
+from pickenv.pictures.stage import Dial, Eye, Rods, Stage, Words, backdrop, rgba, spheres
 
 EYE = Eye(np.array([0.0, -3.0, 1.0]), np.array([0.0, 0.0, 0.0]))
 RED, BLUE = (230, 10, 10), (10, 10, 230)
@@ -29,7 +29,7 @@ def draw(request):
 
 
 def balls(*places, colour=RED, radius=0.12, opacity=1.0):
-    return Balls(np.array(places, dtype=float), np.full(len(places), radius), rgba(colour, len(places), opacity))
+    return spheres(np.array(places, dtype=float), np.full(len(places), radius), rgba(colour, len(places), opacity))
 
 
 def reddish(pixels):

@@ -9,14 +9,13 @@ import pytest
 
 from pickenv.pictures.solids import (
     all_triangles,
-    ball_triangles,
     chequered,
     leaf_mesh,
     mesh_triangles,
     rod_triangles,
     turned,
 )
-from pickenv.pictures.stage import Balls, Eye, Mesh, Rods, fitted_eye, rgba
+from pickenv.pictures.stage import Eye, Mesh, Rods, fitted_eye, rgba, spheres
 
 
 def volume(corners, triangles):
@@ -45,12 +44,11 @@ def test_a_rod_is_as_thick_as_it_says_all_along_and_closed(seed):
     assert 0.9 * whole < volume(found.corners - start, found.triangles) < whole
 
 
-def test_a_rod_without_length_is_a_ball():
+def test_a_ball_is_round():
     place, radius, colour = np.array([[1.0, 2.0, 3.0]]), np.array([0.2]), rgba((9, 9, 9), 1)
-    rod, ball = rod_triangles(Rods(place, place, radius, colour)), ball_triangles(Balls(place, radius, colour))
-    for made in (rod, ball):
-        np.testing.assert_allclose(made.corners, place + 0.2 * made.normals, atol=1e-12)
-        np.testing.assert_allclose(np.linalg.norm(made.normals, axis=1), 1.0)
+    made = rod_triangles(spheres(place, radius, colour))
+    np.testing.assert_allclose(made.corners, place + 0.2 * made.normals, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(made.normals, axis=1), 1.0)
 
 
 def test_several_rods_keep_their_own_corners_and_colours():
@@ -149,7 +147,7 @@ def test_a_rod_has_as_many_corners_as_it_says_and_parts_are_put_together_in_orde
     rod = rod_triangles(Rods(np.zeros((1, 3)), np.ones((1, 3)), np.array([0.1]), rgba((9, 8, 7), 1, 0.5)))
     assert len(rod.corners) == 14 * 2 * 4 + 2 and len(rod.triangles) == 2 * 14 * 8
     assert rod.colour.tolist() == [[9, 8, 7, 128]] * 114
-    ball = ball_triangles(Balls(np.ones((2, 3)), np.array([0.1, 0.3]), rgba((1, 2, 3), 2)))
+    ball = rod_triangles(spheres(np.ones((2, 3)), np.array([0.1, 0.3]), rgba((1, 2, 3), 2)))
     made = all_triangles([rod, ball, rod])
     for part, first in ((rod, 0), (ball, 114), (rod, 114 * 3)):
         last = first + len(part.corners)

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from types import ModuleType
-from typing import Annotated, Any, ClassVar, NamedTuple, Self, cast
+from typing import Annotated, Any, ClassVar, Self, cast
 
 import numpy as np
 from scipy.special import ndtri
@@ -49,18 +49,6 @@ class Load:
     payload: Annotated[Scalar, KG.not_negative] = 0.0
 
 
-class Loads(NamedTuple):
-    """Gravity's pull on an arm.
-
-    Attributes:
-        weights: What hangs on each link: itself and all behind it; last what the tool holds.
-        torques: Torques and forces on the joints, N*m or N.
-    """
-
-    weights: list[Weight]
-    torques: list[Scalar]
-
-
 class Passage:
     """A joint command on its way to the tool; the effects change it, one after the other.
 
@@ -76,14 +64,14 @@ class Passage:
         bends: What bends the links, asked for its `Effect.flexure` when all joints are known.
     """
 
-    __slots__ = ("_frame", "_loads", "bends", "chain", "cold", "command", "driven", "joints", "load", "m", "motor")
+    __slots__ = ("_frame", "_pull", "bends", "chain", "cold", "command", "driven", "joints", "load", "m", "motor")
 
     def __init__(self, m: ModuleType, chain: Chain, load: Load | None, command: Sequence[Scalar]) -> None:
         self.m, self.command, self.load = m, command, load
         self.motor = self.driven = self.joints = command
         self.cold = self.chain = chain
         self.bends: list[Effect] = []
-        self._loads: Loads | None = None
+        self._pull: tuple[list[Weight], list[Scalar]] | None = None
         self._frame: Frame | None = None
 
     def turn(self, motor: Sequence[Scalar]) -> None:
@@ -95,13 +83,17 @@ class Passage:
         self.driven = self.joints = driven
 
     @property
-    def loads(self) -> Loads:
-        """Loads at the driven joints of the straight, cold arm, which needs masses: the rest is of second order."""
-        if self._loads is None:
+    def pull(self) -> tuple[list[Weight], list[Scalar]]:
+        """Gravity's pull at the driven joints of the straight, cold arm, which needs masses: the rest is small.
+
+        What hangs on each link, itself and all behind it, last what the tool holds; and torques and forces on the
+        joints, N*m or N.
+        """
+        if self._pull is None:
             straight = frames(self.m, self.cold, self.driven)  # not kept: NumPy uses its memory again
             weights = weights_behind(self.cold, straight, cast(Load, self.load))
-            self._loads = Loads(weights, weights_torques(self.cold, straight, weights))
-        return self._loads
+            self._pull = weights, weights_torques(self.cold, straight, weights)
+        return self._pull
 
     @property
     def frame(self) -> Frame:

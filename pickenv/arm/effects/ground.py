@@ -68,7 +68,7 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
     def _tilt(self, at: Passage) -> tuple[Scalar, Scalar]:
         """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once."""
         x0, y0, _ = self.pivot
-        mass, moment_x, moment_y = at.loads.weights[0]
+        mass, moment_x, moment_y = at.pull[0][0]
         about_x, about_y = self.stiffness
         return -GRAVITY * (moment_y - mass * y0) / about_x, GRAVITY * (moment_x - mass * x0) / about_y
 

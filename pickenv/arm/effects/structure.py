@@ -30,7 +30,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
 
     def act(self, at: Passage, memory: Components) -> None:
         """Let the joints yield."""
-        numbers = zip(at.joints, at.loads.torques, self.stiffness, strict=True)
+        numbers = zip(at.joints, at.pull[1], self.stiffness, strict=True)
         at.joints = [value + torque / k for value, torque, k in numbers]
 
 
@@ -241,7 +241,7 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
         """Joints that the motors have pushed along."""
-        behind, torques = [], at.loads.torques if at.load else None
+        behind, torques = [], at.pull[1] if at.load else None
         for i, (entry, output, width, preload) in enumerate(
             zip(at.joints, memory, self.width, self.preload, strict=True)
         ):
@@ -335,7 +335,7 @@ class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Bend the boom under the part across it of the moment about its tip."""
         zx, zy, zz, px, py, _ = frame[6:]
-        mx, my = moment_about(at.loads.weights[self.joint + 1], px, py)
+        mx, my = moment_about(at.pull[0][self.joint + 1], px, py)
         along, turn = mx * zx + my * zy, length / self.flexural_rigidity
         wx, wy, wz = turn * (mx - along * zx), turn * (my - along * zy), -turn * along * zz
         return displaced_frame(at.m, frame, _swung(wx, wy, wz, 0.5 * length, (zx, zy, zz), (0.0, 0.0, 0.0)))
@@ -355,7 +355,7 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Twist the boom under the part along it of the moment about its tip."""
         zx, zy, zz, px, py, _ = frame[6:]
-        mx, my = moment_about(at.loads.weights[self.joint + 1], px, py)
+        mx, my = moment_about(at.pull[0][self.joint + 1], px, py)
         angle = length / self.torsional_rigidity * (mx * zx + my * zy)
         return displaced_frame(at.m, frame, (0.0, 0.0, 0.0, angle * zx, angle * zy, angle * zz))
 
@@ -402,7 +402,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
 
     def flexure(self, at: Passage) -> Flexure:
         """Move and turn each slide in its bearings, under all that hangs on it."""
-        weights, by_joint = at.loads.weights, {bearing.joint: bearing for bearing in self.bearings}
+        weights, by_joint = at.pull[0], {bearing.joint: bearing for bearing in self.bearings}
 
         def give(i: int, frame: Frame) -> Frame:
             bearing = by_joint.get(i)

@@ -56,7 +56,6 @@ class JointTable:
 class Revolute(JointTable):
     """A link that its own joint turns."""
 
-    _: KW_ONLY
     type: Annotated[Literal["R"], Type]
     lower: Annotated[float, toml_tables.DEG]
     upper: Annotated[float, toml_tables.DEG]
@@ -67,7 +66,6 @@ class Revolute(JointTable):
 class Prismatic(JointTable):
     """A link that its own joint slides."""
 
-    _: KW_ONLY
     type: Annotated[Literal["P"], Type]
     lower: Annotated[float, toml_tables.MM]
     upper: Annotated[float, toml_tables.MM]
@@ -78,7 +76,6 @@ class Prismatic(JointTable):
 class Follower(JointTable):
     """A link that another link's joint moves."""
 
-    _: KW_ONLY
     type: Annotated[Literal["R", "P"], Type]
     follows: Annotated[int, toml_tables.WHOLE]
 

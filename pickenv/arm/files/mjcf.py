@@ -27,16 +27,7 @@ from pickenv.arm.files.xml_values import Element, numbers_text, xml_number, xml_
 from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.base import (
-    InputError,
-    decimal_number,
-    is_file,
-    listed,
-    one_line,
-    register,
-    shortened,
-    toml_tables,
-)
+from pickenv.base import InputError, decimal_number, is_file, listed, one_line, register, shortened, toml_tables
 
 # MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
 # kinematics are exact. Masses are not known of an arm's table: each link is a rod of `DENSITY`, so that inertias are
@@ -122,11 +113,6 @@ Attributes: TypeAlias = Mapping[str, str]
 ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 
 
-def truth(word: str) -> bool:
-    """The meaning of "true" and "false"."""
-    return word == "true"
-
-
 @dataclass(frozen=True)
 class MjcfValues:
     """Settings by which a file is to be read.
@@ -166,7 +152,7 @@ class MjcfValues:
                 defaults[tag, name] = reduce(_over, attributes, inherited)
             inner = [(child, child.get("class", ""), name) for child in part.iterfind("default")]
             waiting += inner[::-1]
-        return cls(unit == "degree", sequence, truth(settings.get("autolimits", "true")), defaults)
+        return cls(unit == "degree", sequence, settings.get("autolimits", "true") == "true", defaults)
 
     def merged(self, tag: str, element: Element, childclass: str) -> Attributes:
         """An element's attributes over those of its class.
@@ -366,7 +352,7 @@ def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
                 if name in bodies:
                     raise InputError(f"body '{shortened(name)}' is given twice; rename one")
                 pose = behind(within, values.pose(part.attrib))
-                bodies[name] = _Body(name, owner, pose, mocap=truth(part.get("mocap", "false")))
+                bodies[name] = _Body(name, owner, pose, mocap=part.get("mocap", "false") == "true")
                 deeper.append((part, name, identity_pose(), inner))
             elif part.tag == "site":
                 name, pose = part.get("name", f"{len(bodies)}"), values.pose(values.merged("site", part, childclass))
@@ -445,7 +431,7 @@ def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> di
     ties: dict[str, tuple[str, float, float]] = {}
     for tie in root.iterfind("equality/joint"):
         name, leader, law = tie.get("joint1", ""), tie.get("joint2", WORLD), tie.get("polycoef", "")
-        if not truth(tie.get("active", "true")):
+        if tie.get("active", "true") != "true":
             continue
         if name not in joints or (leader != WORLD and leader not in joints):
             raise InputError(
@@ -473,7 +459,7 @@ def _refuse_loops(root: Element, bodies: Mapping[str, _Body], moved: set[str]) -
     for tie in (*root.iterfind("equality/connect"), *root.iterfind("equality/weld")):
         ends = [f"site {tie.get(f'site{i}')}" if tie.get("site1") else tie.get(f"body{i}") for i in (1, 2)]
         bound = [end for end in ends if end is not None and end in bodies]
-        if not truth(tie.get("active", "true")) or any(bodies[end].mocap for end in bound):
+        if tie.get("active", "true") != "true" or any(bodies[end].mocap for end in bound):
             continue  # a mocap body is a handle by which a program moves the model
         between = reduce(set.symmetric_difference, (set(_above(bodies, end)) for end in bound), set[str]())
         if caught := between & moved:

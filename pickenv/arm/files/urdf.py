@@ -139,22 +139,21 @@ MOVING = {"revolute": False, "continuous": False, "prismatic": True}
 
 
 @register("arm_format", "urdf")
-def load_urdf(path: str | Path, tip: str | None = None, base: str | None = None) -> Arm:
-    """Read the chain from link ``base`` to link ``tip`` of a URDF file.
+def load_urdf(path: str | Path, tip: str | None = None) -> Arm:
+    """Read the chain from the root to link ``tip`` of a URDF file.
 
     Args:
         path: The file.
         tip: Last link, whose frame is the tool; the flange when left out.
-        base: First link, whose frame is the world; the root when left out.
 
     Raises:
         InputError: If the file, a link or a joint is unusable; the message names it.
     """
     path = Path(path)
-    return urdf_row(path, tip, base).arm(path, "URDF", bool(tip))
+    return urdf_row(path, tip).arm(path, "URDF", bool(tip))
 
 
-def urdf_row(path: Path, tip: str | None = None, base: str | None = None) -> JointRow:
+def urdf_row(path: Path, tip: str | None = None) -> JointRow:
     """The joints that `load_urdf` makes an arm of.
 
     Raises:
@@ -163,7 +162,7 @@ def urdf_row(path: Path, tip: str | None = None, base: str | None = None) -> Joi
     root = xml_root(path, ".urdf")
     try:
         by_name, above = _unique([joint for joint in root.iter("joint") if joint.find("child") is not None])
-        chain, last = _chain(above, tip, base)
+        chain, last = _chain(above, tip)
         joints, tool, drives = _joints(chain, by_name)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -221,8 +220,8 @@ def _unique(joints: list[Element]) -> tuple[dict[str, Element], dict[str, Elemen
     return by_name, above
 
 
-def _chain(above: Mapping[str, Element], tip: str | None, base: str | None) -> tuple[list[Element], str]:
-    """The joints from ``base`` to ``tip``, and the tip; loops are refused."""
+def _chain(above: Mapping[str, Element], tip: str | None) -> tuple[list[Element], str]:
+    """The joints from the root to ``tip``, and the tip; loops are refused."""
     try:
         TopologicalSorter({link: [_link(joint, "parent")] for link, joint in above.items()}).prepare()
     except CycleError as error:
@@ -231,27 +230,24 @@ def _chain(above: Mapping[str, Element], tip: str | None, base: str | None) -> t
             f"joint {_name(above[link])} closes a loop: link '{shortened(link)}' stands on itself; an arm is an open "
             "chain"
         ) from None
-    tip = tip or _flange(above, base)
+    tip = tip or _flange(above)
     chain: list[Element] = []
     link = tip
-    while link in above and link != base:
+    while link in above:
         chain.append(above[link])
         link = _link(above[link], "parent")
-    if not chain or (base is not None and link != base):
-        raise InputError(
-            f"no chain of joints leads from link '{shortened(base or 'root')}' to link '{shortened(tip)}'; "
-            "name existing links"
-        )
+    if not chain:
+        raise InputError(f"no chain of joints leads from link 'root' to link '{shortened(tip)}'; name existing links")
     return chain[::-1], tip
 
 
-def _flange(above: Mapping[str, Element], base: str | None) -> str:
+def _flange(above: Mapping[str, Element]) -> str:
     """The link at which the arm's own joints end."""
     children: dict[str, list[Carried]] = {}
     for link, joint in above.items():
         moving = () if joint.get("type") == "fixed" else (str(joint.get("name")),)
         children.setdefault(_link(joint, "parent"), []).append(Carried(link, moving))
-    return flange(children, base or next((link for link in children if link not in above), ""))
+    return flange(children, next((link for link in children if link not in above), ""))
 
 
 def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, float, float]:

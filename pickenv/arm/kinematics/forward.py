@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose
-from pickenv.base import InputError, require
+from pickenv.base import InputError
 
 # Modified DH parameters of any serial chain, from its joint axes at the zero position. Frame i has z on joint axis i
 # and x on the common normal to axis i + 1 (Craig 2005, section 3.4). Frame 0 coincides with frame 1 at zero, so
@@ -162,19 +162,13 @@ def frame_of(pose: Pose) -> Frame:
     return (*(float(v) for v in pose.rotation.T.ravel()), *(float(v) for v in pose.position))
 
 
-def pose_of(frame: Frame, m: ModuleType = np) -> Pose:
-    """Stack a frame's components into a `Pose` of NumPy arrays or torch tensors."""
-    if m is np:
-        shape = np.broadcast(*frame).shape
-        position, axes = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
-        for i, (x, y, z, p) in enumerate(zip(*(frame[start : start + 3] for start in (0, 3, 6, 9)), strict=True)):
-            axes[..., i, 0], axes[..., i, 1], axes[..., i, 2], position[..., i] = x, y, z, p
-        return Pose(position, axes)
-    shaped = [v for v in frame if not isinstance(v, float)]
-    template = sum(shaped[1:], shaped[0]) * 0  # constants of a chain may still be plain floats
-    xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = (template + v for v in frame)
-    rows = [m.stack([xx, yx, zx], -1), m.stack([xy, yy, zy], -1), m.stack([xz, yz, zz], -1)]
-    return Pose(m.stack([px, py, pz], -1), m.stack(rows, -2))
+def pose_of(frame: Frame) -> Pose:
+    """Stack a frame's components, numbers or arrays of shapes that fit, into a `Pose` of arrays."""
+    shape = np.broadcast(*frame).shape
+    position, axes = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
+    for i, (x, y, z, p) in enumerate(zip(*(frame[start : start + 3] for start in (0, 3, 6, 9)), strict=True)):
+        axes[..., i, 0], axes[..., i, 1], axes[..., i, 2], position[..., i] = x, y, z, p
+    return Pose(position, axes)
 
 
 def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | None = None) -> list[Frame]:
@@ -263,16 +257,6 @@ def forward(geometry: Geometry, q: ArrayLike) -> Pose:
     """
     chain = chain_of(geometry, math if geometry.alpha.ndim == 1 else np)
     return pose_of(tool_frame(np, chain, split_joints(geometry.joints, q)))
-
-
-def forward_torch(geometry: Geometry, q: Any) -> Pose:
-    """`forward` on a torch tensor ``(..., n)``; the pose's fields are tensors and carry gradients."""
-    require("torch")
-    import torch
-
-    if q.ndim == 0 or q.shape[-1] != geometry.joints:
-        raise ValueError(f"joints have shape {tuple(q.shape)}, but this arm has {geometry.joints} joints (last axis)")
-    return pose_of(tool_frame(torch, chain_of(geometry), q.unbind(-1)), torch)
 
 
 # The arm as something to draw: a polyline along its links. A link runs from the previous frame's origin along a to

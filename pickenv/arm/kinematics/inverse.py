@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import binary_erosion
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
@@ -163,8 +164,7 @@ def _cost(solution: InverseSolution) -> Array:
 
 def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> Array:
     """Joints of the ``count`` poses of an even spread that stand nearest to each target (targets * count, n)."""
-    shares = qmc.Halton(geometry.joints, scramble=False).random(POOL)
-    joints = geometry.lower + (geometry.upper - geometry.lower) * shares
+    joints = halton_joints(geometry, POOL)
     pool = forward(geometry, joints)
     size = max(float(pool.position.std(axis=0).max()), 1e-6)
 
@@ -294,7 +294,7 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
     """
     if rotation is None:
         rotation = forward(geometry, (geometry.lower + geometry.upper) / 2.0).rotation
-    joints = _samples(geometry)
+    joints = halton_joints(geometry, SAMPLES)
     points = forward(geometry, joints).position
     low, high = points.min(axis=0), points.max(axis=0)
     step = float((high - low).max()) / steps
@@ -322,7 +322,7 @@ def farthest(geometry: Geometry) -> float:
 
     The best of the samples is driven on to a maximum.
     """
-    joints = _samples(geometry)
+    joints = halton_joints(geometry, SAMPLES)
     foot = geometry.base.position
 
     def nearness(q: Array) -> float:
@@ -333,26 +333,19 @@ def farthest(geometry: Geometry) -> float:
     return -float(minimize(nearness, first, bounds=limits).fun)
 
 
-def _samples(geometry: Geometry) -> Array:
-    """Evenly spread joints within the limits."""
-    spread = qmc.Halton(geometry.joints, scramble=False).random(SAMPLES)
-    return np.asarray(geometry.lower + (geometry.upper - geometry.lower) * spread)
+def halton_joints(geometry: Geometry, count: int) -> Array:
+    """Joints ``(count, n)`` spread evenly within the limits, rad or m: a Halton sequence."""
+    shares = qmc.Halton(geometry.joints, scramble=False).random(count)
+    return np.asarray(geometry.lower + (geometry.upper - geometry.lower) * shares)
 
 
 def _largest_filled(filled: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:
     """Lower corner and size, in grid steps, of the largest cube of grid points that are all filled."""
-    corner: tuple[int, ...] = (0, 0, 0)
-    size, corners = 0, filled  # corners: which points are the lower corner of a filled cube of this size
-    while corners.any():
-        choices = np.argwhere(corners)
-        corner = tuple(choices[len(choices) // 2].tolist())
-        shape = np.array(corners.shape) - 1
-        if (shape < 1).any():
-            break
-        grown = np.ones(shape, dtype=bool)
-        for shift in np.ndindex(2, 2, 2):
-            grown &= corners[tuple(slice(s, s + n) for s, n in zip(shift, shape, strict=True))]
-        if not grown.any():
-            break
-        size, corners = size + 1, grown
-    return corner, size
+    size, grown = -1, filled
+    while grown.any():
+        size, corners = size + 1, grown  # the points that are the lower corner of a filled cube of this size
+        grown = binary_erosion(corners, np.ones((2, 2, 2), dtype=bool), origin=-1)
+    if size < 0:
+        return (0, 0, 0), 0
+    choices = np.argwhere(corners)
+    return tuple(choices[len(choices) // 2].tolist()), size

@@ -32,6 +32,10 @@ Fill = Callable[[Array, Array], None]
 """Gets an array ``(k, N)`` and fills one ``(rows, N)``."""
 
 
+Goals = list[tuple[int, str, int]]
+"""Number of an operation, and the array and row that its result goes to."""
+
+
 class Untraceable(Exception):
     """A formula asked for a number where only its name is known."""
 
@@ -52,18 +56,8 @@ class Operation(NamedTuple):
     detail: Any = None
 
 
-class Call(NamedTuple):
-    """A function of whole arrays, called between two loops.
-
-    Attributes:
-        function: The function.
-        values: What it is given.
-        rows: How many numbers it makes of them.
-    """
-
-    function: Fill
-    values: Sequence[Scalar]
-    rows: int
+Call = tuple[Fill, Sequence[Scalar], int]
+"""A function of whole arrays, called between two loops; what it is given; how many numbers it makes of them."""
 
 
 class Trace:
@@ -94,6 +88,10 @@ class Trace:
     def inputs(self, array: str, rows: int, kind: str = DOUBLE) -> list[Traced]:
         """The rows of an array ``(rows, N)``."""
         return [self.note("input", kind, detail=(array, row)) for row in range(rows)]
+
+    def outputs(self, array: str, rows: Sequence[Scalar], kind: str = DOUBLE, first: int = 0) -> Goals:
+        """Have numbers of a kind written into an array ``(rows, N)``, from row ``first`` on."""
+        return [(self.of(value, kind), array, row) for row, value in enumerate(rows, first)]
 
     def of(self, value: Scalar, kind: str) -> int:
         """Number of the operation that gives ``value``; plain numbers become constants of this kind."""
@@ -238,7 +236,7 @@ def _outside(function: Fill, values: Sequence[Scalar], rows: int) -> list[Traced
     trace = _trace_of(values)
     if trace is None:
         return None
-    trace.calls.append(Call(function, values, rows))
+    trace.calls.append((function, values, rows))
     return trace.inputs(f"found{len(trace.calls) - 1}", rows)
 
 
@@ -280,42 +278,21 @@ BY_KIND = {
 FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
-class Outputs(NamedTuple):
-    """Numbers to be written into an array ``(rows, N)``.
-
-    Attributes:
-        array: Its name.
-        rows: What goes into its rows.
-        kind: Their kind.
-        first: Number of the first of these rows.
-    """
-
-    array: str
-    rows: Sequence[Scalar]
-    kind: str = DOUBLE
-    first: int = 0
-
-    def goals(self, trace: Trace) -> list[tuple[int, str, int]]:
-        """Number of an operation, array and row, of each."""
-        return [(trace.of(value, self.kind), self.array, row) for row, value in enumerate(self.rows, self.first)]
-
-
 class Compiled:
     """A trace ready to be run: a loop for what each call is given, which begins anew, and one for the outputs.
 
     Args:
         trace: The operations.
-        outputs: What is written; all in the last loop, for inputs are read until then.
+        goals: What is written; all in the last loop, for inputs are read until then.
         count: For how many poses it will be run.
     """
 
-    def __init__(self, trace: Trace, outputs: Sequence[Outputs], count: int) -> None:
+    def __init__(self, trace: Trace, goals: Goals, count: int) -> None:
         self._calls = trace.calls
-        loops = [[Outputs(f"given{i}", call.values)] for i, call in enumerate(trace.calls)] + [list(outputs)]
-        goals = [[goal for out in loop for goal in out.goals(trace)] for loop in loops]
+        loops = [*(trace.outputs(f"given{i}", values) for i, (_, values, _) in enumerate(trace.calls)), goals]
         read = (operation.detail[0] for operation in trace.operations if operation.name == "input")
-        self._arrays = tuple(dict.fromkeys((*read, *(out.array for loop in loops for out in loop))))
-        code = (_loop(trace.operations, f"loop{i}", goal, self._arrays) for i, goal in enumerate(goals))
+        self._arrays = tuple(dict.fromkeys((*read, *(array for loop in loops for _, array, _ in loop))))
+        code = (_loop(trace.operations, f"loop{i}", loop, self._arrays) for i, loop in enumerate(loops))
         names = tuple(f"loop{i}" for i in range(len(loops)))
         self._engine, addresses = machine("\n".join((*DECLARED, *code)), names, count >= THOROUGH)
         self._loops = [FUNCTION(address) for address in addresses]
@@ -324,20 +301,16 @@ class Compiled:
     def run(self, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
         """Compute outputs from inputs: arrays ``(rows, count)`` by name, whose rows lie one after the other."""
         if self._calls and (not self._between or self._between["given0"].shape[1] != count):
-            for i, call in enumerate(self._calls):
-                self._between[f"given{i}"] = np.empty((len(call.values), count))
-                self._between[f"found{i}"] = np.empty((call.rows, count))
+            for i, (_, values, rows) in enumerate(self._calls):
+                self._between[f"given{i}"] = np.empty((len(values), count))
+                self._between[f"found{i}"] = np.empty((rows, count))
         arrays = {**arrays, **self._between}
         addresses = (arrays[name].__array_interface__["data"][0] for name in self._arrays)
         bases = (ctypes.c_void_p * len(self._arrays))(*addresses)
         for i, loop in enumerate(self._loops):
             loop(bases, count)
             if i < len(self._calls):
-                self._calls[i].function(arrays[f"given{i}"], arrays[f"found{i}"])
-
-
-Goals = Sequence[tuple[int, str, int]]
-"""Number of an operation, and the array and row that its result goes to."""
+                self._calls[i][0](arrays[f"given{i}"], arrays[f"found{i}"])
 
 
 def _type(kind: str, lanes: int) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any, NamedTuple, TypeAlias
@@ -21,7 +21,7 @@ from pickenv.arm.effects.effect import BESIDE
 from pickenv.arm.effects.structure import one_stop
 from pickenv.arm.kinematics.forward import Frame, Scalar, forward, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Pose
-from pickenv.arm.plant.plant import Plant, PlantState, Ready
+from pickenv.arm.plant.plant import Plant, PlantState
 from pickenv.base import HOURS, MILLISECONDS, MM, SECONDS, file_named, read_toml, shipped_in, toml_table
 
 # Point-to-point motion of the true arm: joint commands in steps of a control period, no joint above its speed. All
@@ -225,7 +225,7 @@ def visited(
         return plant.tool_frame(m, in_components(m, joints, place))
     single = joints.ndim == 2
     space = math if single else m
-    plant = replace(plant, ready=Ready(plant.geometry, plant.chain))  # each stop has its friction, and the same chain
+    plant = replace(plant, ready=(plant.geometry, plant.chain))  # each stop has its friction, and the same chain
     start = np.broadcast_to((plant.arm.nominal.lower + plant.arm.nominal.upper) / 2.0, joints.shape[1:])
     state = switched_on(plant, space, start, instrument.warm_up, place)
     pace, frames = Pace(period=instrument.period, dwell=instrument.dwell), []
@@ -268,76 +268,6 @@ def alone(plant: Plant, *names: str) -> Plant:
     return replace(plant, geometry=geometry, effects=tuple(effect for effect in plant.effects if effect.name in names))
 
 
-@dataclass(frozen=True)
-class Share:
-    """Distances that the tool moves, over all reaches, mm.
-
-    Attributes:
-        mean: Mean distance.
-        p95: 95th percentile.
-        max: Largest.
-        varying: Mean distance after each axis' mean is taken off: what no constant offset removes.
-    """
-
-    mean: float
-    p95: float
-    max: float
-    varying: float
-
-
-@dataclass(frozen=True)
-class EffectShares:
-    """Each effect's share of the tip's position error.
-
-    Attributes:
-        plant: Name of the plant.
-        reaches: Number of reaches.
-        running_hours: Time since the machine was switched on.
-        dwell: Waiting time between arrival and measurement, s.
-        alone: For each effect that is on, its share when it is the only one; ``geometry`` is the true against the
-            nominal geometry.
-        without: For each of them, true tool against the nominal one with everything on but it: the error that remains.
-        all: True tool against the nominal one, everything on.
-        sum_of_means: Sum of the means of ``alone``, mm: all shares in one line, the worst case.
-        root_sum_square: Root of the sum of the squared means of ``alone``, mm: shares in random directions.
-    """
-
-    plant: str
-    reaches: int
-    running_hours: float
-    dwell: float
-    alone: dict[str, Share]
-    without: dict[str, Share]
-    all: Share
-    sum_of_means: float
-    root_sum_square: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON; every length in mm, and the name of the unit in the key."""
-        return {"unit": "mm", **asdict(self)}
-
-    def report(self) -> str:
-        """A table for people."""
-        head = f"{'effect':<20}{'alone: mean':>13}{'varying':>10}{'p95':>9}{'max':>9}{'without: mean':>17}"
-        lines = [
-            f"Tip error of plant {self.plant} in mm: {self.reaches} reaches, {self.dwell:g} s after arrival, "
-            f"{self.running_hours:g} h after start",
-            head,
-            "-" * len(head),
-        ]
-        for name, share in self.alone.items():
-            figures = f"{share.mean:13.3f}{share.varying:10.3f}{share.p95:9.3f}{share.max:9.3f}"
-            lines.append(f"{name.replace('_', ' '):<20}{figures}{self.without[name].mean:17.3f}")
-        total = self.all
-        lines += [
-            "-" * len(head),
-            f"{'all':<20}{total.mean:13.3f}{total.varying:10.3f}{total.p95:9.3f}{total.max:9.3f}{0.0:17.3f}",
-            "alone: the only effect that is on; without: what all the others leave",
-            f"sum of the means {self.sum_of_means:.3f}, root of the sum of squares {self.root_sum_square:.3f}",
-        ]
-        return "\n".join(lines)
-
-
 def draw_reaches(plant: Plant, count: int, rng: np.random.Generator) -> Array:
     """Joints ``(count, n)`` spread evenly over the ranges, rad or m."""
     geometry = plant.arm.nominal
@@ -346,14 +276,23 @@ def draw_reaches(plant: Plant, count: int, rng: np.random.Generator) -> Array:
 
 def effect_shares(
     plant: Plant, joints: ArrayLike, *, running_time: float = 7200.0, pace: Pace | None = None
-) -> EffectShares:
-    """Each effect's share of the tip error.
+) -> dict[str, Any]:
+    """Each effect's share of the tip's position error.
 
     Args:
         plant: The arm, on single numbers (not a batch of arms).
         joints: Joint commands ``(P, n)`` to reach, rad or m; each is approached from the one before it.
         running_time: Time since the machine was switched on, s.
         pace: How the reaches are made; full speed and 0.5 s of waiting when left out.
+
+    Returns:
+        For JSON: ``plant``, ``reaches``, ``running_hours`` and ``dwell`` (s) say of what, all else is in mm. ``alone``:
+        for each effect that is on, its share when it is the only one; ``geometry`` is the true against the nominal
+        geometry. ``without``: for each of them, true tool against the nominal one with everything on but it, the error
+        that remains. ``all``: everything on. ``sum_of_means`` of ``alone``: all shares in one line, the worst case.
+        ``root_sum_square`` of these means: shares in random directions. A share has the ``mean`` distance that the tool
+        moves over all reaches, its 95th percentile ``p95``, the largest ``max``, and ``varying``, the mean after each
+        axis' mean is taken off: what no constant offset removes.
     """
     pace = pace or Pace()
     joints = np.asarray(joints, dtype=float)
@@ -362,25 +301,49 @@ def effect_shares(
     causes, nominal = causes_of(plant), forward(plant.arm.nominal, joints).position
     start = np.roll(joints, 1, axis=0)
 
-    def share(*names: str) -> Share:
+    def share(*names: str) -> dict[str, float]:
         """The tool after reaches from the joints before (the first from the last), against the nominal one."""
         some = alone(plant, *names)
         _, frame = moved(some, np, switched_on(some, np, start, running_time), start, joints, pace)
         error = np.stack(np.broadcast_arrays(*frame[9:]), -1) - nominal
         millimetres, varying = (1e3 * np.linalg.norm(part, axis=-1) for part in (error, error - error.mean(axis=0)))
-        p95 = float(np.quantile(millimetres, 0.95))
-        return Share(float(millimetres.mean()), p95, float(millimetres.max()), float(varying.mean()))
+        p95 = np.quantile(millimetres, 0.95)
+        numbers = {"mean": millimetres.mean(), "p95": p95, "max": millimetres.max(), "varying": varying.mean()}
+        return {name: float(number) for name, number in numbers.items()}
 
     shares = {name: share(name) for name in causes}
-    means = [single.mean for single in shares.values()]
-    return EffectShares(
-        plant=plant.name,
-        reaches=len(joints),
-        running_hours=running_time / 3600.0,
-        dwell=pace.dwell,
-        alone=shares,
-        without={name: share(*(cause for cause in causes if cause != name)) for name in causes},
-        all=share(*causes),
-        sum_of_means=float(np.sum(means)),
-        root_sum_square=float(np.sqrt(np.sum(np.square(means)))),
-    )
+    means = [single["mean"] for single in shares.values()]
+    return {
+        "unit": "mm",
+        "plant": plant.name,
+        "reaches": len(joints),
+        "running_hours": running_time / 3600.0,
+        "dwell": pace.dwell,
+        "alone": shares,
+        "without": {name: share(*(cause for cause in causes if cause != name)) for name in causes},
+        "all": share(*causes),
+        "sum_of_means": float(np.sum(means)),
+        "root_sum_square": float(np.sqrt(np.sum(np.square(means)))),
+    }
+
+
+def shares_report(shares: dict[str, Any]) -> str:
+    """What `effect_shares` found, as a table for people."""
+    head = f"{'effect':<20}{'alone: mean':>13}{'varying':>10}{'p95':>9}{'max':>9}{'without: mean':>17}"
+
+    def row(name: str, share: dict[str, float], left: float) -> str:
+        figures = f"{share['mean']:13.3f}{share['varying']:10.3f}{share['p95']:9.3f}{share['max']:9.3f}"
+        return f"{name.replace('_', ' '):<20}{figures}{left:17.3f}"
+
+    lines = [
+        f"Tip error of plant {shares['plant']} in mm: {shares['reaches']} reaches, {shares['dwell']:g} s after "
+        f"arrival, {shares['running_hours']:g} h after start",
+        head,
+        "-" * len(head),
+        *(row(name, share, shares["without"][name]["mean"]) for name, share in shares["alone"].items()),
+        "-" * len(head),
+        row("all", shares["all"], 0.0),
+        "alone: the only effect that is on; without: what all the others leave",
+        f"sum of the means {shares['sum_of_means']:.3f}, root of the sum of squares {shares['root_sum_square']:.3f}",
+    ]
+    return "\n".join(lines)

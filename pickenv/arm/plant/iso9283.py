@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Any
 
@@ -19,7 +19,7 @@ from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.inverse import Cube, largest_cube
 from pickenv.arm.plant.campaign import TRACKER, Instrument, Pace, move_time, moved, switched_on
-from pickenv.base import Ends, InputError, statistic_interval
+from pickenv.base import InputError, statistic_interval
 
 Compensate = Callable[[Array], Array]
 """Joint targets ``(..., n)`` for the nominal arm to joint commands for the real one."""
@@ -66,62 +66,15 @@ class Iso9283Settings:
             raise InputError("approach and drift interval must be above zero, drift time and warm-up not below it")
 
 
-@dataclass(frozen=True)
-class PosePerformance:
-    """Figures of one pose.
+Performance = dict[str, Any]
+"""The figures that one controller, raw or calibrated, gets out of the arm, as JSON has them.
 
-    Attributes:
-        name: P1 to P5.
-        accuracy_mm: AP_P, distance between the mean of the attained positions and the command.
-        accuracy_deg: The same for the attitude: angle of the mean rotation vector.
-        repeatability_mm: RP_l, mean distance from the mean + 3 standard deviations.
-        repeatability_deg: RP_a, RP_b, RP_c: three standard deviations about each world axis.
-        repeatability_ci95_mm: 95 % interval of RP_l over cycles; None with fewer than `CYCLES` or without any scatter.
-        mean_error_mm: Mean error in x, y, z of the world.
-    """
-
-    name: str
-    accuracy_mm: float
-    accuracy_deg: float
-    repeatability_mm: float
-    repeatability_deg: tuple[float, float, float]
-    repeatability_ci95_mm: Ends | None
-    mean_error_mm: tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Performance:
-    """Figures that one controller, raw or calibrated, gets out of the arm.
-
-    Attributes:
-        poses: AP and RP at P1 to P5.
-        variation_mm: vAP_P: largest distance between the means of three approach directions, at P1, P2 and P4.
-        variation_deg: The same for the attitude.
-        drift_mm: dAP_P: largest change of AP_P at P1 since the start, over the drift time.
-        drift_deg: The same for the attitude.
-        wander_mm: Largest distance of the mean position at P1 from where it was at the start.
-        drift_hours: Times of the drift measurements, h.
-        drift_accuracy_mm: AP_P at P1 at those times.
-    """
-
-    poses: tuple[PosePerformance, ...]
-    variation_mm: dict[str, float]
-    variation_deg: dict[str, float]
-    drift_mm: float
-    drift_deg: float
-    wander_mm: float
-    drift_hours: tuple[float, ...]
-    drift_accuracy_mm: tuple[float, ...]
-
-    @property
-    def worst_accuracy_mm(self) -> float:
-        """The largest AP_P of the five poses."""
-        return max(pose.accuracy_mm for pose in self.poses)
-
-    @property
-    def worst_repeatability_mm(self) -> float:
-        """The largest RP_l of the five poses."""
-        return max(pose.repeatability_mm for pose in self.poses)
+poses: AP and RP at P1 to P5, each as `pose_performance` gives them. variation_mm, variation_deg: vAP_P, the largest
+distance between the means of three approach directions, at P1, P2 and P4. drift_mm, drift_deg: dAP_P, the largest
+change of AP_P at P1 since the start, over the drift time. wander_mm: largest distance of the mean position at P1 from
+where it was at the start. drift_hours, drift_accuracy_mm: times of the drift measurements, and AP_P at P1 then.
+worst_accuracy_mm, worst_repeatability_mm: the largest AP_P and RP_l of the five poses.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,14 +110,13 @@ class Iso9283Result:
             "warm_up_h": self.settings.warm_up / 3600.0,
             "drift_h": self.settings.drift_time / 3600.0,
         }
-        worst = ("worst_accuracy_mm", "worst_repeatability_mm")
         return {
             "standard": "ISO 9283:1998",
             "plant": self.plant,
             "settings": settings,
             "cube": {"centre_mm": (1e3 * self.cube.centre).tolist(), "edge_mm": 1e3 * self.cube.edge},
             "instrument_repeatability_mm": self.instrument_mm,
-            **{name: asdict(run) | {k: getattr(run, k) for k in worst} for name, run in self.performances().items()},
+            **self.performances(),
         }
 
     def report(self) -> str:
@@ -185,17 +137,17 @@ class Iso9283Result:
                 f"{name + ':':<12}{'AP [mm]':>9}{'RP [mm]':>9}  {'95 % of RP':<14}{'AP [deg]':>10}{'RP [deg]':>10}"
                 f"{'vAP [mm]':>10}",
             ]
-            for pose in performance.poses:
-                ends, variation = pose.repeatability_ci95_mm, performance.variation_mm.get(pose.name)
+            for pose in performance["poses"]:
+                ends, variation = pose["repeatability_ci95_mm"], performance["variation_mm"].get(pose["name"])
                 interval = "-" if ends is None else f"{ends[0]:.3f} to {ends[1]:.3f}"
                 lines.append(
-                    f"{pose.name:<12}{pose.accuracy_mm:9.3f}{pose.repeatability_mm:9.3f}  {interval:<14}"
-                    f"{pose.accuracy_deg:10.4f}{max(pose.repeatability_deg):10.4f}"
+                    f"{pose['name']:<12}{pose['accuracy_mm']:9.3f}{pose['repeatability_mm']:9.3f}  {interval:<14}"
+                    f"{pose['accuracy_deg']:10.4f}{max(pose['repeatability_deg']):10.4f}"
                     + ("" if variation is None else f"{variation:10.3f}")
                 )
             lines.append(
-                f"drift dAP over {s.drift_time / 3600:g} h: {performance.drift_mm:.3f} mm, "
-                f"{performance.drift_deg:.4f} deg; the mean position wanders by {performance.wander_mm:.3f} mm"
+                f"drift dAP over {s.drift_time / 3600:g} h: {performance['drift_mm']:.3f} mm, "
+                f"{performance['drift_deg']:.4f} deg; the mean position wanders by {performance['wander_mm']:.3f} mm"
             )
         return "\n".join(lines)
 
@@ -235,9 +187,7 @@ def iso9283(
 
     def performance(change: Compensate) -> Performance:
         same = np.random.default_rng(seed)
-        mounting = same.spawn(1)[0].normal(size=3).tolist()
-        test = _Test(plant, settings, instrument, change(targets), change(approaches), goals, same, mounting)
-        return test.performance()
+        return _performance(plant, settings, instrument, change(targets), change(approaches), goals, same)
 
     return Iso9283Result(
         plant=plant.name,
@@ -278,97 +228,98 @@ def _approaches(plant: Plant, poses: Pose, targets: Array, length: float, free: 
     return _joints_for(plant, Pose(before, rotation), start, free)
 
 
-@dataclass(frozen=True, eq=False)
-class _Test:
-    """One controller's run through all parts of the test; ``mounting``: normal numbers of the target's one mounting."""
+def _performance(
+    plant: Plant,
+    settings: Iso9283Settings,
+    instrument: Instrument,
+    commands: Array,
+    approaches: Array,
+    goals: Pose,
+    rng: np.random.Generator,
+) -> Performance:
+    """One controller's run through all parts of the test."""
+    cycles, pace, home, away = settings.cycles, settings.pace, commands[0], commands[1]
+    mounting, noise = rng.spawn(1)[0].normal(size=3).tolist(), instrument.noise_on(plant)
 
-    plant: Plant
-    settings: Iso9283Settings
-    instrument: Instrument
-    commands: Array
-    approaches: Array
-    goals: Pose
-    rng: np.random.Generator
-    mounting: list[float]
-
-    def performance(self) -> Performance:
-        """All figures."""
-        cycles, home = self.settings.cycles, self.commands[0]
-        warm = switched_on(self.plant, math, home, self.settings.warm_up)
-        variation = {}
-        for pose, approaches in zip(VARIATION_POSES, self.approaches, strict=True):
-            stops = [stop for start in approaches for stop in ((start, None), (self.commands[pose], pose)) * cycles]
-            _, errors = self._errors(warm, home, stops)
-            pairs = list(combinations(errors.reshape(len(approaches), cycles, 6).mean(axis=1), 2))
-            gaps = [max(float(np.linalg.norm((a - b)[part])) for a, b in pairs) for part in (slice(3), slice(3, 6))]
-            variation[f"P{pose + 1}"] = 1e3 * gaps[0], math.degrees(gaps[1])
-        hours, means = self._drift()
-        parts = means[:, :3], means[:, 3:], means[:, :3] - means[0, :3]
-        accuracy, turn, wander = (np.linalg.norm(part, axis=-1) for part in parts)
-        _, errors = self._errors(warm, home, [(self.commands[i], i) for _ in range(cycles) for i in ORDER])
-        errors = errors.reshape(cycles, len(ORDER), 6)
-        return Performance(
-            poses=tuple(_pose_performance(f"P{i + 1}", errors[:, ORDER.index(i)]) for i in sorted(ORDER)),
-            variation_mm={name: distance for name, (distance, _) in variation.items()},
-            variation_deg={name: angle for name, (_, angle) in variation.items()},
-            drift_mm=1e3 * float(np.abs(accuracy - accuracy[0]).max()),
-            drift_deg=math.degrees(float(np.abs(turn - turn[0]).max())),
-            wander_mm=1e3 * float(wander.max()),
-            drift_hours=tuple(hours),
-            drift_accuracy_mm=tuple((1e3 * accuracy).tolist()),
-        )
-
-    def _drift(self) -> tuple[list[float], Array]:
-        """Hours, and the mean error ``(T, 6)`` at P1, from switching the cold arm on."""
-        settings, away, home = self.settings, self.commands[1], self.commands[0]
-        stops = [(away, None), (home, 0)] * settings.drift_cycles
-        move = float(move_time(self.plant, home, away, settings.pace)) + settings.pace.dwell
-        state, clock = switched_on(self.plant, math, home, 0.0), 0.0
-        hours, means = [], []
-        for k in range(round(settings.drift_time / settings.drift_interval) + 1):
-            wait = max(k * settings.drift_interval - clock, 0.0)
-            state, clock = self.plant.carried(math, state, home.tolist(), wait), clock + wait
-            hours.append(clock / 3600.0)
-            state, errors = self._errors(state, home, stops)
-            clock += 2.0 * settings.drift_cycles * move
-            means.append(errors.mean(axis=0))
-        return hours, np.array(means)
-
-    def _errors(
-        self, state: PlantState, start: Array, stops: Sequence[tuple[Array, int | None]]
-    ) -> tuple[PlantState, Array]:
-        """The state after moves, and errors ``(..., 6)``, m and rad, measured at those stops that say of which pose."""
-        noise, errors = self.instrument.noise_on(self.plant), []
+    def measured(state: PlantState, stops: Sequence[tuple[Array, int | None]]) -> tuple[PlantState, Array]:
+        """The state after moves, from P1 on, and errors ``(..., 6)``, m and rad, at stops that say of which pose."""
+        errors, start = [], home
         for target, i in stops:
-            normal = self.rng.normal(size=(2, len(target)))
-            state, frame = moved(self.plant, math, state, start, target, self.settings.pace, normal=normal)
+            normal = rng.normal(size=(2, len(target)))
+            state, frame = moved(plant, math, state, start, target, pace, normal=normal)
             start = target
             if i is None:
                 continue
             if noise is not None:
-                reading = self.rng.normal(size=6).tolist()
-                frame = read_frame(math, noise, self.instrument.stand, frame, reading, self.mounting)
-            errors.append(pose_error(Pose(self.goals.position[i], self.goals.rotation[i]), pose_of(frame)))
+                reading = rng.normal(size=6).tolist()
+                frame = read_frame(math, noise, instrument.stand, frame, reading, mounting)
+            errors.append(pose_error(Pose(goals.position[i], goals.rotation[i]), pose_of(frame)))
         return state, np.array(errors)
 
+    warm = switched_on(plant, math, home, settings.warm_up)
+    variation_mm, variation_deg = {}, {}
+    for pose, starts in zip(VARIATION_POSES, approaches, strict=True):
+        _, errors = measured(
+            warm, [stop for start in starts for stop in ((start, None), (commands[pose], pose)) * cycles]
+        )
+        pairs = list(combinations(errors.reshape(len(starts), cycles, 6).mean(axis=1), 2))
+        gaps = [max(float(np.linalg.norm((a - b)[part])) for a, b in pairs) for part in (slice(3), slice(3, 6))]
+        variation_mm[f"P{pose + 1}"], variation_deg[f"P{pose + 1}"] = 1e3 * gaps[0], math.degrees(gaps[1])
 
-def _pose_performance(name: str, errors: Array) -> PosePerformance:
-    """Figures of errors ``(cycles, 6)`` in m and rad."""
+    # The drift at P1, from switching the cold arm on.
+    visit = float(move_time(plant, home, away, pace)) + pace.dwell
+    state, clock = switched_on(plant, math, home, 0.0), 0.0
+    hours, means = [], []
+    for k in range(round(settings.drift_time / settings.drift_interval) + 1):
+        wait = max(k * settings.drift_interval - clock, 0.0)
+        state, clock = plant.carried(math, state, home.tolist(), wait), clock + wait
+        hours.append(clock / 3600.0)
+        state, errors = measured(state, [(away, None), (home, 0)] * settings.drift_cycles)
+        clock += 2.0 * settings.drift_cycles * visit
+        means.append(errors.mean(axis=0))
+    mean = np.array(means)
+    parts = mean[:, :3], mean[:, 3:], mean[:, :3] - mean[0, :3]
+    accuracy, turn, wander = (np.linalg.norm(part, axis=-1) for part in parts)
+
+    _, errors = measured(warm, [(commands[i], i) for _ in range(cycles) for i in ORDER])
+    errors = errors.reshape(cycles, len(ORDER), 6)
+    poses = [pose_performance(f"P{i + 1}", errors[:, ORDER.index(i)]) for i in sorted(ORDER)]
+    return {
+        "poses": poses,
+        "variation_mm": variation_mm,
+        "variation_deg": variation_deg,
+        "drift_mm": 1e3 * float(np.abs(accuracy - accuracy[0]).max()),
+        "drift_deg": math.degrees(float(np.abs(turn - turn[0]).max())),
+        "wander_mm": 1e3 * float(wander.max()),
+        "drift_hours": hours,
+        "drift_accuracy_mm": (1e3 * accuracy).tolist(),
+        "worst_accuracy_mm": max(pose["accuracy_mm"] for pose in poses),
+        "worst_repeatability_mm": max(pose["repeatability_mm"] for pose in poses),
+    }
+
+
+def pose_performance(name: str, errors: Array) -> dict[str, Any]:
+    """Figures of one pose, P1 to P5, from errors ``(cycles, 6)`` in m and rad.
+
+    Returns:
+        accuracy_mm: AP_P, distance between the mean of the attained positions and the command. accuracy_deg: the same
+        for the attitude, angle of the mean rotation vector. repeatability_mm: RP_l. repeatability_deg: RP_a, RP_b,
+        RP_c, three standard deviations about each world axis. repeatability_ci95_mm: 95 % interval of RP_l over cycles;
+        None with fewer than `CYCLES` or without any scatter. mean_error_mm: in x, y, z of the world.
+    """
     mean, repeatability = errors.mean(axis=0), _repeatability(errors)
     ends = None  # an arm that repeats to rounding has no scatter to resample
     if repeatability > 1e-12:
         ends = statistic_interval(errors, lambda some: math.log(1e3 * _repeatability(some)), CYCLES)
-    turns = np.degrees(3.0 * errors[:, 3:].std(axis=0, ddof=1))
-    x, y, z = (1e3 * mean[:3]).tolist()
-    return PosePerformance(
-        name=name,
-        accuracy_mm=1e3 * float(np.linalg.norm(mean[:3])),
-        accuracy_deg=math.degrees(float(np.linalg.norm(mean[3:]))),
-        repeatability_mm=1e3 * repeatability,
-        repeatability_deg=(float(turns[0]), float(turns[1]), float(turns[2])),
-        repeatability_ci95_mm=None if ends is None else (math.exp(ends[0]), math.exp(ends[1])),
-        mean_error_mm=(x, y, z),
-    )
+    return {
+        "name": name,
+        "accuracy_mm": 1e3 * float(np.linalg.norm(mean[:3])),
+        "accuracy_deg": math.degrees(float(np.linalg.norm(mean[3:]))),
+        "repeatability_mm": 1e3 * repeatability,
+        "repeatability_deg": np.degrees(3.0 * errors[:, 3:].std(axis=0, ddof=1)).tolist(),
+        "repeatability_ci95_mm": None if ends is None else (math.exp(ends[0]), math.exp(ends[1])),
+        "mean_error_mm": (1e3 * mean[:3]).tolist(),
+    }
 
 
 def _repeatability(errors: Array) -> float:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -113,13 +113,6 @@ PlantState = tuple[Components, ...]
 """A plant's memory from one moment to the next: the memory of each effect that has one, in the plant's order."""
 
 
-class Ready(NamedTuple):
-    """A chain, and the geometry that it belongs to."""
-
-    geometry: Geometry
-    chain: Chain
-
-
 _Step: TypeAlias = tuple[tuple[Callable[..., Components], ...], Callable[[Passage, Components], None]]
 """Methods that an effect has for its memory (`Effect.begin`, `rest`, `carry`; nothing where it has none), and its
 `Effect.act`: looked up once, for in steps of one arm that costs as much as they do."""
@@ -139,8 +132,8 @@ class Plant:
         effects: What else makes it differ, in the order in which it acts from the motors to the tool.
         posterior: How surely a calibration knows all this, where the plant was made of one; else None.
         unmeasured: Which of its effects' numbers nobody measured.
-        ready: The geometry's chain where its numbers were moved or picked (`plant_batch.plants_on`), or None to
-            compute it.
+        ready: A geometry and its chain where its numbers were moved or picked (`plant_batch.plants_on`), or None to
+            compute it; of another geometry than the plant's it is passed over.
 
     Raises:
         ValueError: If two effects have one name.
@@ -153,7 +146,7 @@ class Plant:
     effects: tuple[Effect, ...] = ()
     posterior: Posterior | None = None
     unmeasured: tuple[Unmeasured, ...] = ()
-    ready: Ready | None = None
+    ready: tuple[Geometry, Chain] | None = None
 
     def __post_init__(self) -> None:
         names = [effect.name for effect in self.effects]
@@ -164,8 +157,8 @@ class Plant:
     @cached_property
     def chain(self) -> Chain:
         """The true geometry made ready for the executors, at the temperature at which it holds."""
-        if self.ready is not None and self.ready.geometry is self.geometry:
-            return self.ready.chain
+        if self.ready is not None and self.ready[0] is self.geometry:
+            return self.ready[1]
         return chain_of(self.geometry, math if self.geometry.alpha.ndim == 1 else np)
 
     @property

@@ -12,7 +12,7 @@ from typing import Any
 
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose
-from pickenv.arm.plant.plant import Plant, Ready
+from pickenv.arm.plant.plant import Plant
 
 
 def plant_count(plants: Plant) -> int | None:
@@ -54,7 +54,7 @@ def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
         return plants
     geometry = with_links(plants.geometry, change)
     load, effects, chain = tree_map(change, (plants.load, plants.effects, plants.chain))  # in `arrays_of`'s order
-    return replace(plants, geometry=geometry, load=load, effects=effects, ready=Ready(geometry, chain))
+    return replace(plants, geometry=geometry, load=load, effects=effects, ready=(geometry, chain))
 
 
 def arrays_of(plants: Plant) -> list[Any]:

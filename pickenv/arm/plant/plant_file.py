@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from pickenv.arm.effects.drives import ThermalGrowth
 from pickenv.arm.effects.effect import Load, gravity_torques, table_of
@@ -23,6 +22,7 @@ from pickenv.arm.files.arm import Arm
 from pickenv.arm.files.arm_file import load_arm, shipped_arms
 from pickenv.arm.kinematics.forward import chain_of, frames
 from pickenv.arm.kinematics.geometry import Array
+from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.arm.plant.plant import Plant, Unmeasured
 from pickenv.arm.plant.tolerances import SizesTable, Tolerances, draw_plants, load_tolerances, shipped_tolerances
 from pickenv.arm.plant.twin_file import read_twin
@@ -70,6 +70,11 @@ def plant_file(effects: tuple[str, ...]) -> Any:
         *((key, table | None if isinstance(table, type) else table, None) for key, table in optional.items()),
     ]
     return toml_tables.toml_table(make_dataclass("PlantFile", members, frozen=True))
+
+
+def any_plant_file() -> Any:
+    """The type of a plant file that may have tables of every effect that is registered."""
+    return plant_file(tuple(registry.load_all("effect")))
 
 
 def shipped_effects() -> tuple[str, ...]:
@@ -278,10 +283,8 @@ def rods(arm: Arm) -> Load:
 
 def _largest_torques(arm: Arm, load: Load) -> Array:
     """Size of each joint's largest torque or force under gravity (n,), N*m or N."""
-    g = arm.nominal
-    spread = qmc.Halton(g.joints, scramble=False).random(SAMPLES)
-    chain = chain_of(g)
-    torques = gravity_torques(chain, frames(np, chain, list((g.lower + (g.upper - g.lower) * spread).T)), load)
+    chain = chain_of(arm.nominal)
+    torques = gravity_torques(chain, frames(np, chain, list(halton_joints(arm.nominal, SAMPLES).T)), load)
     return np.array([np.abs(torque).max() for torque in torques])
 
 

@@ -231,15 +231,10 @@ def _plant_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
 
 
 def _layout(content: Mapping[str, Any], geometry: Geometry) -> Layout:
-    boom = content["boom"]
-    layout = Layout(
-        leads=tuple(content["leads"]),
-        harmonics=tuple((int(joint), float(order)) for joint, order in content["harmonics"]),
-        moments=tuple((int(joint), int(link), str(moment)) for joint, link, moment in content["moments"]),
-        up=tuple(float(part) for part in content["up"]),  # type: ignore[arg-type]
-        boom=None if boom is None else (int(boom[0]), float(boom[1])),
-    )
-    joints = {*layout.leads, *(joint for joint, _ in layout.harmonics), *((boom or ())[:1])}
+    from pydantic import TypeAdapter  # late: it is heavy
+
+    layout = TypeAdapter(Layout).validate_python(content)
+    joints = {*layout.leads, *(joint for joint, _ in layout.harmonics), *((layout.boom or ())[:1])}
     joints |= {joint for pair in layout.moments for joint in pair[:2]}
     if not joints <= set(range(geometry.joints)) or not {moment for *_, moment in layout.moments} <= set("mxyz"):
         raise InputError("it names a joint that its arm does not have")

@@ -20,7 +20,7 @@ from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import Compensate, checked_action
 from pickenv.harvester import Machine
 from pickenv.pictures import arm_shapes, tree_shapes
-from pickenv.pictures.stage import SIZE, Balls, Eye, Mesh, Rods, Stage, Words, rgba
+from pickenv.pictures.stage import SIZE, Eye, Mesh, Rods, Stage, Words, rgba, spheres
 
 LONGEST = 600
 """Periods of an episode: a minute."""
@@ -282,9 +282,8 @@ def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids
     radius = np.array([0.05, 0.035, 0.03, *[0.022] * len(pivots)])
     colour = np.concatenate([rgba(arm_shapes.METAL, 1), rgba(arm_shapes.LINK, 2), rgba(arm_shapes.METAL, len(pivots))])
     joints_at = np.stack([shoulder, frame])
-    return arm_shapes.Solids(
-        (Rods(start, end, radius, colour),), (Balls(joints_at, np.array([0.075, 0.05]), rgba(arm_shapes.JOINT, 2)),)
-    )
+    balls = spheres(joints_at, np.array([0.075, 0.05]), rgba(arm_shapes.JOINT, 2))
+    return (Rods(start, end, radius, colour),), (balls,), ()
 
 
 def slave_solids(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
@@ -294,17 +293,14 @@ def slave_solids(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids
     count = len(tips)
     tubes = Rods(pivots, half, np.full(count, radius), rgba(arm_shapes.LINK, count))
     rods = Rods(half, ends, np.full(count, 0.6 * radius), rgba(arm_shapes.METAL, count))
-    return arm_shapes.Solids(
-        (tubes, rods), (Balls(pivots, np.full(count, 1.3 * radius), rgba(arm_shapes.JOINT, count)),)
-    )
+    return (tubes, rods), (spheres(pivots, np.full(count, 1.3 * radius), rgba(arm_shapes.JOINT, count)),), ()
 
 
 def _ghosts(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
     count = len(tips)
-    rods = Rods(pivots, tips - 0.06 * UP, np.full(count, 0.8 * radius), rgba(arm_shapes.GHOST, count, arm_shapes.FAINT))
-    return arm_shapes.Solids(
-        (rods,), (Balls(tips - 0.03 * UP, np.full(count, 0.035), rgba(arm_shapes.GHOST, count, arm_shapes.FAINT)),)
-    )
+    colour = rgba(arm_shapes.GHOST, count, arm_shapes.FAINT)
+    rods = Rods(pivots, tips - 0.06 * UP, np.full(count, 0.8 * radius), colour)
+    return (rods,), (spheres(tips - 0.03 * UP, np.full(count, 0.035), colour),), ()
 
 
 def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:

@@ -23,7 +23,7 @@ from pickenv.harvester.interference import arm_distances, pairs_of
 from pickenv.harvester.picking import attempt, draw_luck, pushes
 from pickenv.harvester.trees import SHIPPED, lab_zone, tree_leaves
 from pickenv.harvester.zones import AHEAD
-from pickenv.orchard import Eyes, Sight, Viewpoint, fruit_masses, load_eyes, sample_diameters, see, swing
+from pickenv.orchard import Eyes, Sight, fruit_masses, load_eyes, sample_diameters, see, swing
 
 # The zone that a harvester begins with: fruit and how it is seen, drawn or as it is asked for. Units: m, rad.
 
@@ -87,7 +87,7 @@ def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None 
         else:
             fruit, x, height = given, given[:, 0].mean(), given[:, 2].mean()
         diameters = sample_diameters(task.orchard.fruit_size, task.fruit, rng)
-        view = Viewpoint(np.array([x, 0.0, height]), AHEAD)
+        view = np.array([x, 0.0, height]), AHEAD
         sight = see(task.eyes, view, fruit, diameters, rng, leaves=tree_leaves(machine, task.eyes, rng))
         if sight.located.any():
             return fruit, diameters, sight
@@ -428,8 +428,8 @@ def attempts(
         others = state.status[machine] == HANGING
         others[some] = False
         luck = draw_luck(rngs[machine], len(some))
-        outcome = attempt(model, tips[machine, arms], fruit[some], offsets, diameters, fruit[others], luck)
-        became = np.where(outcome.collected, COLLECTED, np.where(outcome.detached, LOST, HANGING))
+        _, detached, whole = attempt(model, tips[machine, arms], fruit[some], offsets, diameters, fruit[others], luck)
+        became = np.where(whole, COLLECTED, np.where(detached, LOST, HANGING))
         state.attempts[machine] += len(some)
         state.tried[machine, arms], state.busy[machine, arms] = some, task.lead
         state.status[machine, some] = became

@@ -28,15 +28,11 @@ ABSENT = np.zeros((), pick_scene.FRUIT)
 """Fruit that is not there, far away: an array has room for the fullest canopy."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
-STAGES = ("visible", "reachable", "attempted", "attached", "detached")
+FUNNEL = ("visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
+"""What is counted of each canopy's fruit; of the collected what is undamaged."""
+REACHABLE, ATTEMPTED, COLLECTED = (FUNNEL.index(stage) for stage in ("reachable", "attempted", "collected"))
+
 OWN = ("sight", "number", "still", "moments")
-
-
-def tally_of(fruit: pick_scene.Fruit) -> NDArray[np.int64]:
-    """Fruit ``(..., n)`` collected undamaged, and damaged, ``(..., 2)``."""
-    damaged, tally = fruit["damaged"], np.empty((*fruit.shape[:-1], 2), dtype=np.int64)
-    tally[..., 0], tally[..., 1] = (fruit["collected"] & ~damaged).sum(axis=-1), damaged.sum(axis=-1)
-    return tally
 
 
 class Canopies:
@@ -49,7 +45,7 @@ class Canopies:
         held: Number of the fruit in each gripper, or -1.
         off: Whether the fruit in the gripper is off its stem.
         miss: How far each last grasp was from its fruit, across and along the tool's axis, (N, 2).
-        tally: Fruit collected undamaged, and damaged, (N, 2).
+        counts: Fruit of each canopy at the stages of `FUNNEL`, (7, N).
         sight: What was seen of the arms last, as `pickenv.envs.picking.pick_arm.look_at_arm` gives it, then the joint
             commands, (numbers, N).
         number: Of the fruit that each is after.
@@ -65,7 +61,7 @@ class Canopies:
         self.held = np.full(count, -1)
         self.off = np.zeros(count, dtype=np.bool_)
         self.miss = np.zeros((count, 2))
-        self.tally = np.zeros((count, 2), dtype=np.int64)
+        self.counts = np.zeros((len(FUNNEL), count), dtype=np.int64)
         self.sight = np.zeros((SIGHT + 2 * task.joints, count))
         self.number: Rows = np.zeros(count, dtype=np.int64)
         self.still, self.moments = np.full(count, pick_scene.STILL), np.zeros(count, dtype=np.uint64)
@@ -78,12 +74,11 @@ class Canopies:
             self.fruit[:, : before.shape[1]] = before
             for other, there in enumerate(self.scenes):
                 if there is not None:
-                    there.keep(self.fruit[other, : self.present[other]])
+                    there.fruit = self.fruit[other, : self.present[other]]
         self.fruit[row] = ABSENT
         self.fruit[row, :n] = scene.fruit
-        scene.keep(self.fruit[row, :n])
+        scene.fruit = self.fruit[row, :n]
         self.scenes[row], self.present[row] = scene, n
-        self.tally[row] = tally_of(scene.fruit)
         self._note(row)
 
     def choose(self, row: int) -> None:
@@ -103,9 +98,11 @@ class Canopies:
         swinging = fruit["displacement"].any(axis=(1, 2)) | fruit["velocity"].any(axis=(1, 2))
         rows = np.flatnonzero(going & swinging)
         if rows.size:
-            apart, speed, masses = (fruit[name][rows] for name in ("displacement", "velocity", "masses"))
-            fruit["displacement"][rows], fruit["velocity"][rows] = trees.swing(
-                self.orchard.branch, apart, speed, masses, period[rows, None]
+            some = slice(None) if rows.size == self.count else rows
+            apart, speed, masses = (fruit[name][some] for name in ("displacement", "velocity", "masses"))
+            omega = trees.natural_frequencies(self.orchard.branch, masses)
+            fruit["displacement"][some], fruit["velocity"][some] = trees.swung(
+                self.orchard.branch, apart, speed, omega, period[some, None, None]
             )
         point, axis = self.sight[TOOL][9:].T.copy(), self.sight[TOOL][6:9].T.copy()
         moved = point - before
@@ -130,23 +127,22 @@ class Canopies:
         Returns:
             Rewards, (N,).
         """
+        so_far = self.counts[COLLECTED:].copy()
         self.still[:] = np.where(stirred, 0.0, np.minimum(pick_scene.STILL, self.still + period))
         self.meet(going, before, period)
-        rows = np.flatnonzero(going & ((self.held >= 0) | (gripper > pick_scene.CLOSE)))
-        poses, tools = (self.sight[part][:, rows].T.tolist() for part in (BELIEVED, TOOL))
-        for row, pose, tool in zip(rows.tolist(), poses, tools, strict=True):
+        for row in np.flatnonzero(going & ((self.held >= 0) | (gripper > pick_scene.CLOSE))).tolist():
             scene, number = self.scenes[row], int(self.number[row])
+            pose, tool = (self.sight[part, row].tolist() for part in (BELIEVED, TOOL))
             scene.work_gripper(float(gripper[row]), number, pose, tool)
             self._note(row)
             if scene.held is None and not scene.waiting[number]:
                 self.choose(row)
-        so_far, self.tally = self.tally, tally_of(self.fruit)
-        collected, damaged = (self.tally - so_far).T
+        collected, damaged = self.counts[COLLECTED:] - so_far
         return np.where(going, pick_scene.pick_reward(collected, damaged), 0.0)
 
     def finished(self) -> Flags:
         """Arms with no fruit left to try and an empty gripper."""
-        return (self.held < 0) & ~self._waiting().any(axis=1)
+        return np.asarray((self.held < 0) & (self._waiting() == 0))
 
     def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
         """Observations of the controllers, ``(N, n + 17)``."""
@@ -158,7 +154,7 @@ class Canopies:
             1.0 - self.moments / pick_scene.LONGEST,
             (self.held >= 0) & ~self.off,
             self.off,
-            self._waiting().sum(axis=1) / pick_scene.MOST_LEFT,
+            self._waiting() / pick_scene.MOST_LEFT,
         )
         parts = (sight[SIGHT : SIGHT + n], tools, positions, positions - tools, sight[TURN], counters)
         return np.concatenate(parts).T.clip(low, high).astype(np.float32, order="C")
@@ -168,14 +164,11 @@ class Canopies:
         n, tool = self.task.joints, self.sight[TOOL][9:]
         mine = self.fruit[np.arange(self.count), self.number]
         positions = mine["rest"] + mine["displacement"]
-        passed = {stage: self.fruit[stage].sum(axis=1) for stage in STAGES}
-        collected, damaged = self.tally.T.copy()
+        counts = self.counts.copy()
         return {
             "present": self.present.copy(),
-            **passed,
-            "collected": collected,
-            "damaged": damaged,
-            "is_success": collected == passed["reachable"],
+            **dict(zip(FUNNEL, counts, strict=True)),
+            "is_success": counts[COLLECTED] == counts[REACHABLE],
             "position_error_mm": 1e3 * length(NUMPY, list(positions.T - tool)),
             "grasp_lateral_mm": 1e3 * self.miss[:, 0],
             "grasp_axial_mm": 1e3 * self.miss[:, 1],
@@ -208,13 +201,15 @@ class Canopies:
             scene.grip = np.array(grips)
             self.adopt(row, scene)
 
-    def _waiting(self) -> Flags:
-        """Fruit that can still be tried, (N, most)."""
-        return np.asarray(self.fruit["reachable"] & ~self.fruit["attempted"])
+    def _waiting(self) -> NDArray[np.int64]:
+        """How much fruit of each canopy can still be tried, (N,)."""
+        return np.asarray(self.counts[REACHABLE] - self.counts[ATTEMPTED])
 
     def _note(self, row: int) -> None:
         """Write down what a grasp, a push or a twist has changed in a scene."""
         scene = self.scenes[row]
+        self.counts[:, row] = [np.count_nonzero(scene.fruit[stage]) for stage in FUNNEL]
+        self.counts[COLLECTED, row] = np.count_nonzero(scene.collected & ~scene.damaged)
         self.held[row] = -1 if scene.held is None else scene.held
         self.off[row], self.miss[row] = scene.holds_detached, scene.miss
 
@@ -236,7 +231,7 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
     nominal, sight, scene = canopies.task.plant.arm.nominal, canopies.sight[:, row], canopies.scenes[row]
     orchard, number = scene.orchard, canopies.number[row]
     point, axis, command = sight[TOOL][9:], sight[TOOL][6:9], sight[SIGHT + canopies.task.joints :]
-    collected, reachable = int(canopies.tally[row, 0]), int(scene.reachable.sum())
+    collected, reachable = int(canopies.counts[COLLECTED, row]), int(scene.reachable.sum())
     offset = point - scene.positions[number]
     solids = joined_solids(
         arm_at_work(nominal, command, point, axis, sight[BELIEVED][9:]),

@@ -241,6 +241,6 @@ class PickEnv(ArmEnv):
     def _shown(self, canopies: Canopies) -> tuple[NDArray[np.float32], Information]:
         if self.render_mode == "human":
             self.render()
-        infos = {key: values[0] for key, values in canopies.information().items()}
-        information = {key: value if value.ndim else value.item() for key, value in infos.items()}
+        infos = canopies.information()
+        information = {key: values[0] if values.ndim > 1 else values.item() for key, values in infos.items()}
         return canopies.observations(*self._bounds)[0], information

@@ -145,45 +145,28 @@ class PickScene:
         detached_at: Height of the believed tool when the fruit in it came off, m.
     """
 
-    fruit: Fruit
-    rest: Array
-    seen: Array
-    diameters: Array
-    masses: Array
-    displacement: Array
-    velocity: Array
-    chance: Array
-    pull_limit: Array
-    twist_limit: Array
-    visible: Flags
-    reachable: Flags
-    attempted: Flags
-    attached: Flags
-    detached: Flags
-    collected: Flags
-    damaged: Flags
-
     def __init__(self, orchard: PickSetting, fruit: Fruit) -> None:
         self.orchard = orchard
         self.held: int | None = None
         self.miss, self.grip, self.detached_at = (0.0, 0.0), np.zeros(3), 0.0
-        self.keep(fruit)
-
-    def keep(self, fruit: Fruit) -> None:
-        """Take ``fruit`` for its own, and write what becomes of it there."""
         self.fruit = fruit
-        for name in FRUIT.names or ():
-            setattr(self, name, fruit[name])
+        """Its own, or a part of an array of many canopies: what becomes of it is written there."""
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        """The parts of `fruit`."""
+        if name not in (FRUIT.names or ()):
+            raise AttributeError(name)
+        return self.fruit[name]
 
     @property
     def positions(self) -> Array:
         """Present positions of the fruit, m, (n, 3)."""
-        return self.rest + self.displacement
+        return np.asarray(self.rest + self.displacement)
 
     @property
     def waiting(self) -> Flags:
         """Fruit that can still be tried."""
-        return self.reachable & ~self.attempted
+        return np.asarray(self.reachable & ~self.attempted)
 
     @property
     def holds_detached(self) -> bool:
@@ -356,8 +339,8 @@ def looked_at(
     viewpoint, ahead = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2]), np.array([0.0, 1.0, 0.0])
     if orchard.eyes is not None:
         leaves = trees.foliage(orchard.eyes, rng)
-        view = trees.Viewpoint(viewpoint, ahead)
-        sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=orchard.looks)
+        view, looks = (viewpoint, ahead), orchard.looks
+        sight = trees.see(orchard.eyes, view, positions, diameters, rng, leaves=leaves, looks=looks)
         return sight.believed, sight.located
     visible, visible_side = trees.occlusion(canopy, positions, diameters, viewpoint)
     probability = trees.detection_probability(camera, np.linalg.norm(positions - viewpoint, axis=1), visible)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant, plants_on
-from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, SYMBOLS, WORD, Compiled, Outputs, Trace, Traced
+from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, SYMBOLS, WORD, Compiled, Goals, Trace, Traced
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
@@ -96,24 +96,23 @@ class CompiledBatch(NumpyBatch):
         self._code[part].run(arrays, self.count)
 
     def _compiled(self, part: str) -> Compiled:
-        trace, outputs = Trace(), list[Outputs]()
+        trace = Trace()
         state = self.state_of(trace.inputs("columns", len(self.columns)))
         if part != "look":
             state = simulation.act(TRACER, self.task, state, trace.inputs("actions", self.task.joints))
         if part == "act":
-            outputs += self._remembered(state)
+            goals = self._remembered(trace, state)
         else:
             command = state.target if part == "step" else trace.inputs("commands", self.task.joints)
-            outputs += self._looked(trace, state, command)
-        return Compiled(trace, outputs, self.count)
+            goals = self._looked(trace, state, command)
+        return Compiled(trace, goals, self.count)
 
-    def _remembered(self, state: simulation.ArmState) -> list[Outputs]:
+    def _remembered(self, trace: Trace, state: simulation.ArmState) -> Goals:
         """Outputs of the state's changes."""
-        columns = state.columns
-        changed = Outputs("columns", columns[self.fixed :], DOUBLE, self.fixed)
-        return [Outputs("columns", columns[: self.task.joints]), changed]
+        changed = trace.outputs("columns", state.columns[self.fixed :], DOUBLE, self.fixed)
+        return trace.outputs("columns", state.columns[: self.task.joints]) + changed
 
-    def _looked(self, trace: Trace, state: simulation.ArmState, command: Sequence[Traced]) -> list[Outputs]:
+    def _looked(self, trace: Trace, state: simulation.ArmState, command: Sequence[Traced]) -> Goals:
         """Outputs of the memory and the views after a command."""
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
@@ -127,12 +126,12 @@ class CompiledBatch(NumpyBatch):
         else:
             reward = simulation.true_reward(x, task, scene)
         return [
-            *self._remembered(state),
-            *(Outputs(f"observation{i}", part, SINGLE) for i, part in enumerate(observation)),
-            Outputs("reward", [reward]),
-            Outputs("success", [scene.success], FLAG),
-            Outputs("numbers", scene.numbers),
-            Outputs("vectors", scene.vectors if self.poses else ()),
+            *self._remembered(trace, state),
+            *(goal for i, part in enumerate(observation) for goal in trace.outputs(f"observation{i}", part, SINGLE)),
+            *trace.outputs("reward", [reward]),
+            *trace.outputs("success", [scene.success], FLAG),
+            *trace.outputs("numbers", scene.numbers),
+            *trace.outputs("vectors", scene.vectors if self.poses else ()),
         ]
 
     def _traced_plant(self, trace: Trace) -> Plant:

@@ -76,11 +76,6 @@ class Situation:
         return round(1.0 / self.period.high, 6)
 
     @property
-    def late(self) -> bool:
-        """Whether readings or actions can be late, so that some must be remembered from one period to the next."""
-        return self.latency.high + self.delay.high > 0
-
-    @property
     def plain(self) -> bool:
         """Whether nothing is drawn."""
         return not (self.drawn or self.spread or self.joint_noise.high)

@@ -18,7 +18,6 @@ from scipy.stats import qmc
 
 from pickenv.arm import Array, Frame, Geometry, Plant, draw_plants, forward, load_plant, plant_at
 from pickenv.arm.kinematics.forward import Chain, Scalar, chain_of, frames
-from pickenv.arm.plant.plant import Ready
 from pickenv.arm.plant.plant_batch import plant_count
 from pickenv.arm.plant.plant_file import class_of, draw_arms
 from pickenv.base import InputError, check_limit
@@ -87,7 +86,7 @@ def exact_plant(plant: Plant) -> Plant:
         centre = tuple(tuple(exact(value) for value in point) for point in load.centre)
         load = replace(load, centre=centre, payload=exact(load.payload))
     chain = plant.chain._replace(base=tuple(exact(value) for value in plant.chain.base))
-    return replace(plant, load=load, ready=Ready(plant.geometry, chain))
+    return replace(plant, load=load, ready=(plant.geometry, chain))
 
 
 def inexact(frame: Frame) -> tuple[Scalar, ...]:

@@ -14,9 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Array, Geometry
+from pickenv.arm import Geometry
 from pickenv.base import InputError
-from pickenv.inspect.colours import OTHERS, RED, policy_colours, viridis_map
+from pickenv.inspect.colours import OTHERS, RED, policy_colours
 from pickenv.inspect.figures import style
 
 NAME_ROOM = 0.15
@@ -25,7 +25,6 @@ NUMBER_ROOM = 0.22
 """Inches along the axis that a number of up to three digits takes."""
 CELLS_ALONG = 26
 """Cells of a map of uncertainty along its longer side."""
-NO_GRID: dict[str, Any] = {"axes.grid": False}
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
@@ -123,34 +122,6 @@ def parameter_spectrum(
     return figure
 
 
-def joint_ranges(geometry: Geometry, joints: ArrayLike) -> Figure:
-    """Places of poses within the joint limits: a line per joint, and a mark on it for each pose.
-
-    Args:
-        geometry: Gives the joints' names, kinds and limits.
-        joints: Joints of the poses ``(N, n)``, rad or m.
-    """
-    lower, upper, units = _limits(geometry)
-    share = 100.0 * (np.asarray(joints, dtype=float) - geometry.lower) / (geometry.upper - geometry.lower)
-    (blue,) = style.rgb(policy_colours(["ls"]))
-    size = style.COLUMN * 1.2, 0.6 + 0.28 * geometry.joints
-    with style.new_panel(*size, "place within the limits (%)", "", **NO_GRID) as (figure, axes):
-        for row in range(geometry.joints):
-            place = np.repeat(np.unique(np.round(np.clip(share[:, row], -2.0, 102.0), 1)), 3)  # a gap after each mark
-            axes.plot([0.0, 100.0], [row, row], color=style.RULE, linewidth=1.0, zorder=1.0)
-            mark = np.tile([row - 0.3, row + 0.3, np.nan], len(place) // 3)
-            axes.plot(place, mark, color=blue, linewidth=0.7, alpha=0.6)
-        spans = np.ptp(share, axis=0)
-        style.headline(axes, f"Each joint moves over {_from_to(spans)} % of its range", beside=1.2)
-        ends = zip(geometry.joint_names, lower, upper, units, strict=True)
-        labels = [f"{name}  {low:.0f} to {high:.0f} {unit}".replace("-", "−") for name, low, high, unit in ends]
-        axes.set_yticks(range(geometry.joints), labels)
-        axes.set(xlim=(-2.0, 102.0), ylim=(geometry.joints - 0.5, -0.5))
-        axes.tick_params(axis="y", length=0.0)
-        axes.spines["left"].set_visible(False)
-    return figure
-
-
 def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike) -> Figure:
     """Mean predicted uncertainty in square cells of the plane through the base's axis, Viridis.
 
@@ -165,11 +136,12 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
     edges = [v.min() + step * np.arange(int(np.ptp(v) // step) + 2) for v in (x, y)]
     count, total = (np.histogram2d(x, y, edges, weights=weights)[0].T for weights in (None, values))
     mean = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0)
-    with style.new_panel(style.COLUMN, 3.0, "distance from base (mm)", "height (mm)", **NO_GRID) as (figure, axes):
+    with style.new_panel(style.COLUMN, 3.0, "distance from base (mm)", "height (mm)") as (figure, axes):
+        axes.grid(visible=False)
         middle, most = (style.short(float(v)) for v in (np.median(values), values.max()))
         style.headline(axes, f"Median {middle}, largest {most} mm")
         extent = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])
-        picture = axes.imshow(mean, origin="lower", extent=extent, cmap=viridis_map(), interpolation="none")
+        picture = axes.imshow(mean, origin="lower", extent=extent, cmap="viridis", interpolation="none")
         style.colour_bar(figure, picture, axes, label="standard uncertainty (mm)")
     return figure
 
@@ -181,9 +153,10 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
         geometry: Gives the joints' names, kinds and limits; the title says what share of those was measured.
         sets: For each set, by label (identification, training, test), its joints ``(N, n)``, rad or m.
     """
-    n = geometry.joints
-    least, most, units = _limits(geometry)
-    poses = {label: np.asarray(q, dtype=float).reshape(-1, n) * _scale(geometry) for label, q in sets.items()}
+    n, scale = geometry.joints, np.where(geometry.prismatic, 1e3, np.degrees(1.0))
+    least, most = geometry.lower * scale, geometry.upper * scale
+    units = ["mm" if slides else "deg" for slides in geometry.prismatic]
+    poses = {label: np.asarray(q, dtype=float).reshape(-1, n) * scale for label, q in sets.items()}
     every = np.concatenate([*poses.values(), np.full((1, n), np.nan)])
     lower, upper = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
     shares = 100.0 * (upper - lower) / (most - least)
@@ -218,27 +191,11 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
                 axes.set_ylabel(f"q{row + 1}\n({units[row]})")
         grid[0, 0].set_ylabel("density\n(relative)")
         figure.align_ylabels(grid[:, 0])
-        title = f"Poses span {_from_to(shares)} % of the joint ranges; shown is what they span"
-        figure.suptitle(title, fontweight="bold")
+        ends = " to ".join(dict.fromkeys(f"{end:.0f}" for end in (shares.min(), shares.max())))
+        figure.suptitle(f"Poses span {ends} % of the joint ranges; shown is what they span", fontweight="bold")
         handles = [
             Line2D([], [], color=colour, marker="o", markersize=4, label=f"{label} ({len(q)})")
             for (label, q), colour in zip(poses.items(), colours, strict=False)
         ]
         figure.legend(handles=handles, loc="upper right", bbox_to_anchor=(0.97, 0.93), fontsize=9.5)
     return figure
-
-
-def _from_to(values: Array) -> str:
-    """The least and the largest of some numbers: 20 to 80, or 80 where both are written alike."""
-    return " to ".join(dict.fromkeys(f"{end:.0f}" for end in (values.min(), values.max())))
-
-
-def _scale(geometry: Geometry) -> Array:
-    """Factors to mm and degrees ``(n,)``."""
-    return np.where(geometry.prismatic, 1e3, np.degrees(1.0))
-
-
-def _limits(geometry: Geometry) -> tuple[Array, Array, list[str]]:
-    """Lower and upper joint limits ``(n,)``, mm or degrees, and their units."""
-    scale = _scale(geometry)
-    return geometry.lower * scale, geometry.upper * scale, ["mm" if slides else "deg" for slides in geometry.prismatic]

@@ -25,7 +25,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from pickenv.arm import Array, nominal_points
 from pickenv.base import InputError
-from pickenv.inspect.colours import RED, viridis, viridis_map
+from pickenv.inspect.colours import RED, viridis
 from pickenv.inspect.figures import style
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.calibration_trace import ViewErrors
@@ -81,7 +81,7 @@ def error_fields(comparison: Comparison) -> Figure:
     width, height = view.high - view.low
     height = min(0.93 * PANEL_WIDTH * height / width, PANEL_WIDTH)
     look = {"axes.grid": False, "axes.titlelocation": "center"}
-    with style.new_figure(PANEL_WIDTH * max(len(policies), 2), height + BESIDE_PANELS, **look) as figure:
+    with style.new_figure(PANEL_WIDTH * max(len(policies), 3), height + BESIDE_PANELS, **look) as figure:
         panels = figure.subplots(1, len(policies), squeeze=False)[0]
         means = {}
         for axes, policy in zip(panels, policies, strict=True):
@@ -204,23 +204,15 @@ def _axis_text(axes: Axes, view: _View, axis: int) -> None:
     bit = 4 >> axis
     flat, values = view.flat(view.corners), view.corners[:, axis]
     edges = [(i, i | bit) for i in range(8) if not i & bit]
-    score = [flat[list(edge)].mean(axis=0)[0 if axis == 2 else 1] for edge in edges]
-    i, j = edges[int(np.argmin(score))]
-    middle = (flat[i] + flat[j]) / 2.0
-    length = float(np.linalg.norm(flat[j] - flat[i]))
-    direction = (flat[j] - flat[i]) / length
-    outward = np.array([-direction[1], direction[0]])
+    low, high = min(edges, key=lambda edge: float(flat[list(edge), 0 if axis == 2 else 1].mean()))
+    middle, along = (flat[low] + flat[high]) / 2.0, flat[high] - flat[low]
+    outward = np.array([-along[1], along[0]]) / np.linalg.norm(along)
     outward *= np.sign(outward @ middle) or 1.0
-    angle = np.degrees(np.arctan2(direction[1], direction[0]))
-    angle = 90.0 - (90.0 - angle) % 180.0
-    options: dict[str, Any] = {"ha": "center", "va": "center", "rotation": angle, "fontsize": 7.5, "zorder": 4.0}
-    off = 0.09 * view.radius * outward
-    short = length < 0.8 * view.radius  # then there is room for its ends only, and they stand farther apart
-    x, y = middle + off * (2.1 if short else 1.0)
-    axes.text(x, y, f"{'xyz'[axis]} (m)", **options)
-    for end, value, inward in ((flat[i], values[i], direction), (flat[j], values[j], -direction)):
-        x, y = end + off + (0.04 if short else 0.11) * view.radius * inward
-        axes.text(x, y, f"{value:.2f}".replace("-", "−"), **options)
+    angle = 90.0 - (90.0 - np.degrees(np.arctan2(along[1], along[0]))) % 180.0
+    words = f"{'xyz'[axis]} (m): {values[low]:.2f} to {values[high]:.2f}".replace("-", "−")
+    look: dict[str, Any] = {"ha": "center", "va": "center", "rotation": angle, "fontsize": 7.5, "zorder": 4.0}
+    x, y = middle + 0.1 * view.radius * outward
+    axes.text(x, y, words, **look)
 
 
 def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
@@ -237,7 +229,7 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
 
 def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
     """The one scale of all panels, Viridis from 0 to ``top`` mm, below them; ``first`` is whose errors set its end."""
-    scale = ScalarMappable(Normalize(0.0, top), viridis_map())
+    scale = ScalarMappable(Normalize(0.0, top), "viridis")
     look: dict[str, Any] = {"location": "bottom", "aspect": 60, "shrink": 0.8, "pad": 0.02, "extend": "max"}
     bar = style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
     bar.set_ticks(summary.ticks(top))
@@ -543,7 +535,7 @@ def _scale(views: Sequence[ViewErrors]) -> tuple[float, float]:
 def _draw(axes: Axes, view: ViewErrors, gain: float, top: float, thickness: float = 1.0) -> Quiver:
     width, height = view.size
     lengths = np.linalg.norm(view.errors, axis=1)
-    look = QUIVER | {"scale": 1.0 / gain, "width": 0.004 * thickness, "cmap": viridis_map(), "clim": (0.0, top)}
+    look = QUIVER | {"scale": 1.0 / gain, "width": 0.004 * thickness, "cmap": "viridis", "clim": (0.0, top)}
     arrows = axes.quiver(*(view.found - view.errors).T, *view.errors.T, lengths, **look)
     axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), aspect="equal")
     return arrows

@@ -16,7 +16,7 @@ from pickenv.base import InputError
 from pickenv.harvester import Measure
 from pickenv.inspect import colours
 from pickenv.inspect.figures import style
-from pickenv.inspect.runs.harvest_trace import JointCurves, PickedTree
+from pickenv.inspect.runs.harvest_trace import PickedTree
 
 (RED,) = style.rgb([colours.RED])
 
@@ -143,23 +143,28 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]]
     return figure
 
 
-def joint_displacements(curves: JointCurves) -> Figure:
-    """Displacement of each joint over time: sliding joints left, turning ones right; a pattern per joint of an arm."""
+def joint_displacements(time: ArrayLike, moved: Mapping[str, ArrayLike], turning: Sequence[str] = ()) -> Figure:
+    """Displacement of each joint over time: sliding joints left, turning ones right; a pattern per joint of an arm.
+
+    Args:
+        time: Times ``(T,)``, s.
+        moved: Displacement of each joint, by name ``(T,)``, m or rad.
+        turning: Names of those that turn, rad.
+    """
     parts: dict[str, list[str]] = {}
-    for name in curves.moved:
+    for name in moved:
         parts.setdefault(name.rpartition(" ")[0], []).append(name)
     shades = {part: style.INK if i == 0 else _colour(i - 1) for i, part in enumerate(parts)}
     with style.new_figure(style.WIDTH, 3.2) as figure:
         slides, turns = figure.subplots(1, 2)
         for part, names in parts.items():
             for name, line in zip(names, ("-", "--", ":", "-."), strict=False):
-                turning = name in curves.turning
-                axes, scale = (turns, np.degrees(1.0)) if turning else (slides, 1e3)
-                axes.plot(curves.time, curves.moved[name] * scale, color=shades[part], linestyle=line, label=name)
+                axes, scale = (turns, np.degrees(1.0)) if name in turning else (slides, 1e3)
+                axes.plot(time, np.asarray(moved[name]) * scale, color=shades[part], linestyle=line, label=name)
         for axes, kind, unit in ((slides, "Sliding", "mm"), (turns, "Turning", "deg")):
             most = max((float(np.ptp(np.asarray(line.get_ydata()))) for line in axes.get_lines()), default=0.0)
-            moved = f"{kind} joints: up to {most:.0f} {unit}" if axes.lines else f"No {kind.lower()} joint"
-            style.headline(axes, moved)
+            title = f"{kind} joints: up to {most:.0f} {unit}" if axes.lines else f"No {kind.lower()} joint"
+            style.headline(axes, title)
             axes.set(xlabel="time (s)", ylabel=f"displacement ({unit})")
         figure.legend(loc="outside lower center", ncols=6, fontsize=7.0)
     return figure

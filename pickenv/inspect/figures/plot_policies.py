@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike
 
-from pickenv.base import InputError
+from pickenv.base import Estimate, InputError
 from pickenv.inspect.colours import GREY, RED, policy_colours
 from pickenv.inspect.figures import style
+from pickenv.inspect.figures.plot_estimates import estimates_figure
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 
@@ -36,32 +36,10 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
                 distance = np.maximum(distance[:moments], SMALLEST)
                 axes.plot(episodes.period * np.arange(moments), distance, color=colour, linewidth=0.7, alpha=0.7)
             axes.plot([], [], color=colour, linewidth=3.0, label=policy.label)
-        _title_and_tolerance(axes, episodes, summary.outcome_sentence(episodes))
-    return figure
-
-
-def _title_and_tolerance(axes: Any, episodes: RecordedEpisodes, title: str) -> None:
-    """Set a panel's title, and draw what the gripper forgives as a line."""
-    label = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
-    axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=label)
-    axes.set_title(title)
-    style.plain_decades(axes.yaxis)
-
-
-def misses_by_fruit(episodes: RecordedEpisodes) -> Figure:
-    """The miss at each fruit with every policy, fruit in the order of the first policy's miss."""
-    first, last = episodes.policies[0], episodes.policies[-1]
-    order = np.argsort(summary.episode_misses(first))
-    nearer = int(np.sum(summary.episode_misses(last) < summary.episode_misses(first)))
-    words = f"fruit, by the miss of {first.label} (number)", "miss (mm)"
-    with style.new_panel(style.WIDTH, 2.8, *words, legend=len(episodes.policies) + 1) as (figure, axes):
-        axes.set_yscale("log")
-        for policy, colour in zip(episodes.policies, style.rgb(episodes.colours), strict=True):
-            misses = np.maximum(summary.episode_misses(policy)[order], SMALLEST)
-            axes.plot(np.arange(1, len(order) + 1), misses, "o", color=colour, markersize=4, label=policy.label)
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        title = f"{last.label} misses less than {first.label} at {nearer} of {len(order)} fruit"
-        _title_and_tolerance(axes, episodes, title)
+        label = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
+        axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=label)
+        axes.set_title(summary.outcome_sentence(episodes))
+        style.plain_decades(axes.yaxis)
     return figure
 
 
@@ -104,7 +82,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
     """Figures of errors with 95 % intervals, on a logarithmic axis; an arrow where the data bound no end.
 
     Args:
-        panels: For each scene (a row of panels), for each statistic (a column), for each policy (a line), for each
+        panels: For each scene, for each statistic (a panel), for each policy (a line with the scene), for each
             compensation (a colour): the estimate, mm.
 
     Raises:
@@ -112,42 +90,22 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
     """
     if not panels or not all(panels.values()):
         raise InputError("there is nothing to draw; give at least one scene with one statistic")
-    statistics = list(next(iter(panels.values())))
-    lines = [(name, line) for row in panels.values() for column in row.values() for name, line in column.items()]
-    names = list(dict.fromkeys(name for name, _ in lines))
-    colours = style.shades(dict.fromkeys(key for _, line in lines for key in line))
-    with style.new_figure(style.WIDTH, 0.7 + len(panels) * (0.65 + 0.4 * len(names))) as figure:
-        axes: Any = figure.subplots(len(panels), len(statistics), squeeze=False, sharex=True, sharey=True)
-        for row, (scene, columns) in enumerate(panels.items()):
-            for column, (title, policies) in enumerate(columns.items()):
-                axis = axes[row, column]
-                for y, policy in enumerate(names):
-                    for i, (key, estimated) in enumerate(policies.get(policy, {}).items()):
-                        height = y + 0.18 * (i - (len(policies[policy]) - 1) / 2.0)
-                        style.whisker(axis, height, *estimated, colours[key], least=SMALLEST)
-                axis.set_xscale("log")
-                axis.set_title(f"{scene}: {title}" if column == 0 else title)
-                axis.set_yticks(range(len(names)), names)
-                axis.set_ylim(len(names) - 0.5, -0.5)
-                if row == len(panels) - 1:
-                    axis.set_xlabel("final position error (mm)")
-        style.plain_decades(axes[0, 0].xaxis)
-        figure.suptitle(_worth(panels), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
-        for key, colour in colours.items():
-            axes[0, 0].plot([], [], color=colour, linewidth=3.0, label=key)
-        figure.legend(loc="outside lower center", ncols=len(colours))
-    return figure
+    rows = [
+        {"scene": scene, "statistic": statistic, "policy": policy, "compensation": key, "estimate": _drawable(number)}
+        for scene, columns in panels.items()
+        for statistic, policies in columns.items()
+        for policy, line in policies.items()
+        for key, number in line.items()
+    ]
+    by = ("policy", "scene", "compensation")
+    return estimates_figure(rows, "final position error (mm)", by, colour="compensation", panels="statistic", log=True)
 
 
-def _worth(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> str:
-    """The effect of the compensations on the first policy in each scene, by the first statistic."""
-    sentences = []
-    for scene, statistics in panels.items():
-        name, policies = next(iter(statistics.items()))
-        policy, line = next(iter(policies.items()))
-        values = style.change({key: value for key, (value, _) in line.items()}, "mm")
-        sentences.append(f"{' '.join(policy.split())} on {scene}: {name} {values}")
-    return "\n".join(sentences)
+def _drawable(number: Estimated) -> Estimate:
+    """A number with its interval on a logarithmic axis, which has no zero."""
+    value, ends = number
+    low, high = (None if end is None else max(end, SMALLEST) for end in ends or (None, None))
+    return Estimate(max(value, SMALLEST), None if ends is None else (low, high))
 
 
 def success_against_misalignment(

@@ -47,7 +47,6 @@ CAPTIONS = {
     "view_errors": "The views with the largest errors. Where all arrows of a view agree, its pose is at fault.",
     "joint_coverage": "How the poses fill the joint ranges: each joint's distribution, and each pair of joints.",
     "distance_over_time": "Distance between tool and fruit in every episode, and what the gripper forgives.",
-    "misses_by_fruit": "Where the gripper closed, how far each policy was from the fruit; the same fruit for all.",
     "difference_map": "Which of two policies misses less at each goal, in layers of the workspace seen from above.",
     "pose_accuracy": "Pose accuracy AP and repeatability RP at the five poses of ISO 9283.",
     "drift": "Pose accuracy at P1 over the hours after the cold arm was switched on.",
@@ -64,37 +63,24 @@ CAPTIONS = {
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure that can be drawn.
+    """A figure that a run's numbers allow, or do not allow.
 
     Attributes:
         name: File name without suffix.
-        caption: What it shows, in a sentence.
-        draw: Draws it.
+        caption: What it shows, in a sentence; of one that is left out why, and what would allow it.
+        draw: Draws it; None where it is left out.
         spec: Plotly's data and layout where it comes alive in a browser; what `draw` draws is for print.
         hint: What a reader can do with it then.
     """
 
     name: str
     caption: str
-    draw: Callable[[], Figure]
+    draw: Callable[[], Figure] | None = None
     spec: Mapping[str, Any] | None = None
     hint: str = ""
 
 
-@dataclass(frozen=True)
-class NotDrawn:
-    """A figure that the run's numbers do not allow.
-
-    Attributes:
-        name: File name that it would have.
-        reason: Why, and what would allow it.
-    """
-
-    name: str
-    reason: str
-
-
-Drawings = Sequence[Drawing | NotDrawn]
+Drawings = Sequence[Drawing]
 
 
 def write_drawings(
@@ -110,11 +96,11 @@ def write_drawings(
     """
     for suffix in formats:
         check_format(suffix, folder)
-    todo = [drawing for drawing in drawings if isinstance(drawing, Drawing)]
+    todo = {drawing.name: drawing.draw for drawing in drawings if drawing.draw is not None}
     paths = []
-    for number, drawing in enumerate(todo, start=1):
-        figure = drawing.draw()
-        paths += [save_figure(figure, folder / f"{drawing.name}.{suffix}") for suffix in formats]
+    for number, (name, draw) in enumerate(todo.items(), start=1):
+        figure = draw()
+        paths += [save_figure(figure, folder / f"{name}.{suffix}") for suffix in formats]
         if progress is not None:
             progress("drawing", number, len(todo))
     return paths
@@ -137,14 +123,14 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
     degrees = {policy.label: policy.ends.attitude_error_deg for policy in comparison.policies}
     reaches: dict[str, Any] = {"counted": "reaches"}
     attitude = {"quantity": "attitude error", "unit": "deg", **reaches}
-    drawings: list[Drawing | NotDrawn] = [
+    drawings = [
         captioned("error_fields", plot_errors.error_fields, comparison),
         captioned("error_slices", plot_errors.error_slices, comparison.grid.points, fields, step=comparison.grid.step),
     ]
     if not len(comparison.grid.points):
-        drawings = [NotDrawn("error_fields", "the comparison has no field points; take a finer grid")]
+        drawings = [Drawing("error_fields", "the comparison has no field points; take a finer grid")]
     if not len(comparison.fruit):
-        return [*drawings, NotDrawn("reach_errors", "the comparison has no reaches; run some")]
+        return [*drawings, Drawing("reach_errors", "the comparison has no reaches; run some")]
     return [
         *drawings,
         captioned("position_error_by_policy", plot_errors.error_by_method, mm, **reaches),
@@ -183,7 +169,7 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
         captioned(
             "least_squares_convergence", plot_calibration.least_squares_convergence, trace.position_rms * 1e3, attitude
         ),
-        NotDrawn("network_convergence", "no network was trained")
+        Drawing("network_convergence", "no network was trained")
         if trace.loss is None
         else captioned("network_convergence", plot_calibration.network_convergence, trace.loss),
         captioned("parameter_spectrum", plot_calibration.parameter_spectrum, trace.r_diagonal, trace.kept, **diagonal),
@@ -199,11 +185,11 @@ def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
     return [captioned(name, draw, views) for name, draw in figures.items()] if views else []
 
 
-def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing | NotDrawn:
+def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing:
     """Errors against a condition; left out where it was not recorded or never changed."""
     drawing = f"error_against_{name}"
     if values is None:
-        return NotDrawn(drawing, f"no {name} was recorded with the held-out poses; measure it with them")
+        return Drawing(drawing, f"no {name} was recorded with the held-out poses; measure it with them")
     if name in CONDITIONS and not np.ptp(values) > 0.0:
-        return NotDrawn(drawing, f"every held-out pose had the same {name}, {values[0]:g} {unit}; vary it")
+        return Drawing(drawing, f"every held-out pose had the same {name}, {values[0]:g} {unit}; vary it")
     return captioned(drawing, plot_errors.error_against, values, errors_mm, name=name, unit=unit)

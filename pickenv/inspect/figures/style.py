@@ -35,11 +35,11 @@ MARKS = "os^Dv"
 INK, SOFT, RULE, PAPER = "#1c2024", "#5b6470", "#dde1e6", "#ffffff"
 """Text and marks; axes and what stands back; grid lines; behind it all. Pages put their own in place of these."""
 
-THEME: dict[str, str] = {INK: "--ink", SOFT: "--soft", RULE: "--rule", PAPER: "--paper"} | {
+THEME: dict[str, str] = {INK: "ink", SOFT: "soft", RULE: "rule", PAPER: "paper"} | {
     "#{:02x}{:02x}{:02x}".format(*colour): variable
-    for colour, variable in ((BLUE, "--after"), (GREEN, "--best"), (RED, "--bad"))
+    for colour, variable in ((BLUE, "after"), (GREEN, "best"), (RED, "bad"))
 }
-"""Colours of figures that a page's style sheet replaces, by its variable; all others are seen on both backgrounds."""
+"""Colours of figures that a page's style sheet replaces, by its variable; all others fit both backgrounds."""
 STYLE: dict[str, Any] = {
     "font.size": 8.0,
     "axes.titlesize": 9.0,
@@ -102,9 +102,7 @@ def new_figure(width: float, height: float, **more: Any) -> Iterator[Figure]:
 
 
 @contextmanager
-def new_panel(
-    width: float, height: float, x: str, y: str, *, legend: int = 0, **more: Any
-) -> Iterator[tuple[Figure, Any]]:
+def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -> Iterator[tuple[Figure, Any]]:
     """A figure of one panel, and the panel.
 
     Args:
@@ -113,9 +111,8 @@ def new_panel(
         x: Words on the panel's x axis.
         y: Words on its y axis.
         legend: Columns of the legend below the panel; none for 0.
-        more: Settings of matplotlib beside the house's own.
     """
-    with new_figure(width, height, **more) as figure:
+    with new_figure(width, height) as figure:
         yield figure, figure.add_subplot(xlabel=x, ylabel=y)
         if legend:
             figure.legend(loc="outside lower center", ncols=legend)
@@ -213,9 +210,7 @@ def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float,
     return [(label, series[label], colour) for label, colour in shades(series).items()]
 
 
-def whisker(
-    axis: Any, y: float, value: float, ends: Sequence[float | None] | None, colour: Any, *, least: float = -np.inf
-) -> None:
+def whisker(axis: Any, y: float, value: float, ends: Sequence[float | None] | None, colour: Any) -> None:
     """Draw one number at height ``y`` with its interval; open ends are arrows from the number.
 
     Args:
@@ -224,11 +219,9 @@ def whisker(
         value: The number.
         ends: Both ends of its interval, an open one as None; or None where it has none.
         colour: Of the mark.
-        least: Smallest value that is drawn, as a logarithmic axis has no zero.
     """
-    value = max(value, least)
     if ends is not None:
-        low, high = (value if end is None else max(end, least) for end in ends)
+        low, high = (value if end is None else end for end in ends)
         axis.plot([low, high], [y, y], color=colour, linewidth=3.0, alpha=0.55)
         for end, arrow in zip(ends, ("<", ">"), strict=True):
             if end is None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -82,21 +83,10 @@ KINDS = {
 Progress = Callable[[str, int, int], None]
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """One fruit that a policy goes for, in one episode.
-
-    Attributes:
-        begin: First moment at which it does.
-        close: Moment at which the gripper closes; the fruit was where it is `begin` to `close` - 1.
-        end: Last moment: the fruit is collected, or the gripper closed beside it.
-        taken: Whether it was collected.
-    """
-
-    begin: int
-    close: int
-    end: int
-    taken: bool
+Attempt: TypeAlias = tuple[int, int, int, bool]
+"""One fruit that a policy goes for, in one episode: the first moment at which it does; the moment at which the gripper
+closes, before which the fruit hung still; the last moment, at which it is collected or the gripper closed beside it;
+and whether it was collected."""
 
 
 @dataclass(frozen=True)
@@ -176,13 +166,14 @@ def attempts_of(policy: RecordedPolicy, episode: int) -> list[Attempt]:
     last = int(policy.moments[episode]) - 1
     picked, fruit = policy.picked[episode], policy.fruit_position[episode]
     closes = [int(t) for t in np.flatnonzero(np.isfinite(policy.miss_mm[episode, : last + 1]))]
-    attempts, begin = [], 0
+    attempts: list[Attempt] = []
+    begin = 0
     for close, until in zip(closes, [*closes[1:], last + 1], strict=False):
         before = picked[close - 1] if close else 0
         gains = [t for t in range(close, until) if picked[t] > before]
         jumps = [t for t in range(close + 1, until) if np.linalg.norm(fruit[t] - fruit[t - 1]) > FALLEN]
         end = gains[0] if gains else jumps[0] - 1 if jumps and _follows(policy, episode, close) else close
-        attempts.append(Attempt(begin, close, end, bool(gains)))
+        attempts.append((begin, close, end, bool(gains)))
         begin = min(end + 1, last)
     return attempts
 
@@ -207,9 +198,8 @@ def _caption(policy: RecordedPolicy, episode: int, moment: int) -> FilmCaption:
     )
 
 
-def grasp_offset(policy: RecordedPolicy, episode: int, attempt: Attempt) -> Array:
+def grasp_offset(policy: RecordedPolicy, episode: int, close: int) -> Array:
     """From the fruit to the tool when the gripper closed ``(3,)``, m."""
-    close = attempt.close
     before = close if _follows(policy, episode, close) else max(close - 1, 0)
     return np.asarray(policy.tool_position[episode, close] - policy.fruit_position[episode, before])
 
@@ -258,7 +248,7 @@ class Film:
             places: list[Array] = []
             for policy, attempts in zip(self.policies, self.attempts, strict=True):
                 track = policy.fruit_position[episode]
-                for place in [track[0], *(track[attempt.begin] for attempt in attempts[episode])]:
+                for place in [track[0], *(track[begin] for begin, *_ in attempts[episode])]:
                     if all(np.linalg.norm(place - neighbour) > SAME_FRUIT for neighbour in places):
                         places.append(place)
             fruit[episode] = np.array(places)
@@ -355,12 +345,12 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
     """Fruit of the episode as this policy has left it, and a crate with what it has picked."""
     track, places = film.policies[side].fruit_position[episode], film.fruit[episode].copy()
     present, in_cup, missed = np.ones(len(places), dtype=bool), *np.zeros((2, len(places)), dtype=bool)
-    for attempt in film.attempts[side][episode]:
-        number = int(np.argmin(np.linalg.norm(film.fruit[episode] - track[attempt.begin], axis=1)))
-        if attempt.begin <= now <= attempt.end and (now < attempt.close or attempt.taken):
-            places[number], in_cup[number] = track[now], attempt.taken and now >= attempt.close
-        present[number] = not (attempt.taken and now >= attempt.end + film.reaching)  # a reach ends in the cup
-        missed[number] = not attempt.taken and now >= attempt.close
+    for begin, close, end, taken in film.attempts[side][episode]:
+        number = int(np.argmin(np.linalg.norm(film.fruit[episode] - track[begin], axis=1)))
+        if begin <= now <= end and (now < close or taken):
+            places[number], in_cup[number] = track[now], taken and now >= close
+        present[number] = not (taken and now >= end + film.reaching)  # a reach ends in the cup
+        missed[number] = not taken and now >= close
     colours = fruit_colours(len(places))
     colours[missed] = MISSED_FRUIT
     loose = present & in_cup
@@ -378,18 +368,18 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
 def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
     """The length of each miss, in words at its fruit."""
     policy = film.policies[side]
-    for attempt in film.attempts[side][episode]:
-        if not attempt.taken and attempt.close <= now:
-            place = policy.fruit_position[episode, attempt.begin] - [0.0, 0.0, 0.75 * FRUIT]
-            yield Words(f"missed by {policy.miss_mm[episode, attempt.close]:.1f} mm", place, MISS[film.dark])
+    for begin, close, _, taken in film.attempts[side][episode]:
+        if not taken and close <= now:
+            place = policy.fruit_position[episode, begin] - [0.0, 0.0, 0.75 * FRUIT]
+            yield Words(f"missed by {policy.miss_mm[episode, close]:.1f} mm", place, MISS[film.dark])
 
 
 def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
     """The tool's places ``(K, 2)``, mm, seen from the fruit, whenever the gripper has closed so far."""
     policy, attempts = film.policies[side], film.attempts[side]
-    closed = [(e, a) for e in range(episode) for a in attempts[e]]
-    closed += [(episode, a) for a in attempts[episode] if a.close <= now]
-    marks = [seen_along(tool_axis(policy, e, a.close), grasp_offset(policy, e, a), film.eye) for e, a in closed]
+    closed = [(e, close) for e in range(episode) for _, close, *_ in attempts[e]]
+    closed += [(episode, close) for _, close, *_ in attempts[episode] if close <= now]
+    marks = [seen_along(tool_axis(policy, *at), grasp_offset(policy, *at), film.eye) for at in closed]
     return 1e3 * np.reshape(marks, (-1, 2))
 
 

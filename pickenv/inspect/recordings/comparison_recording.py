@@ -5,7 +5,7 @@ The main time line is `reach`, the number of the reach; a day in the field has `
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,11 @@ from rerun.blueprint.components import ComponentColumnSelector
 from rerun.components import Colormap
 from rerun.encodings import TensorDimensionIndexSelection
 
-from pickenv.arm import drawn_parts, nominal_points, true_points
+from pickenv.arm import Array, drawn_parts, nominal_points, true_points
 from pickenv.base import InputError
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_key
-from pickenv.inspect.recordings.details import ADAPTED, DAY_WORDS, ArrowTab, Day, arrow_tabs, day_of, send_details
+from pickenv.inspect.recordings import details
+from pickenv.inspect.recordings.episode_entities import target_view
 from pickenv.inspect.recordings.scribe import (
     Scribe,
     f32,
@@ -33,41 +34,41 @@ from pickenv.inspect.recordings.scribe import (
     write_recording,
 )
 from pickenv.inspect.runs import comparison_summary as summary
+from pickenv.inspect.runs.comparison_summary import GAIN
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
-from pickenv.inspect.runs.saved import cut_away, eye_direction, shown_box
+from pickenv.inspect.runs.saved import eye_direction, shown_box
 
 TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008
 """m; smaller than an apple, so that a hundred of them hide nothing."""
 
 
-def record_comparison(comparison: Comparison, path: str | Path, *, gain: float = 20.0) -> Path:
+def record_comparison(comparison: Comparison, path: str | Path) -> Path:
     """Write ``comparison`` as a Rerun recording (.rrd) with its blueprint inside, whole or not at all.
 
     Args:
         comparison: What to show.
         path: The file to write, usually `errors.rrd`; missing folders are made.
-        gain: How much longer than true size errors are drawn.
 
     Returns:
         The path written.
 
     Raises:
-        InputError: If there is no policy or a key repeats or cannot be part of an entity path, if the gain is not above
-            zero, or if the file cannot be written.
+        InputError: If there is no policy, a key repeats or cannot be part of an entity path, or the file cannot be
+            written.
     """
-    _check(comparison, gain)
-    arrows, day = arrow_tabs(comparison, gain), day_of(comparison)
+    _check(comparison)
+    arrows, day = details.arrow_tabs(comparison), details.day_of(comparison)
     times = [rr.TimeColumn(TIME_LINE, sequence=np.arange(len(comparison.fruit)))] if len(comparison.fruit) else []
     return write_recording(
         path,
         f"{comparison.plant.name}:seed{comparison.seed}",
-        comparison_blueprint(comparison, arrows, day, gain),
-        lambda stream: _send(Scribe(stream, times), comparison, arrows, day, gain),
+        comparison_blueprint(comparison, arrows, day),
+        lambda stream: _send(Scribe(stream, times), comparison, arrows, day),
     )
 
 
-def _check(comparison: Comparison, gain: float) -> None:
+def _check(comparison: Comparison) -> None:
     keys = [policy.key for policy in comparison.policies]
     if not keys:
         raise InputError("the comparison has no policy; give at least one")
@@ -78,11 +79,9 @@ def _check(comparison: Comparison, gain: float) -> None:
             )
         if keys.count(key) > 1:
             raise InputError(f"policy key '{key}' is given twice; give every policy its own key")
-    if not gain > 0.0:
-        raise InputError(f"the gain is {gain}; give a number above zero")
 
 
-def _send(scribe: Scribe, comparison: Comparison, arrows: Sequence[ArrowTab], day: Day | None, gain: float) -> None:
+def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, details.ArrowTab], day: details.Day) -> None:
     plant = comparison.plant
     scribe.properties(
         plant=plant.name,
@@ -90,23 +89,23 @@ def _send(scribe: Scribe, comparison: Comparison, arrows: Sequence[ArrowTab], da
         arm_fingerprint=plant.arm.fingerprint(),
         seed=comparison.seed,
         policies=[policy.key for policy in comparison.policies],
-        gain=gain,
+        gain=GAIN,
         tolerance_mm=comparison.tolerance_mm,
         colour_scale_mm=summary.colour_scale_mm(comparison),
     )
-    _send_scene(scribe, comparison, gain)
+    _send_scene(scribe, comparison)
     for policy, colour in zip(comparison.policies, comparison.colours, strict=True):
         _send_field(scribe, comparison, policy)
         if scribe.times:
-            _send_reaches(scribe, comparison, policy, colour, gain)
+            _send_reaches(scribe, comparison, policy, colour)
     if scribe.times:
-        _send_tolerance(scribe, comparison, gain)
+        _send_tolerance(scribe, comparison)
     _send_histograms(scribe, comparison)
-    scribe.document("summary", summary.summary_markdown(comparison, gain))
-    send_details(scribe, comparison, arrows, day)
+    scribe.document("summary", summary.summary_markdown(comparison))
+    details.send_details(scribe, comparison, arrows, day)
 
 
-def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
+def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
     """The field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
     size, corner = comparison.grid.size, comparison.grid.corner
     labels = [f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)]
@@ -128,7 +127,7 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
     nominal = nominal_points(comparison.nominal, first.joint_command)
     true = true_points(comparison.plant.geometry, first.joint_command, first.tool_position)
     parts = drawn_parts(nominal)
-    exaggerated = nominal + gain * (true - nominal)
+    exaggerated = nominal + GAIN * (true - nominal)
     scribe.arm("world/arm/nominal", nominal, parts, GREY, "majorwireframe")
     scribe.arm("world/arm/true", true, parts, STEEL, "solid")
     scribe.arm("world/arm/exaggerated", exaggerated, parts, comparison.colours[0], "solid", 0.5)
@@ -136,13 +135,9 @@ def _send_scene(scribe: Scribe, comparison: Comparison, gain: float) -> None:
 
 def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) -> None:
     """One policy's error field as voxels, and as a tensor for slices."""
-    magnitude, step = summary.field_mm(policy), comparison.grid.step
-    top = summary.colour_scale_mm(comparison)
-    visible, index = ~cut_away(comparison), comparison.grid.index
-    corner = comparison.grid.origin - step / 2.0
-    cells = summary.cell_means(index[visible], magnitude[visible])
-    scribe.voxels(f"world/field/{policy.key}/voxels", *cells, top, step, corner)
-    index, mean = summary.cell_means(index, magnitude)
+    magnitude, top = summary.field_mm(policy), summary.colour_scale_mm(comparison)
+    details.send_voxels(scribe, comparison, f"world/field/{policy.key}/voxels", magnitude, top)
+    index, mean = summary.cell_means(comparison.grid.index, magnitude)
     grid = np.full(comparison.grid.shape, np.nan, dtype=np.float32)
     grid[tuple(index.T)] = mean
     scribe.still(
@@ -150,7 +145,7 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) 
         rr.Tensor(
             np.ascontiguousarray(grid.transpose(2, 1, 0)),
             dim_names=[
-                f"{axis} = {start:.3f} m + {step:g} m ×"  # the viewer says a cell's number after it
+                f"{axis} = {start:.3f} m + {comparison.grid.step:g} m ×"  # the viewer says a cell's number after it
                 for axis, start in zip("zyx", comparison.grid.origin[::-1], strict=True)
             ],
             value_range=[0.0, top],
@@ -158,13 +153,13 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) 
     )
 
 
-def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb, gain: float) -> None:
+def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb) -> None:
     """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
     ends = policy.ends
     miss = ends.tool_position - comparison.fruit
     entity = f"world/miss/{policy.key}"
     scribe.still(entity, rr.Arrows3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(2.5)))
-    arrows = rr.Arrows3D.columns(origins=f32(comparison.fruit), vectors=f32(gain * miss))
+    arrows = rr.Arrows3D.columns(origins=f32(comparison.fruit), vectors=f32(GAIN * miss))
     scribe.along(entity, arrows, reading_columns(1e3 * miss))
     shots = rr.Points3D(f32(miss * 1e3), colors=[colour], radii=rr.Radius.ui_points(3.0))
     scribe.still(f"target/{policy.key}", shots, reading(1e3 * miss))
@@ -175,11 +170,11 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy
     scribe.lane(f"outcome/{lane(policy.key)}", {"pick": ("pick", colour), "miss": ("miss", RED)}, states)
 
 
-def _send_tolerance(scribe: Scribe, comparison: Comparison, gain: float) -> None:
+def _send_tolerance(scribe: Scribe, comparison: Comparison) -> None:
     """The gripper's capture region: a line on the error plot and, enlarged like the errors, a ball around the fruit."""
     level = [comparison.tolerance_mm] * len(comparison.fruit)
     scribe.curve("metrics/tolerance_mm", f"tolerance {comparison.tolerance_mm:g} mm", RED, level, 1.5)
-    radius = gain * comparison.tolerance_mm * 1e-3
+    radius = GAIN * comparison.tolerance_mm * 1e-3
     ball = rr.Ellipsoids3D.from_fields(
         half_sizes=[[radius] * 3], colors=[(*RED, 160)], line_radii=rr.Radius.ui_points(0.6), fill_mode="majorwireframe"
     )
@@ -226,22 +221,21 @@ REACHES_PER_SECOND = 2.0
 
 
 def comparison_blueprint(
-    comparison: Comparison, arrows: Sequence[ArrowTab], day: Day | None, gain: float
+    comparison: Comparison, arrows: Mapping[str, details.ArrowTab], day: details.Day
 ) -> rrb.Blueprint:
-    """The layout for ``comparison``, whose errors are drawn ``gain`` times too long.
+    """The layout for ``comparison``, whose errors are drawn `GAIN` times too long.
 
     Args:
         comparison: At least one policy.
-        arrows: From `arrow_tabs`.
-        day: From `day_of`.
-        gain: As given to `record_comparison`.
+        arrows: From `details.arrow_tabs`.
+        day: From `details.day_of`.
     """
     policies, has_reaches = comparison.policies, len(comparison.fruit) > 0
     title = "{} | error magnitude, mm, corner cut away"
     voxels = [space(comparison, title.format(p.label), [f"+ /world/field/{p.key}/voxels"]) for p in policies]
     slices = [_slice(comparison, policy) for policy in policies]
-    errors, *reasons = (_arrows(comparison, tab) for tab in arrows)
-    meaning = arrows[0].meaning
+    errors, *reasons = (_arrows(comparison, name, *tab) for name, tab in arrows.items())
+    meaning = _meaning("mm", summary.colour_scale_mm(comparison))
     tabs: list[Any] = [
         errors,
         with_colour_bar(voxels, "position", meaning, "Voxels"),
@@ -249,13 +243,13 @@ def comparison_blueprint(
     ]
     below = [rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary")]
     if has_reaches:
-        tabs.insert(1, _picking(comparison, gain))
-        reasons.insert(0, _arms(comparison, gain))
+        tabs.insert(1, _picking(comparison))
+        reasons.insert(0, _arms(comparison))
         below = [_reaches(comparison), view_of(rrb.BarChartView, "hist", "Reaches by final position error, mm"), *below]
     if comparison.field_uncertainty is not None:
         reasons.append(_uncertainty(comparison))
-    if day is not None:
-        reasons.append(_day(day))
+    if day:
+        reasons.append(_day(comparison, day))
     if has_reaches:
         reasons.append(_table(policies))
     content = rrb.Vertical(
@@ -266,31 +260,29 @@ def comparison_blueprint(
     return layout(content, "reach" if has_reaches else None, fps=REACHES_PER_SECOND)
 
 
-def _arrows(comparison: Comparison, tab: ArrowTab) -> Any:
-    views = [
-        space(comparison, title, [f"+ /{entity}", *ghost(comparison)]) for entity, (title, *_) in tab.fields.items()
-    ]
-    return with_colour_bar(views, tab.legend, tab.meaning, tab.name)
+def _meaning(unit: str, top: float) -> str:
+    """The meaning of colours from 0 to ``top`` in a field of arrows with that unit."""
+    if unit == "mm":
+        return f"Colour: position error, 0 to {top:.2f} mm"
+    return f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
 
 
-def _picking(comparison: Comparison, gain: float) -> Any:
+def _arrows(
+    comparison: Comparison, name: str, unit: str, top: float, fields: Mapping[str, tuple[str, Array, Array]]
+) -> Any:
+    views = [space(comparison, title, [f"+ /{entity}", *ghost(comparison)]) for entity, (title, *_) in fields.items()]
+    return with_colour_bar(views, details.LEGENDS[unit], _meaning(unit, top), name)
+
+
+def _picking(comparison: Comparison) -> Any:
     arms = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/arm/true"]
     scene = space(
         comparison,
-        f"Believed arm (wire), {comparison.policies[0].label} arm and misses ×{gain:g}, capture region (red)",
+        f"Believed arm (wire), {comparison.policies[0].label} arm and misses ×{GAIN:g}, capture region (red)",
         [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],
         overrides={"/world/arm/true": rrb.EntityBehavior(visible=False)},
     )
-    distance = 1.7 * max(comparison.largest_mm, comparison.tolerance_mm)
-    aim = 500.0 * (comparison.policies[0].ends.tool_position - comparison.fruit).mean(axis=0)
-    shots = seen_from(
-        aim + distance * eye_direction(comparison),
-        aim,
-        "/target",
-        ["+ /target/**"],
-        f"All misses seen from the fruit, true size; capture region, {comparison.tolerance_mm:g} mm (red)",
-        ground=False,
-    )
+    shots = target_view(comparison.largest_mm, comparison.tolerance_mm)
     return rrb.Horizontal(scene, shots, column_shares=[3.0, 2.0], name="Picking")
 
 
@@ -342,14 +334,14 @@ def _table(policies: tuple[RecordedPolicy, ...]) -> Any:
     )
 
 
-def _arms(comparison: Comparison, gain: float) -> Any:
+def _arms(comparison: Comparison) -> Any:
     first = comparison.policies[0].label
     exaggerated = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/fruit", "+ /world/miss/**"]
     urdf = ["+ /urdf_nominal/**", "+ /urdf_true/**"]
     return rrb.Horizontal(
-        space(comparison, f"Nominal arm (wire) and true arm under the {first} command, ×{gain:g}", exaggerated),
+        space(comparison, f"Nominal arm (wire) and true arm under the {first} command, ×{GAIN:g}", exaggerated),
         space(comparison, "Nominal and true arm as exported (URDF), true size", urdf, origin="/"),
-        name=f"True arm ×{gain:g}",
+        name=f"True arm ×{GAIN:g}",
     )
 
 
@@ -368,16 +360,18 @@ def _uncertainty(comparison: Comparison) -> Any:
     return with_colour_bar(views, "uncertainty", meaning, "Predicted uncertainty")
 
 
-def _day(day: Day) -> Any:
-    errors = [errors for key, (_, errors) in day.lines.items() if key != ADAPTED]
+def _day(comparison: Comparison, day: details.Day) -> Any:
+    errors = [errors for key, (_, errors) in day.items() if key != details.ADAPTED]
+    hours, plant = details.day_hours(comparison), details.drifting_plant(comparison.plant)
+    assert plant is not None
     largest = max(float(np.percentile(line, 95, axis=1).max()) for line in errors)
     plot = view_of(
         rrb.TimeSeriesView,
         "day",
-        f"Position error over {day.hours[-1]:g} h of warming up, tilting and sinking as in '{day.plant}', mm | "
-        f"commands as on firm ground | across: reaches, {60.0 * day.hours[0]:.0f} min apart; or choose 'hours'",
+        f"Position error over {hours[-1]:g} h of warming up, tilting and sinking as in '{plant.name}', mm | "
+        f"commands as on firm ground | across: reaches, {60.0 * hours[0]:.0f} min apart; or choose 'hours'",
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),
     )
-    words = rrb.TextDocumentView(origin=f"/{DAY_WORDS}", contents=[f"+ /{DAY_WORDS}"], name="Why")
+    words = rrb.TextDocumentView(origin=f"/{details.DAY_WORDS}", contents=[f"+ /{details.DAY_WORDS}"], name="Why")
     return rrb.Horizontal(plot, words, column_shares=[3, 1], name="A day in the field")

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import rerun as rr
@@ -24,8 +24,9 @@ from pickenv.base import stream
 from pickenv.calibration import complete_model, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
-from pickenv.inspect.recordings.scribe import Scribe
+from pickenv.inspect.recordings.scribe import Scribe, f32
 from pickenv.inspect.runs import comparison_summary as summary
+from pickenv.inspect.runs.comparison_summary import GAIN
 from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import cut_away
 
@@ -38,17 +39,17 @@ WORLD = "tf#/"
 """Rerun's name for the frame of the root entity, in which both URDF arms stand."""
 
 
-def send_details(scribe: Scribe, comparison: Comparison, tabs: Sequence[ArrowTab], day: Day | None) -> None:
+def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, ArrowTab], day: Day) -> None:
     """Send fields of arrows, what a calibration predicts of its errors, the day, and the arms as they are exported."""
-    for tab in tabs:
-        for entity, (_, arrows, values) in tab.fields.items():
-            scribe.arrows(entity, comparison.grid.points, arrows, values, tab.top, tab.unit)
-    for legend, tab in {tab.legend: tab for tab in tabs}.items():
-        scribe.colour_bar(f"legend/{legend}", tab.top, tab.unit)
+    for unit, top, fields in tabs.values():
+        for entity, (_, arrows, values) in fields.items():
+            scribe.arrows(entity, comparison.grid.points, arrows, values, top, unit)
+    for unit, top in {unit: top for unit, top, _ in tabs.values()}.items():
+        scribe.colour_bar(f"legend/{LEGENDS[unit]}", top, unit)
     if comparison.field_uncertainty is not None:
         _send_uncertainty(scribe, comparison, comparison.field_uncertainty)
-    if day is not None:
-        _send_day(scribe, day)
+    if day:
+        _send_day(scribe, comparison, day)
     if scribe.times:
         commands = comparison.policies[0].ends.joint_command
         _send_urdf(scribe, "urdf_nominal", comparison.nominal, commands, GREY, "majorwireframe")
@@ -57,28 +58,38 @@ def send_details(scribe: Scribe, comparison: Comparison, tabs: Sequence[ArrowTab
 
 def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array) -> None:
     """Predicted uncertainty and what the last policy really misses by, on one scale."""
-    top, visible = summary.uncertainty_scale_mm(comparison), ~cut_away(comparison)
-    corner = comparison.grid.corner
-    for name, values in (
-        ("predicted", 1e3 * uncertainty),
-        ("actual", summary.field_mm(comparison.policies[-1])),
-    ):
-        cells = summary.cell_means(comparison.grid.index[visible], values[visible])
-        scribe.voxels(f"world/uncertainty/{name}", *cells, top, comparison.grid.step, corner)
+    top = summary.uncertainty_scale_mm(comparison)
+    send_voxels(scribe, comparison, "world/uncertainty/predicted", 1e3 * uncertainty, top)
+    send_voxels(scribe, comparison, "world/uncertainty/actual", summary.field_mm(comparison.policies[-1]), top)
     scribe.colour_bar("legend/uncertainty", top, "mm")
 
 
-def _send_day(scribe: Scribe, day: Day) -> None:
+def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Array, top: float) -> None:
+    """Values ``(F,)`` of a field as voxels, without those that would hide all others; ``top`` ends their colours."""
+    visible, grid = ~cut_away(comparison), comparison.grid
+    index, means = summary.cell_means(grid.index[visible], values[visible])
+    cells = rr.VoxelGridMap(
+        np.asarray(index, dtype=np.int32),
+        [grid.step] * 3,
+        values=f32(means),
+        value_range=[0.0, top],
+        colormap="Viridis",
+        translation=grid.corner,
+    )
+    scribe.still(entity, cells)
+
+
+def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
     """Mean and 95th percentile over all fruit at every time of the day, and why they are so."""
-    times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day.hours)]
+    times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day_hours(comparison))]
     hours = Scribe(scribe.stream, times)
-    for (key, (label, errors)), colour in zip(day.lines.items(), policy_colours(list(day.lines)), strict=True):
+    for (key, (label, errors)), colour in zip(day.items(), policy_colours(list(day)), strict=True):
         for name, values, width in (
             ("mean", errors.mean(axis=1), 2.2),
             ("p95", np.percentile(errors, 95, axis=1), 1.0),
         ):
             hours.curve(f"day/{name}_mm/{key}", f"{label}, {name}", colour, values, width)
-    scribe.document(DAY_WORDS, day.explanation())
+    scribe.document(DAY_WORDS, day_in_words(comparison, day))
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
@@ -109,28 +120,14 @@ FLOOR = "floor"
 """Key of the attitude error that no joint motion removes."""
 
 
-@dataclass(frozen=True, eq=False)
-class ArrowTab:
-    """Fields of arrows side by side, all with one scale of colours.
-
-    Attributes:
-        name: What they are of.
-        legend: Key of the colour scale.
-        meaning: What the colours say.
-        unit: Of what the arrows stand for, mm or deg.
-        top: Upper end of the colour scale, in that unit.
-        fields: For each entity its title, arrows as drawn ``(F, 3)``, m, and what they stand for ``(F, 3)``.
-    """
-
-    name: str
-    legend: str
-    meaning: str
-    unit: str
-    top: float
-    fields: Mapping[str, tuple[str, Array, Array]]
+ArrowTab: TypeAlias = tuple[str, float, Mapping[str, tuple[str, Array, Array]]]
+"""Fields of arrows side by side, all with one scale of colours: the unit of what the arrows stand for, mm or deg; upper
+end of the scale, in that unit; for each entity its title, arrows as drawn ``(F, 3)``, m, and what they stand for."""
+LEGENDS = {"mm": "position", "deg": "attitude"}
+"""Keys of colour scales, by their unit."""
 
 
-def arrow_tabs(comparison: Comparison, gain: float) -> list[ArrowTab]:
+def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     """The errors of each policy with what the last one removes, of each effect alone, and of attitudes if known."""
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
     errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
@@ -140,32 +137,30 @@ def arrow_tabs(comparison: Comparison, gain: float) -> list[ArrowTab]:
         errors["world/field/removed/vectors"] = f"{before.label} minus {last.label}", "", removed
     effects = effect_fields(comparison)
     single = {f"world/effect/{name}": (name.replace("_", " "), "", field) for name, field in effects.items()}
-    meaning = f"Colour: position error, 0 to {top:.2f} mm"
-    tabs = []
-    for name, fields in ((f"Error fields, arrows ×{gain:g}", errors), ("Effects, each alone", single)):
+    tabs: dict[str, ArrowTab] = {}
+    for name, fields in ((f"Error fields, arrows ×{GAIN:g}", errors), ("Effects, each alone", single)):
         if not fields:
             continue
         views = {}
         for entity, (label, arrows, field) in fields.items():
             mean, *_ = summary.error_spread(np.linalg.norm(1e3 * field, axis=-1))
-            views[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{gain:g}", gain * field, 1e3 * field
-        tabs.append(ArrowTab(name, "position", meaning, "mm", top, views))
+            views[entity] = f"{label} | mean {mean:.2f} mm | {arrows}×{GAIN:g}", GAIN * field, 1e3 * field
+        tabs[name] = "mm", top, views
     attitude = attitude_fields(comparison)
-    return [*tabs, _attitude_tab(comparison, attitude)] if attitude else tabs
+    return tabs | {"Attitude": _attitude_tab(comparison, attitude)} if attitude else tabs
 
 
 def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> ArrowTab:
     labels = {policy.key: f"{policy.label} attitude" for policy in comparison.policies}
     labels[FLOOR] = "No joint motion removes"
-    top = summary.attitude_scale_deg(attitude)
+    top = summary.scale_end(np.degrees(np.linalg.norm(next(iter(attitude.values())), axis=-1)))
     length = summary.round_step(comparison.grid.step / top)  # m per degree, so that neighbours rarely overlap
     views = {}
     for key, field in attitude.items():
         mean, *_ = summary.error_spread(np.degrees(np.linalg.norm(field, axis=-1)))
         title, degrees = f"{labels[key]} | mean {mean:.3f}° | {1e3 * length:g} mm per degree", np.degrees(field)
         views[f"world/attitude/{key}"] = title, length * degrees, degrees
-    meaning = f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"
-    return ArrowTab("Attitude", "attitude", meaning, "deg", top, views)
+    return "deg", top, views
 
 
 def effect_fields(comparison: Comparison) -> dict[str, Array]:
@@ -221,48 +216,47 @@ ADAPTED = "adapted"
 """Key of the line with the filter."""
 
 
-@dataclass(frozen=True, eq=False)
-class Day:
-    """A day in the field: the same reaches while the arm warms up and the machine tilts and sinks.
+Day: TypeAlias = Mapping[str, tuple[str, Array]]
+"""The same reaches while the arm warms up and the machine tilts and sinks: label and position errors, mm, of each line
+by key. Lines are those of each policy, of every reach at every time ``(R times, R reaches)``; and as `ADAPTED`, unless
+the reaches are too few, of the last policy's commands with a filter on top ``(R times, M machines)``, each of which
+begins with another reach."""
 
-    Attributes:
-        plant: Name of the preset whose drift it is.
-        hours: Time of each reach since the machine was switched on ``(R,)``.
-        lines: Label and position errors, mm, of each line by key: of each policy, of every reach at every time ``(R
-            times, R reaches)``; and as `ADAPTED`, unless the reaches are too few, of the last policy's commands with a
-            filter on top ``(R times, M machines)``, each of which begins with another reach.
-    """
 
-    plant: str
-    hours: Array
-    lines: Mapping[str, tuple[str, Array]]
+def day_hours(comparison: Comparison) -> Array:
+    """Time of each reach since the machine was switched on ``(R,)``, h."""
+    count = len(comparison.fruit)
+    return (np.arange(count) + 1.0) * DAY_HOURS / count
 
-    def explanation(self) -> str:
-        """Explanation of what happens here, in Markdown, with the mean errors of the day."""
-        rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in self.lines.values()]
-        policies = [line for key, line in self.lines.items() if key != ADAPTED]
-        (first, first_mm), (last, last_mm) = policies[0], policies[-1]
-        before, after = float(first_mm.mean()), float(last_mm.mean())
-        parts = [
-            f"# {self.hours[-1]:g} hours without a new calibration",
-            "The arm was calibrated cold and on firm ground. Then it warms up, and the machine tilts and sinks as in "
-            f"`{self.plant}`. Each policy repeats the commands that it gave in the morning, without looking.",
-            "\n".join(["| policy | mean of the day (mm) |", "|---|---|", *rows]),
-        ]
-        if len(policies) > 1:
-            worth = "no better than" if after >= before else f"{before - after:.2f} mm better than"
-            parts.append(
-                f"{last} ends {worth} {first}: the drift was in nobody's data, and it is larger than "
-                "the errors that a calibration takes away."
-            )
-        if ADAPTED in self.lines:
-            label, adapted_mm = self.lines[ADAPTED]
-            parts.append(
-                f"**{label}**: the same commands on {adapted_mm.shape[1]} machines with a Kalman "
-                f"filter. It looks at the tool once per pick ({1e3 * CAMERA_STD:g} mm per axis) and corrects the next "
-                "pick: in the field a calibration has to go on."
-            )
-        return "\n\n".join(parts)
+
+def day_in_words(comparison: Comparison, day: Day) -> str:
+    """Explanation of what happens on a day, in Markdown, with its mean errors."""
+    plant = drifting_plant(comparison.plant)
+    assert plant is not None
+    rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in day.values()]
+    policies = [line for key, line in day.items() if key != ADAPTED]
+    (first, first_mm), (last, last_mm) = policies[0], policies[-1]
+    before, after = float(first_mm.mean()), float(last_mm.mean())
+    parts = [
+        f"# {DAY_HOURS:g} hours without a new calibration",
+        "The arm was calibrated cold and on firm ground. Then it warms up, and the machine tilts and sinks as in "
+        f"`{plant.name}`. Each policy repeats the commands that it gave in the morning, without looking.",
+        "\n".join(["| policy | mean of the day (mm) |", "|---|---|", *rows]),
+    ]
+    if len(policies) > 1:
+        worth = "no better than" if after >= before else f"{before - after:.2f} mm better than"
+        parts.append(
+            f"{last} ends {worth} {first}: the drift was in nobody's data, and it is larger than "
+            "the errors that a calibration takes away."
+        )
+    if ADAPTED in day:
+        label, adapted_mm = day[ADAPTED]
+        parts.append(
+            f"**{label}**: the same commands on {adapted_mm.shape[1]} machines with a Kalman "
+            f"filter. It looks at the tool once per pick ({1e3 * CAMERA_STD:g} mm per axis) and corrects the next "
+            "pick: in the field a calibration has to go on."
+        )
+    return "\n\n".join(parts)
 
 
 def drifting_plant(plant: Plant) -> Plant | None:
@@ -276,15 +270,15 @@ def drifting_plant(plant: Plant) -> Plant | None:
     return replace(drifting, name=preset.name, load=plant.load or preset.load)
 
 
-def day_of(comparison: Comparison) -> Day | None:
+def day_of(comparison: Comparison) -> Day:
     """Let the drifting plant make the comparison's reaches all day, with the commands that the policies gave.
 
     R machines start together, each with another fruit, and go through all fruit in the same order: so every fruit is
-    reached at every time, by a machine that has been as busy as the others.
+    reached at every time, by a machine that has been as busy as the others. Without reaches or drift there is no line.
     """
     plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
     if plant is None or not count:
-        return None
+        return {}
     dt = 3600.0 * DAY_HOURS / count
     lines, machines = {}, np.arange(count)
     for policy in comparison.policies:
@@ -297,7 +291,7 @@ def day_of(comparison: Comparison) -> Day | None:
         lines[policy.key] = policy.label, rows
     if count >= FEWEST_LOOKS:
         lines[ADAPTED] = f"{comparison.policies[-1].label}, adapted", _adapted(comparison, plant, dt)
-    return Day(plant.name, (machines + 1.0) * DAY_HOURS / count, lines)
+    return lines
 
 
 def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:

@@ -9,7 +9,7 @@ sees how each ended.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, Geometry, drawn_parts, forward, nominal_points, true_points
 from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
 from pickenv.inspect.recordings.scribe import Scribe, f32, layout, reading_columns, seen_from, view_of
+from pickenv.inspect.runs.comparison_summary import GAIN
 from pickenv.inspect.runs.recorded_episodes import POSITIONS
 
 Trigger = Callable[[int], bool]
@@ -43,50 +44,41 @@ class Row(NamedTuple):
         episode: Number of the episode.
         within: Steps since the episode's reset.
         order: Number of episodes of which steps were recorded before this one.
-        reward: Its reward; 0 after a reset.
-        info: Its info.
-        target: Joints at which the controller believes the arm to be; None where the environment does not tell.
+        info: Its info with its ``reward``, 0 after a reset, and as ``joint_target`` the joints at which the controller
+            believes the arm to be, where the environment tells.
     """
 
     moment: int
     episode: int
     within: int
     order: int
-    reward: float
     info: Mapping[str, Any]
-    target: Array | None = None
 
 
-@dataclass
 class EpisodeLog:
-    """The recorded steps of one environment, and the choice which steps those are.
+    """The recorded steps of one environment, `rows`, and the choice which steps those are."""
 
-    Attributes:
-        key: Name in entity paths: the policy, and the environment's number where there are several.
-        episode_trigger: Whether to record from the start of an episode, given its number.
-        step_trigger: Whether to record from a step, given its number.
-        length: Steps of one recording; infinite for whole episodes.
-        rows: What was recorded.
-        episode: Number of the present episode.
-    """
+    def __init__(self, key: str, episode_trigger: Trigger | None, step_trigger: Trigger | None, length: float) -> None:
+        """A log without a step.
 
-    key: str
-    episode_trigger: Trigger | None
-    step_trigger: Trigger | None
-    length: float
-    rows: list[Row] = field(default_factory=list)
-    episode: int = -1
-    _step: int = -1
-    _within: int = 0
-    _left: float = 0.0
+        Args:
+            key: Name in entity paths: the policy, and the environment's number where there are several.
+            episode_trigger: Whether to record from the start of an episode, given its number.
+            step_trigger: Whether to record from a step, given its number.
+            length: Steps of one recording; infinite for whole episodes.
+        """
+        self.key, self.length, self.rows = key, length, list[Row]()
+        self._episode_trigger, self._step_trigger = episode_trigger, step_trigger
+        self._episode = self._step = -1
+        self._within, self._left = 0, 0.0
 
     def begins(self) -> bool:
         """Count an episode; whether its first info is to be noted."""
-        self.episode += 1
+        self._episode += 1
         self._within = 0
         if self.length == np.inf:
             self._left = 0.0
-        if self.episode_trigger is not None and self.episode_trigger(self.episode):
+        if self._episode_trigger is not None and self._episode_trigger(self._episode):
             self._left = self.length
         return self._wanted()
 
@@ -94,7 +86,7 @@ class EpisodeLog:
         """Count a step; whether its info is to be noted."""
         self._step += 1
         self._within += 1
-        if self.step_trigger is not None and self.step_trigger(self._step):
+        if self._step_trigger is not None and self._step_trigger(self._step):
             self._left = self.length
         return self._wanted()
 
@@ -107,8 +99,9 @@ class EpisodeLog:
     def note(self, info: Mapping[str, Any], reward: float, target: Array | None = None) -> None:
         """Keep the present step."""
         last = self.rows[-1] if self.rows else None
-        order = 0 if last is None else last.order + (last.episode != self.episode)
-        self.rows.append(Row(len(self.rows), self.episode, self._within, order, reward, info, target))
+        order = 0 if last is None else last.order + (last.episode != self._episode)
+        told = {} if target is None else {"joint_target": target}
+        self.rows.append(Row(len(self.rows), self._episode, self._within, order, {**info, **told, "reward": reward}))
 
 
 @dataclass(frozen=True)
@@ -171,13 +164,12 @@ def last_rows(rows: Sequence[Row]) -> list[Row]:
 
 
 def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Names of the numbers in ``info`` by unit, the reward among them; truth values and arrays are no numbers."""
+    """Names of the numbers in ``info`` by unit; truth values and arrays are no numbers."""
     groups: dict[str, list[str]] = {}
     for name, value in info.items():
         if np.ndim(value) == 0 and isinstance(value, int | float | np.number) and not isinstance(value, bool):
             end = name.rpartition("_")[2]
             groups.setdefault(end if end in UNITS else OTHERS, []).append(name)
-    groups.setdefault(OTHERS, []).append("reward")
     return groups
 
 
@@ -188,8 +180,6 @@ def column(rows: Sequence[Row], name: str) -> Array:
 
 FRUIT_RADIUS, TOOL_RADIUS = 0.02, 0.012
 """m."""
-GAIN = 20.0
-"""Factor by which the true arm's deviation from the believed one is drawn larger than true."""
 GAP = 1.0
 """s; between two episodes on `sim_time`."""
 NEAREST_MM = 1e-4
@@ -280,10 +270,11 @@ def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence
     if distance is not None:
         _send_numbers(stream, scene, f"distance/{lane(key)}", rows, decades(distance)[:, None])
         if scene.tolerance_mm is not None:
-            _send_level(stream, scene, rows, float(decades(np.array(scene.tolerance_mm))))
+            level = decades(np.full(len(rows), scene.tolerance_mm))
+            scribe.along("distance/tolerance", rr.Scalars.columns(scalars=level))
     for unit, names in number_groups(info).items():
-        values = [[row.reward if name == "reward" else row.info[name] for name in names] for row in rows]
-        _send_numbers(stream, scene, f"metrics/{unit}/{lane(key)}", rows, np.array(values, dtype=float))
+        values = np.stack([column(rows, name) for name in names], axis=1)
+        _send_numbers(stream, scene, f"metrics/{unit}/{lane(key)}", rows, values)
 
 
 def _strung(scene: Scene, rows: Sequence[Row]) -> tuple[NDArray[np.int64], Array]:
@@ -319,19 +310,6 @@ def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike
     scribe.along(entity, scalars.partition([values.shape[1]] * len(values) if lengths is None else lengths))
 
 
-def _send_level(stream: rr.RecordingStream, scene: Scene, rows: Sequence[Row], value: float) -> None:
-    """A level line across all time lines."""
-    lines: dict[str, Any] = {
-        "step": {"sequence": [rows[0].moment, rows[-1].moment]},
-        "sim_time": {"duration": [scene.period * row.moment + GAP * row.order for row in (rows[0], rows[-1])]},
-        "episode": {"sequence": [rows[0].episode, rows[-1].episode]},
-        "episode_time": {"duration": [0.0, scene.period * max(row.within for row in rows)]},
-    }
-    for name, times in lines.items():
-        scribe = Scribe(stream, [rr.TimeColumn(name, **times)])
-        scribe.along("distance/tolerance", rr.Scalars.columns(scalars=[value, value]))
-
-
 def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
     """Points along the arm as its controller believes it to stand, and along the true arm, ``(T, K, 3)``, m.
 
@@ -339,7 +317,7 @@ def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
     """
     assert scene.nominal is not None
     command = column(rows, "joint_command")
-    target = command if rows[0].target is None else np.array([row.target for row in rows], dtype=float)
+    target = column(rows, "joint_target") if "joint_target" in rows[0].info else command
     return nominal_points(scene.nominal, target), true_points(scene.nominal, command, column(rows, "tool_position"))
 
 

@@ -99,7 +99,7 @@ def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: floa
     moments, states = [0.0, arrival], ["carried", "travel"]
     for pick in mine[np.argsort(shown.times.start[mine])]:
         moments += [arrival + float(shown.times.start[pick]), arrival + float(shown.times.end[pick])]
-        states += ["collected" if shown.outcome.collected[pick] else "missed", "travel"]
+        states += ["collected" if shown.collected[pick] else "missed", "travel"]
     scribe = Scribe(stream, [rr.TimeColumn("sim_time", duration=np.array(moments))])
     looks = {"carried": ("carried", GREY), "travel": ("travel", STEEL)}
     looks |= {fate: (f"out, {fate}", FATES[fate]) for fate in ("collected", "missed")}
@@ -124,7 +124,7 @@ def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint
     place = {number: i for i, number in enumerate(numbers.tolist())}
     for pick, number in enumerate(shown.fruit.tolist()):
         if number in place:
-            fate = "collected" if shown.outcome.collected[pick] else "missed"
+            fate = "collected" if shown.collected[pick] else "missed"
             colours[at >= shown.times.end[pick], place[number]] = FATES[fate]
     return colours
 

@@ -12,7 +12,7 @@ from pickenv.base import InputError
 from pickenv.calibration import Calibration, Compensator, Measurements
 from pickenv.calibration.pipeline.calibration import uncertainty_from
 from pickenv.inspect.recordings.comparison_recording import record_comparison
-from pickenv.inspect.runs.comparison_summary import GAIN, round_step, stage_label
+from pickenv.inspect.runs.comparison_summary import round_step, stage_label
 from pickenv.inspect.runs.recorded_episodes import Comparison, FieldGrid, Reaches, ended, field_grid
 
 CELLS = 10
@@ -24,7 +24,6 @@ def inspect_calibration(
     evidence: Plant | Measurements,
     path: str | Path,
     *,
-    gain: float = GAIN,
     grid_step: float = 0.1,
     seed: int = 0,
 ) -> Path:
@@ -35,7 +34,6 @@ def inspect_calibration(
         evidence: The true arm, compensated and driven over its workspace; or measured poses, best held-out ones, of
             which the models' predictions are taken away.
         path: The file to write (.rrd).
-        gain: How much longer than true size errors are drawn.
         grid_step: Cell size of the simulated arm's field, m.
         seed: Seed of the joints that find the workspace's extent.
 
@@ -46,7 +44,7 @@ def inspect_calibration(
         comparison = _simulated(calibration, evidence, grid_step, seed)
     else:
         comparison = _measured(calibration, evidence, seed)
-    return record_comparison(comparison, path, gain=gain)
+    return record_comparison(comparison, path)
 
 
 def inspect_evaluation(
@@ -55,7 +53,6 @@ def inspect_evaluation(
     path: str | Path,
     *,
     tolerance_mm: float = 5.0,
-    gain: float = GAIN,
     seed: int = 0,
 ) -> Path:
     """Record how several policies ended on the same fruit.
@@ -65,24 +62,18 @@ def inspect_evaluation(
         plant: The arm, or the preset that a population of arms was drawn from.
         path: The file to write (.rrd).
         tolerance_mm: Radius of the gripper's capture region.
-        gain: How much longer than true size errors are drawn.
         seed: Seed of the episodes, which names the recording.
 
     Raises:
         InputError: If there are no runs, their fruit differ, or the file cannot be written.
     """
-    return record_comparison(evaluation_compared(runs, plant, tolerance_mm, seed), path, gain=gain)
-
-
-def evaluation_compared(runs: Mapping[str, Reaches], plant: Plant, tolerance_mm: float, seed: int) -> Comparison:
-    """The comparison that `inspect_evaluation` records: the field's points are the fruit."""
     if not runs:
         raise InputError("there are no episodes to show; give the ends of at least one policy's episodes")
     label, first = next(iter(runs.items()))
     for name, ends in runs.items():
         if not np.array_equal(ends.fruit_position, first.fruit_position):
             raise InputError(f"'{name}' did not reach for the same fruit as '{label}'; evaluate both with equal seeds")
-    return Comparison(
+    comparison = Comparison(
         policies=tuple(
             ended(name, ends).with_field(
                 np.concatenate([ends.tool_position - ends.fruit_position, ends.pose_error[:, 3:]], axis=1)
@@ -93,8 +84,9 @@ def evaluation_compared(runs: Mapping[str, Reaches], plant: Plant, tolerance_mm:
         tolerance_mm=tolerance_mm,
         seed=seed,
         seeds=first.seeds,
-        grid=_grid_around(first.fruit_position, first.joint_command),
+        grid=_grid_around(first.fruit_position, first.joint_command),  # the field's points are the fruit
     )
+    return record_comparison(comparison, path)
 
 
 def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: int) -> Comparison:

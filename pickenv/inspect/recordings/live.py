@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 import rerun as rr
 import rerun.blueprint as rrb
 
-from pickenv.base import InputError, command_line
+from pickenv.base import InputError, command_line, command_words
 
 VIEWER_PORT = 9876
 """Port at which rerun's viewer listens unless told otherwise."""
@@ -67,39 +67,40 @@ def _start_viewer() -> None:
     Raises:
         InputError: If there is no screen, or the viewer does not come up.
     """
-    if _listens(LOCAL, VIEWER_PORT):
+    if _listens():
         return
     check_screen()
-    command = [*rerun_program(), "--bind", LOCAL, "--port", str(VIEWER_PORT), "--memory-limit", VIEWER_MEMORY]
+    command = rerun_command(bind=LOCAL, port=VIEWER_PORT, memory_limit=VIEWER_MEMORY)
     quiet = subprocess.DEVNULL
     subprocess.Popen(
-        [*command, "--hide-welcome-screen", "--expect-data-soon"],
+        command_words(*command, hide_welcome_screen=True, expect_data_soon=True),
         env=viewer_environment(),
         stdout=quiet,
         stderr=quiet,
         start_new_session=True,
     )
     deadline = time.monotonic() + START_PATIENCE
-    while not _listens(LOCAL, VIEWER_PORT):
+    while not _listens():
         if time.monotonic() > deadline:
             raise InputError(f"no viewer came up within {START_PATIENCE:g} s; try it by hand: {' '.join(command)}")
         time.sleep(0.1)
 
 
-def _listens(host: str, port: int) -> bool:
+def _listens() -> bool:
+    """Whether a viewer listens on this machine."""
     try:
-        socket.create_connection((host, port), timeout=PATIENCE).close()
+        socket.create_connection((LOCAL, VIEWER_PORT), timeout=PATIENCE).close()
     except OSError:
         return False
     return True
 
 
-def rerun_program() -> list[str]:
-    """The command that starts the installed rerun, whose version fits the recordings.
+def rerun_command(*words: object, **options: object) -> list[str]:
+    """The command that starts the installed rerun, whose version fits the recordings, with arguments and options.
 
     This Python's module, and not a program beside it: packages may lie elsewhere (pip --user, system site packages).
     """
-    return [sys.executable, "-m", "rerun_cli"]
+    return command_words(sys.executable, "-m", "rerun_cli", *words, **options)
 
 
 def telemetry_wanted() -> bool:

@@ -29,6 +29,8 @@ GROWTH = 2.0
 class _Recorder:
     """The part that both wrappers share: logs of environments, the file, and the live viewers."""
 
+    _scene: entities.Scene
+
     def __init__(
         self,
         env: Any,
@@ -57,7 +59,6 @@ class _Recorder:
         length = float(recording_length) or np.inf
         self.logs = [entities.EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
         self._env, self._policy = env, policy
-        self._scene: entities.Scene | None = None
         self._identity = ""
         self._in_file = 0
         self._shown = [0] * len(self.logs)
@@ -68,7 +69,7 @@ class _Recorder:
 
         Recordings of several policies on one environment, plant and first seed are shown as one.
         """
-        if self._scene is not None:
+        if self._identity:
             return
         outer = self._env.unwrapped
         missing = missing_positions(entities.info_of(info, 0) if hasattr(outer, "num_envs") else info)
@@ -88,20 +89,17 @@ class _Recorder:
         name = type(inner).__name__ if inner.spec is None else inner.spec.id.rpartition("/")[2]
         self._identity = ":".join([name, *([] if plant is None else [plant.name]), f"seed{outer.np_random_seed}"])
 
-    def ended(self) -> None:
-        """After the end of an episode: show it, and write the file if it is due."""
+    def ended(self, growth: float = GROWTH) -> None:
+        """After the end of an episode: show it, and write the file if so many times as many steps are recorded."""
         recorded = self._recorded
         if recorded and self._live:
             self._show()
-        if self.path is not None and recorded > self._in_file and recorded >= GROWTH * self._in_file:
+        if self.path is not None and recorded > self._in_file and recorded >= growth * self._in_file:
             self._write(self.path)
 
     def close(self) -> None:
         """Show and write what is left."""
-        if self._live and self._recorded:
-            self._show()
-        if self.path is not None and self._recorded > self._in_file:
-            self._write(self.path)
+        self.ended(growth=1.0)
         if self._stream is not None:
             try:
                 self._stream.flush(timeout_sec=PATIENCE)
@@ -119,13 +117,11 @@ class _Recorder:
 
     def _write(self, path: Path) -> None:
         """The whole recording anew: what stood there stays until the new one is complete."""
-        assert self._scene is not None
         blueprint = entities.episode_blueprint(self._scene, self._rows())
         write_recording(path, self._identity, blueprint, lambda stream: self._send(stream, [0] * len(self.logs)))
         self._in_file = self._recorded
 
     def _show(self) -> None:
-        assert self._scene is not None
         if self._stream is None:
             blueprint = entities.episode_blueprint(self._scene, self._rows())
             self._stream = open_live(self._identity, blueprint, **self._viewers)
@@ -134,7 +130,6 @@ class _Recorder:
 
     def _send(self, stream: rr.RecordingStream, start: Sequence[int]) -> None:
         """Send each environment's rows from ``start`` on, and before them what holds for all, such as their mean."""
-        assert self._scene is not None
         if not any(start):
             facts: dict[str, Any] = {"pickenv_version": pickenv.__version__, "rerun_version": rr.__version__}
             stream.send_property("pickenv", rr.AnyValues(**facts))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import shlex
 import signal
 import socket
 import subprocess
@@ -24,7 +23,7 @@ from urllib.parse import quote
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from pickenv.base import InputError
+from pickenv.base import InputError, command_line
 from pickenv.inspect.recordings import live
 from pickenv.inspect.recordings.live import viewer_environment
 
@@ -132,10 +131,10 @@ def headless_viewer() -> Iterator[Any]:
     from rerun.experimental import ViewerClient
 
     port = _free_port()
-    options = ["--headless", "--hide-welcome-screen", "--window-size", WINDOW, "--bind", "127.0.0.1"]
+    quiet: dict[str, Any] = {"headless": True, "hide_welcome_screen": True, "window_size": WINDOW}
     with tempfile.TemporaryDirectory() as folder:
         process = subprocess.Popen(
-            [*live.rerun_program(), *options, "--port", str(port)],
+            live.rerun_command(**quiet, bind=live.LOCAL, port=port),
             env=viewer_environment()
             | {"RERUN_APP_ONLY": "true", "XDG_RUNTIME_DIR": folder},  # it neither asks nor leaves files
             stdout=subprocess.DEVNULL,
@@ -212,25 +211,23 @@ def open_native(paths: Sequence[Path]) -> None:
         InputError: If there is no screen.
     """
     live.check_screen()
-    _run(
-        [*map(str, paths), "--bind", live.LOCAL, "--port", str(live.VIEWER_PORT), "--memory-limit", live.VIEWER_MEMORY]
-    )
+    _run(*paths, bind=live.LOCAL, port=live.VIEWER_PORT, memory_limit=live.VIEWER_MEMORY)
 
 
 def open_web(paths: Sequence[Path]) -> None:
     """Serve recordings to a browser on this machine until interrupted, and print the address to open."""
     web, data = _free_port(), _free_port()
     source = quote(f"rerun+http://{live.LOCAL}:{data}/proxy", safe="")
-    ports = ["--port", str(data), "--web-viewer-port", str(web)]
     with nullcontext(web) if live.telemetry_wanted() else quiet_page(live.LOCAL, web, data) as page:
         print(f"open http://{live.LOCAL}:{page}/?url={source} in a browser; Ctrl-C ends", flush=True)
-        _serve([*map(str, paths), "--serve-web", "--bind", live.LOCAL, *ports])
+        _serve(*paths, serve_web=True, bind=live.LOCAL, port=data, web_viewer_port=web)
 
 
 def serve(paths: Sequence[Path], port: int) -> None:
     """Serve recordings to viewers that connect to ``port`` of this machine, until interrupted."""
-    print(f"connect with: rerun --connect rerun+http://{live.LOCAL}:{port}/proxy; Ctrl-C ends", flush=True)
-    _serve([*map(str, paths), "--serve-grpc", "--bind", live.LOCAL, "--port", str(port)])
+    client = command_line("rerun", connect=f"rerun+http://{live.LOCAL}:{port}/proxy")
+    print(f"connect with: {client}; Ctrl-C ends", flush=True)
+    _serve(*paths, serve_grpc=True, bind=live.LOCAL, port=port)
 
 
 def send(paths: Sequence[Path], url: str) -> None:
@@ -257,21 +254,21 @@ def _free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def _serve(arguments: list[str]) -> None:
+def _serve(*paths: Path, **options: object) -> None:
     """Run the installed rerun until it is interrupted, which is how serving ends."""
     try:
-        _run(arguments)
+        _run(*paths, **options)
     except KeyboardInterrupt:
         print("ended: the recording is no longer served", file=sys.stderr)
         raise SystemExit(BY_CTRL_C) from None
 
 
-def _run(arguments: list[str]) -> None:
+def _run(*paths: Path, **options: object) -> None:
     """Run the installed rerun and end it, with what it started, when we end."""
     # Its log goes nowhere: on a healthy day it is a screenful that hides the one line that says where to look.
     quiet = subprocess.DEVNULL
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
-    command, environment = [*live.rerun_program(), *arguments], live.viewer_environment()
+    command, environment = live.rerun_command(*paths, **options), live.viewer_environment()
     process = subprocess.Popen(command, env=environment, stdout=quiet, stderr=quiet, start_new_session=True)
     try:
         code = process.wait()
@@ -279,7 +276,8 @@ def _run(arguments: list[str]) -> None:
         _end(process)
         raise
     if code != 0:
-        raise InputError(f"rerun ended with code {code}; what it says is shown by: {shlex.join(['rerun', *arguments])}")
+        shown = command_line("rerun", *paths, **options)
+        raise InputError(f"rerun ended with code {code}; what it says is shown by: {shown}")
 
 
 LEAVING = 5.0

@@ -14,11 +14,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from pickenv.arm import Array
-from pickenv.inspect.colours import WHITE, lane
+from pickenv.inspect.colours import lane
 from pickenv.inspect.figures.plot_errors import field_gain
 from pickenv.inspect.recordings import episode_entities as entities
 from pickenv.inspect.recordings.scribe import Scribe, seen_from, view_of, with_colour_bar, write_recording
-from pickenv.inspect.runs.comparison_summary import comparison_markdown, error_spread, field_mm, scale_end
+from pickenv.inspect.runs.comparison_summary import GAIN, comparison_markdown, error_spread, field_mm, scale_end
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.saved import shown_box
 
@@ -55,20 +55,14 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
 
 def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
     """A policy's episodes as recorded steps, with what `info` said of them."""
+    names = ["position_error_mm", "picked", "tool_position", "fruit_position", "joint_target", "reward"]
+    names += ["attitude_error_deg"] * (not np.isnan(policy.attitude_error_deg).all()) + ["joint_command"] * arm
+    told = {name: getattr(policy, name) for name in names} | {"is_success": policy.success}
     rows: list[entities.Row] = []
-    has_attitude = not np.isnan(policy.attitude_error_deg).all()
     for e, moments in enumerate(policy.moments):
         for t in range(int(moments)):
-            info = {
-                "position_error_mm": float(policy.position_error_mm[e, t]),
-                "is_success": bool(policy.success[e, t]),
-                "picked": int(policy.picked[e, t]),
-                "tool_position": policy.tool_position[e, t],
-                "fruit_position": policy.fruit_position[e, t],
-            }
-            info |= {"attitude_error_deg": float(policy.attitude_error_deg[e, t])} if has_attitude else {}
-            info |= {"joint_command": policy.joint_command[e, t]} if arm else {}
-            rows.append(entities.Row(len(rows), e, t, e, float(policy.reward[e, t]), info, policy.joint_target[e, t]))
+            info = {name: values[e, t].item() if values.ndim == 2 else values[e, t] for name, values in told.items()}
+            rows.append(entities.Row(len(rows), e, t, e, info))
     return rows
 
 
@@ -82,8 +76,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
         scribe.still(root, rr.Transform3D(translation=number * step))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
         scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=NAME_SIZE))
-        name = rr.Points3D([above], labels=[policy.label], colors=[WHITE], radii=0.0, show_labels=True)
-        scribe.still(f"{root}/name", name)
+        scribe.words(f"{root}/name", above, policy.label)
         entities.send_looks(stream, scene, policy.key, rows, root)
         entities.send_rows(stream, scene, policy.key, rows, root)
         misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)
@@ -95,11 +88,10 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
     """Each policy's error field, and what the last one removes of the first one's, beside one another."""
     scribe, (top, gain, step) = Scribe(stream), _field_scale(comparison)
     centre, radius = shown_box(comparison)
-    above = [centre + np.array([0.0, 0.0, 0.8 * radius])]
+    above = centre + np.array([0.0, 0.0, 0.8 * radius])
     for number, (name, title, errors) in enumerate(_fields(comparison)):
         scribe.still(f"fields/{name}", rr.Transform3D(translation=number * step))
-        words = rr.Points3D(above, labels=[title], colors=[WHITE], radii=0.0, show_labels=True)
-        scribe.still(f"fields/{name}/name", words)
+        scribe.words(f"fields/{name}/name", above, title)
         scribe.arrows(f"fields/{name}/vectors", comparison.grid.points, gain * errors, 1e3 * errors, top)
     scribe.colour_bar("legend/position", top, "mm")
 
@@ -130,7 +122,7 @@ def _blueprint(episodes: RecordedEpisodes) -> rrb.Blueprint:
     eye = middle + distance * entities.EYE
     subject = "Tool and fruit"
     if episodes.nominal is not None:
-        subject = f"Believed arm (wire), true arm's deviation ×{entities.GAIN:g}"
+        subject = f"Believed arm (wire), true arm's deviation ×{GAIN:g}"
     # The arm at true size stands in the enlarged one and would hide it.
     hidden = [f"- /side/{lane(policy.key)}/arm/true/**" for policy in episodes.policies]
     side = seen_from(eye, middle, "/side", ["+ /side/**", *hidden], f"{subject}; last episode")

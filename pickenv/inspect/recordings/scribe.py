@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
 from pickenv.base import InputError, versions, write_whole
@@ -93,6 +93,10 @@ class Scribe:
         """A text for all time."""
         self.still(entity, rr.TextDocument(markdown, media_type="text/markdown"))
 
+    def words(self, entity: str, place: ArrayLike, text: str) -> None:
+        """A text at a place ``(3,)`` in space, m, for all time."""
+        self.still(entity, rr.Points3D([place], labels=[text], colors=[WHITE], radii=0.0, show_labels=True))
+
     def curve(self, entity: str, name: str, colour: Rgb, values: ArrayLike, width: float | None = None) -> None:
         """Numbers along the time lines ``(T,)``, and how they are drawn; the width is in points."""
         self.still(entity, rr.SeriesLines(names=[name], colors=[colour], widths=None if width is None else [width]))
@@ -167,22 +171,6 @@ class Scribe:
             fill_mode="majorwireframe",
         )
         self.still("target/capture", ball)
-
-    def voxels(
-        self, entity: str, index: NDArray[np.int64], values: Array, top: float, step: float, corner: Array
-    ) -> None:
-        """Cells ``index`` ``(C, 3)`` of a grid of ``step`` m from ``corner`` on, coloured by ``values`` ``(C,)``."""
-        self.still(
-            entity,
-            rr.VoxelGridMap(
-                np.asarray(index, dtype=np.int32),
-                [step] * 3,
-                values=f32(values),
-                value_range=[0.0, top],
-                colormap="Viridis",
-                translation=corner,
-            ),
-        )
 
     def colour_bar(self, entity: str, top: float, unit: str) -> None:
         """A colour scale from 0 to ``top`` with its unit: an image and its ticks below ``entity``."""

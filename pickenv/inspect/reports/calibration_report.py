@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.base import write_text
+from pickenv.base import InputError, write_text
 from pickenv.calibration import Measurements, Observations, Result, random_joints
 from pickenv.calibration.assessment.quality import axis_errors, base_combinations
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import SIGMAS, has_moved
-from pickenv.inspect.figures.plot_calibration import joint_ranges, uncertainty_map
+from pickenv.inspect.figures.plot_calibration import joint_coverage, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
 from pickenv.inspect.reports.report_page import (
@@ -31,7 +31,7 @@ from pickenv.inspect.reports.report_page import (
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, views_of
 from pickenv.inspect.runs.matters import matters, pick_changes
 from pickenv.inspect.runs.number_words import named_values, parameter_words
-from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part, written_report
+from pickenv.inspect.runs.run_folder import REPORT, Run, TakePicture, load_part, unedited
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
 VERDICTS = {
@@ -51,8 +51,15 @@ def drawings(run: Run) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page that was written with the run, for it needs more than the folder keeps."""
-    return written_report(run)
+    """The page that was written with the run, for it needs more than the folder keeps.
+
+    Raises:
+        InputError: If there is none, or it was edited.
+    """
+    path = run.folder / REPORT
+    if not path.is_file():
+        raise InputError(f"{path} does not exist: measurements of this kind have no report page; see `pickenv figures`")
+    return unedited(run, REPORT).read_text(encoding="utf-8")
 
 
 def write_calibration_report(path: str | Path, result: Result, seeds: Mapping[str, Any] | None = None) -> Path:
@@ -235,7 +242,7 @@ def _parameters(r: Result) -> Section:
 
 def _poses(r: Result, train: Observations) -> Section:
     geometry, observability, over = r.fit.identification.geometry, r.quality.observability, r.quality.workspace
-    caption = f"Where the {len(train.joints)} fitted poses lie within the joint limits."
+    caption = f"How the {len(train.joints)} fitted poses fill the joint ranges."
     indices = (
         ("condition number", figure(observability["condition"]), "how unevenly parameters are seen; near 1 is best"),
         ("O1", figure(observability["o1"]), "mean sensitivity; D-optimal poses maximise it"),
@@ -246,12 +253,12 @@ def _poses(r: Result, train: Observations) -> Section:
     )
     pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
     hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")
-    ranges = Drawing("joint_ranges", caption, lambda: joint_ranges(geometry, train.joints))
+    coverage = Drawing("joint_coverage", caption, lambda: joint_coverage(geometry, {"fitted": train.joints}))
     return Section(
         "Were the poses good?",
         (
             _table(over.block()) if over is not None else "",
-            (ranges, _uncertainty(r)) if r.has_nominal else None,
+            *((coverage, _uncertainty(r)) if r.has_nominal else ()),
             (PageTable("Observability of the parameters", (), indices), hard if pairs else None),
         ),
     )

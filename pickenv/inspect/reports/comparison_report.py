@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_fields
-from pickenv.inspect.figures.run_drawings import Drawing, Drawings, NotDrawn, captioned
+from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs import comparison_summary as summary
-from pickenv.inspect.runs.matters import PickChange, change_cells
+from pickenv.inspect.runs.matters import change_cells
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
@@ -21,12 +21,9 @@ def drawings(run: Run) -> Drawings:
 
 def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
     """Every figure of a comparison of policies."""
-    drawings: list[Drawing | NotDrawn] = [
-        captioned("distance_over_time", plot_policies.distance_over_time, episodes),
-        captioned("misses_by_fruit", plot_policies.misses_by_fruit, episodes),
-    ]
+    drawings = [captioned("distance_over_time", plot_policies.distance_over_time, episodes)]
     if not isinstance(episodes, Comparison):
-        return [*drawings, NotDrawn("error_fields", MISSING)]
+        return [*drawings, Drawing("error_fields", MISSING)]
     drawings.append(
         Drawing(
             "error_fields",
@@ -65,7 +62,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
             PageTable(
                 "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)",
                 ("gripper", "fruit seen to, per axis (mm)", *shares, "change (points of %)"),
-                [change_cells(PickChange(**change)) for change in changed["changes"]],
+                [change_cells(change) for change in changed["changes"]],
             )
         )
     verdict = PageVerdict("note", summary.outcome_sentence(episodes), summary.explanation(episodes))

@@ -17,14 +17,13 @@ from pickenv.calibration import Calibration
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.inspect.colours import policy_colours, viridis
-from pickenv.inspect.figures.plot_calibration import joint_ranges
 from pickenv.inspect.figures.plot_errors import field_gain, thinned
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
-from pickenv.inspect.runs.matters import PickChange, change_cells, gripped, matters, pick_changes
-from pickenv.inspect.runs.number_words import between, named_values, percent, said
+from pickenv.inspect.runs.matters import Change, change_cells, gripped, matters, pick_changes
+from pickenv.inspect.runs.number_words import between, named_values, said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedPolicy
 from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, load_part, load_result
 from pickenv.inspect.runs.saved import eye_direction
@@ -71,13 +70,12 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If a file of the run is missing or damaged.
     """
     comparison, trace = load_part(run, Comparison), load_part(run, CalibrationTrace)
-    changes = load_result(run, MATTERS_FILE) if (run.folder / MATTERS_FILE).is_file() else {}
-    cases = {name: [PickChange(**change) for change in case] for name, case in changes.items()}
+    cases = load_result(run, MATTERS_FILE) if (run.folder / MATTERS_FILE).is_file() else {}
     if not len(comparison.fruit):
         raise InputError(f"{run.folder} holds no reaches, and a report is about reaches; `{run.made_by}` makes some")
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
     every = [*comparison_drawings(comparison), *trace_drawings(trace)]
-    by_name = {drawing.name: drawing for drawing in every if isinstance(drawing, Drawing)}
+    by_name = {drawing.name: drawing for drawing in every if drawing.draw is not None}
     recording = run.folder / RECORDING
     sections = (
         _reaches(comparison, by_name),
@@ -100,7 +98,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def demo_verdict(
-    comparison: Comparison, cases: Mapping[str, Sequence[PickChange]] | None = None
+    comparison: Comparison, cases: Mapping[str, Sequence[Change]] | None = None
 ) -> report_page.PageVerdict:
     """The worth of the last policy's calibration against the first, and whether that changes picks.
 
@@ -147,7 +145,7 @@ def demo_verdict(
     )
 
 
-def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
+def _cases(cases: Mapping[str, Sequence[Change]]) -> report_page.Section:
     """Picks without and with calibration, by plant, gripper and perception error."""
     rows = [
         (f"{plant}, {cells[0]}", *cells[1:]) for plant, changes in cases.items() for cells in map(change_cells, changes)
@@ -165,16 +163,6 @@ def _cases(cases: Mapping[str, Sequence[PickChange]]) -> report_page.Section:
 def within(comparison: Comparison, policy: RecordedPolicy) -> int:
     """Number of reaches that end within the tolerance of the fruit, whatever their attitude."""
     return int((policy.ends.position_error_mm <= comparison.tolerance_mm).sum())
-
-
-def _share(comparison: Comparison, policy: RecordedPolicy) -> str:
-    picked, total = within(comparison, policy), len(policy.moments)
-    return percent(picked / total, *share_interval(picked, total))
-
-
-def _expected(chances: Array) -> str:
-    """The share of fruit ``(R,)`` that a gripper takes, each with its chance."""
-    return percent(float(chances.mean()), *share_interval(float(chances.sum()), len(chances)))
 
 
 def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
@@ -197,8 +185,11 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
     for policy in comparison.policies:
         ends = policy.ends
         position, attitude = map(error_statistics, (ends.position_error_mm, ends.attitude_error_deg))
-        shares = [_share(comparison, policy), *(_expected(chances[policy.label][name]) for name in grippers)]
-        cells = [share.replace(" %", "") for share in shares]
+        total, taken = len(policy.moments), (float(chances[policy.label][name].sum()) for name in grippers)
+        cells = [
+            said(count / total, share_interval(count, total), 0, 100.0)
+            for count in (within(comparison, policy), *taken)
+        ]
         cells.append(said(position.mean, position.mean_ci95, 3))
         cells += [f"{value:.3f}" for value in (position.rms, position.p95, position.max)]
         cells.append(said(attitude.mean, attitude.mean_ci95, 3))
@@ -261,28 +252,26 @@ def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
 def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, Drawing]) -> report_page.Section:
     dropped = ", ".join(name for name, identified in zip(trace.names, trace.kept, strict=True) if not identified)
     condition = trace.singular_values[0] / trace.singular_values[-1]
-    name, joints = next(iter(trace.sets.items()))
+    poses = len(next(iter(trace.sets.values())))
     kind = "" if calibration.learnt is None else f", then {calibration.record['residual']['kind']} on what remains"
-    caption = f"Where the {len(joints)} poses of the set “{name}” lie within the joint limits."
-    ranges = Drawing("joint_ranges", caption, lambda: joint_ranges(trace.nominal, joints))
     return report_page.Section(
         "How the calibration was found",
         (
-            f"Least squares on {len(joints)} poses{kind}. {int(trace.kept.sum())} of {len(trace.kept)} parameters can "
+            f"Least squares on {poses} poses{kind}. {int(trace.kept.sum())} of {len(trace.kept)} parameters can "
             f"be told apart (condition number {condition:.1f}). These stay at their nominal values, because others "
             f"absorb them: {dropped or 'none'}.",
             drawn["least_squares_convergence"],
             drawn["parameter_spectrum"],
-            (drawn.get("network_convergence"), ranges),
+            drawn.get("network_convergence"),
+            drawn["joint_coverage"],
         ),
     )
 
 
 def _recording(screenshot: bytes | None) -> report_page.Section:
     """The picture of the recording; nothing where there is none, for the origin names the file and what opens it."""
-    caption = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
-    parts = [] if screenshot is None else [report_page.Picture(screenshot, caption)]
-    return report_page.Section("The recording", parts)
+    explain = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
+    return report_page.Section("The recording", [screenshot], explain)
 
 
 def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibration: Calibration) -> dict[str, str]:

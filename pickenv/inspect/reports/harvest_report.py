@@ -52,7 +52,7 @@ def drawings(run: Run) -> Drawings:
             "Where the cups get to, at joints drawn evenly within the limits.",
             lambda: plot_harvest.workspace_cloud(trace.cloud, (dense_workspace(),)),
         ),
-        captioned("joint_curves", plot_harvest.joint_displacements, trace.curves),
+        captioned("joint_curves", plot_harvest.joint_displacements, *trace.curves),
     ]
 
 

@@ -84,22 +84,9 @@ class PageTable:
         return column == 0 or 2 * sum(not isinstance(cell, str) or is_number(cell) for cell in cells) < len(cells)
 
 
-@dataclass(frozen=True)
-class Picture:
-    """A picture with its caption.
-
-    Attributes:
-        content: WebP.
-        caption: What it shows.
-    """
-
-    content: bytes
-    caption: str
-
-
-Part: TypeAlias = "str | PageTable | Drawing | Picture | Section | tuple[Part, ...] | Mapping[str, str] | None"
-"""A part of a section: a paragraph, a table, a figure, a section that opens on demand (on paper it is open), parts side
-by side where there is room, names with values; what is empty is left out."""
+Part: TypeAlias = "str | PageTable | Drawing | bytes | Section | tuple[Part, ...] | Mapping[str, str] | None"
+"""A part of a section: a paragraph, a table, a figure, a picture (WebP), a section that opens on demand (on paper it is
+open), parts side by side where there is room, names with values; what is empty is left out."""
 
 
 @dataclass(frozen=True)
@@ -200,7 +187,7 @@ def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
     text = re.sub(r'href="#', f'href="#{name}-', text)
     text = text.replace("url(#", f"url(#{name}-")
     for colour, variable in THEME.items():
-        text = text.replace(colour, f"var({variable})")
+        text = text.replace(colour, f"var(--{variable})")
     text = re.sub(r"\s*\n\s*", "\n", text)
     width, height = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', text).groups()  # type: ignore[union-attr]
     inside = text[text.index(">") + 1 : text.rindex("</svg>")].strip()
@@ -227,10 +214,10 @@ def plain_report(
         tables: Its numbers.
         drawings: Figures; those left out are named with their reason.
     """
-    left_out = "; ".join(f"{d.name}: {d.reason}" for d in drawings if not isinstance(d, Drawing))
+    left_out = "; ".join(f"{d.name}: {d.caption}" for d in drawings if d.draw is None)
     sections = (
         Section("Numbers", tables),
-        Section("Figures", [d for d in drawings if isinstance(d, Drawing)]),
+        Section("Figures", [d for d in drawings if d.draw is not None]),
         Section("Left out", [left_out]),
     )
     origin = {"Reproduce": run.command, "Seed": str(run.seed), "Versions": named_values(run.versions)}

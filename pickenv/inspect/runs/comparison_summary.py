@@ -7,7 +7,7 @@ colour scales and bins of its error fields. Millimetres and degrees, because the
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
@@ -18,7 +18,7 @@ from pickenv.arm import Array
 from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
-from pickenv.inspect.runs.matters import PickChange, matters, pick_changes
+from pickenv.inspect.runs.matters import Change, matters, pick_changes
 from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import misalignment
@@ -193,11 +193,10 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
     best, rival, line = _best(episodes)
     if best is None or line is None or line["difference_mm"] is None:
         return {}
-    changes = [vars(change) for change in _changes(episodes, rival, best["policy"])]
-    return {"from": rival, "to": best["policy"], "changes": changes}
+    return {"from": rival, "to": best["policy"], "changes": _changes(episodes, rival, best["policy"])}
 
 
-def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[PickChange]:
+def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[Change]:
     misses = {policy.label: _across(policy) for policy in episodes.policies}
     return pick_changes(misses[other], misses[best])
 
@@ -307,11 +306,6 @@ def uncertainty_scale_mm(comparison: Comparison) -> float:
     return scale_end(lengths)
 
 
-def attitude_scale_deg(fields: Mapping[str, Array]) -> float:
-    """Upper end of the colour scale that attitude errors ``(F, 3)`` in rad share, deg: that of the first of them."""
-    return scale_end(np.degrees(np.linalg.norm(next(iter(fields.values())), axis=-1)))
-
-
 def scale_end(values: Array) -> float:
     """Upper end of a colour scale for lengths ``(F,)``, in their unit."""
     top = float(np.percentile(values, SCALE_PERCENTILE)) if values.size else 0.0
@@ -338,21 +332,15 @@ def ticks(top: float) -> list[float]:
     return [i * step for i in range(int(top / step + 1e-9) + 1)]
 
 
-def summary_markdown(comparison: Comparison, gain: float) -> str:
+def summary_markdown(comparison: Comparison) -> str:
     """The summary as a Markdown table, with a short legend: what is drawn, and how large."""
     top, has_reaches = colour_scale_mm(comparison), len(comparison.fruit) > 0
     heads = ["field mean", "field RMS", "field p95", "field max"]
     if has_reaches:
         heads = ["picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
-    lines = [
-        f"## {comparison.plant.name}, seed {comparison.seed}",
-        "",
-        f"| policy | {' | '.join(heads)} |",
-        f"|:--|{'--:|' * len(heads)}",
-    ]
-    for policy in comparison.policies:
-        cells = (_reach_cells if has_reaches else _field_cells)(policy)
-        lines.append(f"| **{policy.label}** | {' | '.join(cells)} |")
+    cells_of = _reach_cells if has_reaches else _field_cells
+    rows = [[f"**{policy.label}**", *cells_of(policy)] for policy in comparison.policies]
+    lines = [f"## {comparison.plant.name}, seed {comparison.seed}", "", *_table(["policy", *heads], rows)]
     first = comparison.policies[0].label
     reaches = (
         f"{len(comparison.fruit)} reaches, of this one calibration; a pick if the fruit is inside the capture region, "
@@ -363,14 +351,14 @@ def summary_markdown(comparison: Comparison, gain: float) -> str:
         f"{reaches if has_reaches else ''}{len(comparison.grid.points)} field points, cells of "
         f"{comparison.grid.step * 1e3:g} mm.{_better(comparison)}",
         "",
-        f"**Arrows**: true minus wanted tool position, drawn ×{gain:g}. **Colour**: its length, 0 to {top:.2f} mm in "
+        f"**Arrows**: true minus wanted tool position, drawn ×{GAIN:g}. **Colour**: its length, 0 to {top:.2f} mm in "
         f"every field (p{SCALE_PERCENTILE:g} of {first}; above that the colour saturates).",
     ]
     if has_reaches:
         lines += [
             "",
             f"**Picking**: wire arm = what the controller believes; solid arm = the true arm with the {first} "
-            f"command, difference drawn ×{gain:g}; red ball = capture region ×{gain:g}: an arrow that ends inside it "
+            f"command, difference drawn ×{GAIN:g}; red ball = capture region ×{GAIN:g}: an arrow that ends inside it "
             "is a pick.",
         ]
     return "\n".join(lines)

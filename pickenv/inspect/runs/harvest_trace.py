@@ -44,21 +44,6 @@ class PickedTree:
 
 
 @dataclass(frozen=True, eq=False)
-class JointCurves:
-    """The motion of joints over one stop of the machine.
-
-    Attributes:
-        time: Times ``(T,)``, s.
-        moved: Displacement of each joint, by name ``(T,)``, m or rad.
-        turning: Names of those that turn, rad.
-    """
-
-    time: Array
-    moved: Mapping[str, Array]
-    turning: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
 class HarvestTrace:
     """The evidence of a comparison of strategies on the same trees.
 
@@ -68,7 +53,8 @@ class HarvestTrace:
         measures: For each strategy, its measures with 95 % intervals over trees.
         throughput: For each density of fruit, picks per hour by number of arms.
         cloud: Cups at joints drawn evenly within the limits ``(N, arms, 3)``, m.
-        curves: Joint displacements over one stop.
+        curves: The motion of joints over one stop of the machine: times ``(T,)``, s, displacements of each joint by
+            name ``(T,)``, m or rad, and names of those that turn.
         tree_count: Trees that funnels and measures are of.
     """
 
@@ -77,7 +63,7 @@ class HarvestTrace:
     measures: Mapping[str, Mapping[str, Measure]]
     throughput: Mapping[str, Mapping[int, Measure]]
     cloud: Array
-    curves: JointCurves
+    curves: tuple[Array, Mapping[str, Array], tuple[str, ...]]
     tree_count: int
 
 
@@ -95,7 +81,7 @@ def picked_tree(harvest: Harvest) -> PickedTree:
         start=_joined([r.begin + r.times.start for r in rounds]),
         end=_joined([r.begin + r.times.end for r in rounds]),
         held=_joined([r.times.held for r in rounds]),
-        got=_joined([r.outcome.collected for r in rounds]).astype(bool),
+        got=_joined([r.collected for r in rounds]).astype(bool),
     )
 
 

@@ -6,8 +6,8 @@ the tool, independent of the arm's. Whether the gripper then takes the fruit is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -60,26 +60,15 @@ RINGS, SPOKES = 24, 24
 """Of the perception's errors: distances of equal probability, and directions."""
 
 
-@dataclass(frozen=True)
-class PickChange:
-    """The effect of a calibration on the picks of one gripper.
+Change: TypeAlias = Mapping[str, Any]
+"""The effect of a calibration on the picks of one gripper, as it stands in JSON: ``gripper``, its name;
+``perception_mm``, standard deviation of the fruit's seen position per axis, mm; ``before`` and ``after``, shares of
+fruit taken without calibration and with it."""
 
-    Attributes:
-        gripper: Its name.
-        perception_mm: Standard deviation of the fruit's seen position per axis, mm.
-        before: Share of fruit taken without calibration.
-        after: Share taken with it.
-    """
 
-    gripper: str
-    perception_mm: float
-    before: float
-    after: float
-
-    @property
-    def gain(self) -> float:
-        """Gain by calibration, as a share of fruit."""
-        return self.after - self.before
+def _gain(change: Change) -> float:
+    """Gain by calibration, as a share of fruit."""
+    return float(change["after"] - change["before"])
 
 
 def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) -> float:
@@ -97,7 +86,7 @@ def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) ->
     return float(capture_probability(gripper, lateral * 1e-3, 0.0, 0.0).mean())
 
 
-def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[PickChange]:
+def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[Change]:
     """The effect of a calibration on picks, for each of `GRIPPERS` and of `PERCEPTION_MM`.
 
     Args:
@@ -105,21 +94,24 @@ def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[PickChange]:
         after_mm: The same with it.
     """
     return [
-        PickChange(name, perception, *(pick_share(gripper, errors, perception) for errors in (before_mm, after_mm)))
+        {
+            "gripper": name,
+            "perception_mm": perception,
+            "before": pick_share(gripper, before_mm, perception),
+            "after": pick_share(gripper, after_mm, perception),
+        }
         for name, gripper in ((name, load_gripper(name)) for name in GRIPPERS)
         for perception in PERCEPTION_MM
     ]
 
 
-def change_cells(change: PickChange) -> tuple[str, ...]:
+def change_cells(change: Change) -> tuple[str, ...]:
     """A change as cells of a table: gripper, perception error, shares without and with, points of % between."""
-    shares = (f"{100.0 * share:.1f}" for share in (change.before, change.after))
-    return (change.gripper, f"{change.perception_mm:g}", *shares, f"{100.0 * change.gain:+.1f}")
+    shares = (f"{100.0 * share:.1f}" for share in (change["before"], change["after"]))
+    return (change["gripper"], f"{change['perception_mm']:g}", *shares, f"{100.0 * _gain(change):+.1f}")
 
 
-def matters(
-    plant: str, changes: Sequence[PickChange], between: tuple[str, str] = ("without", "with calibration")
-) -> str:
+def matters(plant: str, changes: Sequence[Change], between: tuple[str, str] = ("without", "with calibration")) -> str:
     """In a few sentences: on which arm, for which gripper and perception error picks change.
 
     Args:
@@ -128,36 +120,34 @@ def matters(
         between: What stands behind the shares before and after: "with raw" and "with LS" for two policies.
     """
 
-    def both(change: PickChange) -> str:
-        before, after = (
-            f"{100.0 * share:.0f} % {word}"
-            for share, word in zip((change.before, change.after), (f"taken {between[0]}", between[1]), strict=True)
-        )
-        return f"{before}, {after}"
+    def both(change: Change) -> str:
+        before, after = 100.0 * change["before"], 100.0 * change["after"]
+        return f"{before:.0f} % taken {between[0]}, {after:.0f} % {between[1]}"
 
     best = sorted(
         (
-            max((c for c in changes if c.gripper == name), key=lambda c: abs(c.gain))
-            for name in dict.fromkeys(c.gripper for c in changes)
+            max((c for c in changes if c["gripper"] == name), key=lambda c: abs(_gain(c)))
+            for name in dict.fromkeys(c["gripper"] for c in changes)
         ),
-        key=lambda c: -abs(c.gain),
+        key=lambda c: -abs(_gain(c)),
     )
-    if abs(best[0].gain) < MATTERS:
-        most = abs(np.ceil(100.0 * abs(best[0].gain) - 1e-9))  # no minus before a zero
+    if abs(_gain(best[0])) < MATTERS:
+        most = abs(np.ceil(100.0 * abs(_gain(best[0])) - 1e-9))  # no minus before a zero
         return (
             f"On {plant} this changes no more than {most:.0f} of 100 picks, with any gripper "
             f"and however well the fruit is seen; most {_where(best[0])}: {both(best[0])}."
         )
-    yes = [f"{_where(c)}: {both(c)}" for c in best if abs(c.gain) >= MATTERS]
-    no = [f"{c.gripper} ({both(c)})" for c in best if abs(c.gain) < MATTERS]
+    yes = [f"{_where(c)}: {both(c)}" for c in best if abs(_gain(c)) >= MATTERS]
+    no = [f"{c['gripper']} ({both(c)})" for c in best if abs(_gain(c)) < MATTERS]
     first = f"On {plant} this changes picks {'; '.join(yes)}."
-    sharp = next(c for c in changes if c.gripper == best[0].gripper and c.perception_mm == PERCEPTION_MM[0])
-    if abs(sharp.gain) < MATTERS:
-        few = "none" if abs(sharp.gain) < NONE else "hardly any"
+    sharp = next(c for c in changes if c["gripper"] == best[0]["gripper"] and c["perception_mm"] == PERCEPTION_MM[0])
+    if abs(_gain(sharp)) < MATTERS:
+        few = "none" if abs(_gain(sharp)) < NONE else "hardly any"
         first += f" Were the fruit seen without error, it would change {few} ({both(sharp)})."
     return first + (f" Hardly a pick changes with {' and '.join(no)}." if no else "")
 
 
-def _where(change: PickChange) -> str:
-    perception = f"seen to {change.perception_mm:g} mm per axis" if change.perception_mm else "seen without error"
-    return f"with {change.gripper} and the fruit {perception}"
+def _where(change: Change) -> str:
+    error = change["perception_mm"]
+    perception = f"seen to {error:g} mm per axis" if error else "seen without error"
+    return f"with {change['gripper']} and the fruit {perception}"

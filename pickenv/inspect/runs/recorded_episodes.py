@@ -51,11 +51,6 @@ class Reaches:
         """Final attitude errors ``(R,)``."""
         return np.asarray(np.degrees(np.linalg.norm(self.pose_error[:, 3:], axis=1)))
 
-    @property
-    def noncompensable_deg(self) -> Array:
-        """Their part that no joint motion removes ``(R,)``."""
-        return np.asarray(np.degrees(np.linalg.norm(self.noncompensable[:, 3:], axis=1)))
-
 
 def reaches_of(geometry: Geometry, seeds: Sequence[int], infos: Mapping[str, Any]) -> Reaches:
     """The ends of episodes, given the arm's true geometry and the `info` of their last steps, stacked."""

@@ -51,12 +51,6 @@ ISO9283 = "iso9283.json"
 CONDITIONS = "conditions.json"
 MATTERS_FILE = "matters.json"
 REPORT = "report.html"
-RESULTS: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    ISO9283: ("an ISO 9283 result", ("raw", "settings", "plant", "standard")),
-    CONDITIONS: ("a study of conditions", ("sweeps", "settings", "plant", "interval_over")),
-    MATTERS_FILE: ("what calibration does to picks", ()),
-}
-"""Files of results in JSON: what each is, and what it must hold."""
 STUDY = "study.toml"
 """The configuration in a study's folder, which has no `run.json`."""
 
@@ -316,30 +310,6 @@ def load_part(run: Run, kind: type[Part]) -> Part:
 
 
 def load_result(run: Run, name: str) -> dict[str, Any]:
-    """One of `RESULTS` of a run, as it was written.
-
-    Raises:
-        InputError: If the file is missing or damaged.
-    """
-    path, (what, keys) = unedited(run, name), RESULTS[name]
-    with refusing_damage(path, what, f"`{run.made_by}` makes it anew"):
-        result: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        for key in keys:
-            result[key]
-        if name == ISO9283:
-            result["raw"]["poses"]
+    """A file of a run's results in JSON, such as `ISO9283`, as it was written; raises `InputError` as `unedited`."""
+    result: dict[str, Any] = json.loads(unedited(run, name).read_text(encoding="utf-8"))
     return result
-
-
-def written_report(run: Run) -> str:
-    """The page that was written with the run, for runs whose page needs more than the folder keeps.
-
-    Raises:
-        InputError: If there is none, or it was edited.
-    """
-    path = run.folder / REPORT
-    if not path.is_file():
-        raise InputError(f"{path} does not exist: measurements of this kind have no report page; see `pickenv figures`")
-    path = unedited(run, REPORT)
-    with refusing_damage(path, "a page", f"`{run.made_by}` makes it anew"):
-        return path.read_text(encoding="utf-8")

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Effect, Plant
+from pickenv.arm import Array
 from pickenv.arm.plant.plant_file import shipped_effects
 from pickenv.base import InputError, read_container, refusing_damage, registry, write_container
 from pickenv.inspect.runs.recorded_episodes import Comparison
@@ -76,7 +76,7 @@ def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
     return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
 
 
-FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4}
+FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4, "HarvestTrace": 4}
 """Version of the files' content; of some kinds another."""
 
 Saved = TypeVar("Saved")
@@ -123,7 +123,7 @@ def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
         raise InputError(f"{path}: {error}") from error
     classes = _classes(kind, *kind.__subclasses__(), *effects, *others.values()) | others
     with refusing_damage(path, f"a {kind.__name__} file", remake):
-        content = _unpack(container.header["content"], container.arrays, {**classes, "Plant": _plant})
+        content = _unpack(container.header["content"], container.arrays, classes)
         if not isinstance(content, kind):
             raise TypeError(f"it holds a {type(content).__name__}")
     return content
@@ -164,12 +164,6 @@ def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str,
         pairs = packed["mapping"]
         return {_unpack(key, arrays, classes): _unpack(item, arrays, classes) for key, item in pairs}
     return classes[packed["class"]](**{name: _unpack(item, arrays, classes) for name, item in packed["fields"].items()})
-
-
-def _plant(effects: tuple[Effect, ...] = (), **parts: Any) -> Plant:
-    """A plant of its fields; earlier files have a field for each effect, None where it is off."""
-    earlier = [parts.pop(name) for name in shipped_effects() if name in parts]
-    return Plant(effects=(*effects, *(effect for effect in earlier if effect is not None)), **parts)
 
 
 def _classes(*roots: Any) -> dict[str, Any]:

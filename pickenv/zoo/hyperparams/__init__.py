@@ -1,1 +1,1 @@
-"""One module per algorithm, each with a dict `hyperparams` by environment id, as `rl_zoo3 --conf-file` reads it."""
+"""One module per algorithm, each with a dict `hyperparams` by environment id, as rl_zoo3 reads its configurations."""

@@ -20,11 +20,15 @@ from pickenv.arm import load_plant
 from pickenv.base import InputError, seed_words, stream
 from pickenv.base.registry import names
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
-from pickenv.inspect import Comparison, PickChange, Reaches, ended, field_grid, matters, pick_changes
+from pickenv.inspect import Comparison, Reaches, ended, field_grid, matters, pick_changes
 from pickenv.inspect.runs import matters as matters_module
 from pickenv.inspect.runs.comparison_summary import stage_label
 from pickenv.inspect.runs.matters import PERCEPTION_MM, change_cells, pick_share
 from pickenv.orchard import load_gripper
+
+
+def change(gripper: str, perception_mm: float, before: float, after: float) -> dict[str, Any]:
+    return {"gripper": gripper, "perception_mm": perception_mm, "before": before, "after": after}
 
 
 class Late(gym.Env[Any, Any]):
@@ -68,7 +72,7 @@ def test_a_comparison_of_an_environment_without_an_arm() -> None:
         "tests/Late-v0", "", "li_cup", 0, 0.1,
     )  # fmt: skip
     assert whole.seeds == episode_seeds(0, 20) and whole.tolerance_mm == 5.0
-    assert (whole.plant, whole.nominal, found.comparison) == (None, None, None)
+    assert (whole.plant, whole.nominal) == (None, None) and not isinstance(whole, Comparison)
     (policy,) = whole.policies
     np.testing.assert_allclose(policy.position_error_mm, 5.0)
     np.testing.assert_array_equal(policy.moments, [4] * 20)
@@ -121,8 +125,8 @@ def test_a_comparison_of_arms_has_fields_ends_and_grasps(calibration: Calibratio
         *(("any, episodes", done, 3) for done in (1, 2, 3)),
         *(("error fields", done, 2) for done in (1, 2)),
     ]
-    assert found.comparison is not None and "--grid-step 0.4" in found.command
-    plant, comparison = load_plant("qiao2026"), found.comparison
+    assert isinstance(found.episodes, Comparison) and "--grid-step 0.4" in found.command
+    plant, comparison = load_plant("qiao2026"), found.episodes
     assert (comparison.seed, comparison.tolerance_mm) == (4, found.episodes.tolerance_mm)
     grid = field_grid(plant.arm.nominal, 0.4, 4)
     np.testing.assert_array_equal(comparison.grid.joints, grid.joints)
@@ -191,14 +195,14 @@ def test_policies_are_paired_with_calibrations_and_named_by_what_differs(
 def test_an_adaptive_policy_trusts_a_calibrated_arm_more(calibration: Calibration) -> None:
     env = gym.make("pickenv/Reach-v0", feedback="camera")
     for noise, compensation, prior in ((2.0, "raw", 1.0), (3.0, "ls", 0.2)):
-        settings = maker_of("adaptive", noise, compensation)(env, 0).settings
-        assert (settings.camera_std, settings.prior) == (pytest.approx(1e-3 * noise), prior)
+        policy = maker_of("adaptive", noise, compensation)(env, 0)
+        assert (policy.camera_std, policy.prior) == (pytest.approx(1e-3 * noise), prior)
     assert CALIBRATED_PRIOR == 0.2
-    assert maker_of("adaptive")(env, 0).settings.camera_std == 0.0
+    assert maker_of("adaptive")(env, 0).camera_std == 0.0
     raw, ls = contenders_of(["adaptive"], [None, calibration], camera_noise_mm=1.5)
     for contender, prior in ((raw, 1.0), (ls, 0.2)):
-        settings = contender.make(env, 0).settings
-        assert (settings.camera_std, settings.prior) == (pytest.approx(1.5e-3), prior)
+        policy = contender.make(env, 0)
+        assert (policy.camera_std, policy.prior) == (pytest.approx(1.5e-3), prior)
     one, other = (maker_of("random")(env, seed) for seed in (3, 4))
     seen = np.zeros((1, *env.observation_space.shape), np.float32)
     again = RandomReach(env, np.random.default_rng(3))
@@ -289,16 +293,16 @@ def test_a_share_is_the_mean_over_rings_and_spokes(seen: float, monkeypatch: pyt
     assert pick_share(load_gripper("li_cup"), own, seen) == pytest.approx(1e-3 * sum(each) / len(each), rel=1e-9)
     assert PERCEPTION_MM == (0.0, 1.0, 2.0, 3.0, 5.0)
     changes = pick_changes([1.0], [3.0])
-    assert [(c.gripper, c.perception_mm) for c in changes] == [
+    assert [(c["gripper"], c["perception_mm"]) for c in changes] == [
         (name, seen) for name in ("li_cup", "compliant_hand") for seen in PERCEPTION_MM
     ]
-    assert all(c.before < c.after and c.gain == c.after - c.before for c in changes)
-    assert change_cells(PickChange("cup", 2.0, 0.512, 0.4)) == ("cup", "2", "51.2", "40.0", "-11.2")
+    assert all(c["before"] < c["after"] for c in changes)
+    assert change_cells(change("cup", 2.0, 0.512, 0.4)) == ("cup", "2", "51.2", "40.0", "-11.2")
 
 
 def test_what_matters_is_said_at_its_very_limits() -> None:
     def said(*changes: tuple[str, float, float, float]) -> str:
-        return matters("arm", [PickChange(*each) for each in changes])
+        return matters("arm", [change(*each) for each in changes])
 
     assert said(("a", 0.0, 0.0, 0.03), ("b", 2.0, 0.5, 0.48)) == (
         "On arm this changes no more than 3 of 100 picks, with any gripper and however well the fruit is seen; most "

@@ -11,7 +11,6 @@ from hypothesis import given, strategies as st
 
 from pickenv.arm import Load, Passage, forward, load_plant
 from pickenv.arm.effects.drives import Encoder, Servo
-from pickenv.arm.effects.effect import Loads
 from pickenv.arm.effects.structure import Backlash, StickBand, one_stop, play
 
 WAYS = st.lists(st.floats(-1, 1), min_size=1, max_size=30)
@@ -23,7 +22,7 @@ START = [0.1, 0.3, 0.4, 0.0, 0.1, 0.2]
 
 def behind(gap, torques, entries, outputs):
     """Joints behind their gaps, of motors and joints before."""
-    at = SimpleNamespace(m=math, load=torques is not None, loads=Loads([], torques), joints=entries)
+    at = SimpleNamespace(m=math, load=torques is not None, pull=([], torques), joints=entries)
     return list(gap.carry(at, outputs, 0.1))
 
 

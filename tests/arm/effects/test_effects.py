@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Load, Passage, attach, chain_of, frames, gravity_torques, load_plant, rotation_matrix
-from pickenv.arm.effects.effect import Loads
 from pickenv.arm.effects.structure import (
     BoomBending,
     Harmonic,
@@ -88,7 +87,7 @@ def test_small_turns_are_rodrigues(angle):
 
 
 def test_a_joint_yields_by_torque_over_stiffness():
-    at = SimpleNamespace(loads=Loads([], [50.0, -80.0]), joints=[0.1, 0.2])
+    at = SimpleNamespace(pull=([], [50.0, -80.0]), joints=[0.1, 0.2])
     JointCompliance((1e4, 4e5)).act(at, ())
     yielded = at.joints
     np.testing.assert_allclose(yielded, [0.1 + 5e-3, 0.2 - 2e-4])

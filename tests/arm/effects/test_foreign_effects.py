@@ -124,7 +124,10 @@ def test_arms_are_drawn_with_its_spread_and_as_without_it(path):
 
 def test_it_has_its_row_in_tables(path, tmp_path, capsys):
     shares = effect_shares(load_plant(path), draw_reaches(load_plant(path), 20, np.random.default_rng(0)))
-    assert shares.alone["belt_creep"].mean > 1e-3 and shares.without["belt_creep"].mean != shares.all.mean
+    assert (
+        shares["alone"]["belt_creep"]["mean"] > 1e-3
+        and shares["without"]["belt_creep"]["mean"] != shares["all"]["mean"]
+    )
     effects_command(str(path), reaches=5, json_file=tmp_path / "effects.json")
     assert "belt creep" in capsys.readouterr().out
     assert "belt_creep" in json.loads((tmp_path / "effects.json").read_text())["alone"]

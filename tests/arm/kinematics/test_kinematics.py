@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, forward, forward_torch, load_arm, pose_error, pose_of
+from pickenv.arm import Pose, forward, load_arm, pose_error, pose_of
 
 GOLDEN = {
     key: np.array(value)
@@ -61,12 +61,8 @@ def test_a_batch_of_poses_is_the_poses_one_by_one(qiao, draw, shape):
 
 @pytest.mark.parametrize("joints", [0.3, np.zeros(5), np.zeros((2, 7))])
 def test_a_wrong_number_of_joints_is_refused(qiao, joints):
-    import torch
-
     with pytest.raises(ValueError, match="6 joints"):
         forward(qiao.nominal, joints)
-    with pytest.raises(ValueError, match="6 joints"):
-        forward_torch(qiao.nominal, torch.as_tensor(joints))
 
 
 def test_pose_error_is_in_world_axes():
@@ -79,12 +75,9 @@ def test_pose_error_is_in_world_axes():
 @pytest.mark.parametrize("varies", range(12))
 def test_the_components_of_a_frame_may_have_any_shapes_that_fit(varies):
     """Only some of them vary over a batch where joints are held; constants may be plain floats."""
-    import torch
-
-    frame = [torch.tensor(float(i)) for i in range(12)]
-    frame[varies], frame[(varies + 1) % 12] = torch.arange(3.0), 0.5
-    pose = pose_of(tuple(frame), torch)
-    arrays = pose_of(tuple(np.asarray(value) for value in frame))
-    assert pose.position.shape == (3, 3) and pose.rotation.shape == (3, 3, 3)
-    np.testing.assert_array_equal(pose.position.numpy(), arrays.position)
-    np.testing.assert_array_equal(pose.rotation.numpy(), arrays.rotation)
+    frame = [np.array(float(i)) for i in range(12)]
+    frame[varies], frame[(varies + 1) % 12] = np.arange(3.0), 0.5
+    pose = pose_of(tuple(frame))
+    full = np.stack(np.broadcast_arrays(*frame))
+    np.testing.assert_array_equal(pose.position, full[9:].T)
+    np.testing.assert_array_equal(pose.rotation, np.moveaxis(full[:9].reshape(3, 3, 3), (0, 1), (2, 1)))

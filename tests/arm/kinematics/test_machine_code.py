@@ -14,7 +14,6 @@ from pickenv.arm.kinematics.machine_code import (
     THOROUGH,
     WORD,
     Compiled,
-    Outputs,
     Trace,
     Untraceable,
     cosine,
@@ -40,7 +39,9 @@ ROUNDED = {
 def compiled(formula, count):
     trace = Trace()
     found = formula(SYMBOLS, *trace.inputs("given", 3))
-    code = Compiled(trace, [Outputs("found", [found]), Outputs("rounded", [trace.single(found)], SINGLE)], count)
+    code = Compiled(
+        trace, trace.outputs("found", [found]) + trace.outputs("rounded", [trace.single(found)], SINGLE), count
+    )
 
     def run(given):
         out, rounded = np.empty((1, given.shape[1])), np.empty((1, given.shape[1]), np.float32)
@@ -91,7 +92,7 @@ def test_words_wrap_and_flags_are_kept():
     (word,), (number,) = trace.inputs("words", 1, WORD), trace.inputs("numbers", 1)
     mixed = (word ^ (word >> 30)) * 0xBF58476D1CE4E5B9 + 0x9E3779B97F4A7C15
     share, below = (mixed >> 11).as_double() * 2.0**-53, number < 0.5
-    outputs = [Outputs("share", [share], DOUBLE), Outputs("below", [below], FLAG)]
+    outputs = trace.outputs("share", [share], DOUBLE) + trace.outputs("below", [below], FLAG)
     words, numbers = np.random.default_rng(0).integers(2**64, size=33, dtype=np.uint64), np.linspace(0, 1, 33)
     found = {"share": np.empty(33), "below": np.empty(33, bool)}
     Compiled(trace, outputs, 33).run({"words": words, "numbers": numbers} | found, 33)
@@ -109,7 +110,7 @@ def test_functions_of_whole_arrays_are_called_one_after_the_other():
 
     total, first = outside(SYMBOLS, fill, [2.0 * value for value in trace.inputs("given", 2)], 2)
     again, _ = outside(SYMBOLS, fill, [total + first, 1.0], 2)
-    code = Compiled(trace, [Outputs("found", [again * total])], 3000)
+    code = Compiled(trace, trace.outputs("found", [again * total]), 3000)
     for count in (3000, 7):
         given, found = np.random.default_rng(0).normal(size=(2, count)), np.empty((1, count))
         code.run({"given": given, "found": found}, count)

@@ -117,7 +117,7 @@ def test_small_rotations_are_the_same_and_large_ones_too():
 @pytest.mark.parametrize("angle", [0.3, 3.0])
 def test_whoever_runs_what_is_traced_is_told_of_large_rotations(angle):
     pytest.importorskip("llvmlite")
-    from pickenv.arm.kinematics.machine_code import SYMBOLS, Compiled, Outputs, Trace
+    from pickenv.arm.kinematics.machine_code import SYMBOLS, Compiled, Trace
 
     before, after = turned(np.array([0.01, angle]))
     trace = Trace()
@@ -125,7 +125,7 @@ def test_whoever_runs_what_is_traced_is_told_of_large_rotations(angle):
     vector = small_rotation(SYMBOLS, numbers[:9], numbers[9:])
     (large,) = trace.exceptions
     arrays = {"frames": np.array([*before, *after]), "vector": np.empty((3, 2)), "large": np.empty((1, 2))}
-    outputs = [Outputs("vector", vector), Outputs("large", [SYMBOLS.where(large, 1.0, 0.0)])]
+    outputs = trace.outputs("vector", vector) + trace.outputs("large", [SYMBOLS.where(large, 1.0, 0.0)])
     Compiled(trace, outputs, 2).run(arrays, 2)
     np.testing.assert_array_equal(arrays["large"], [[0.0, 1.0]])
     expected = np.stack(small_rotation(np, before, after))

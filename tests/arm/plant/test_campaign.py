@@ -89,7 +89,7 @@ def test_iso9283_and_calibration_data_agree_on_repeatability():
     rows = seen(ORCHARD, np.tile(targets[::-1], (31, 1)), same, seed=5).position.reshape(31, 5, 3)[1:, ::-1]
     away = np.linalg.norm(rows - rows.mean(axis=0), axis=-1)
     own = 1e3 * (away.mean(axis=0) + 3.0 * away.std(axis=0, ddof=1))
-    by_standard = [pose.repeatability_mm for pose in found.poses]
+    by_standard = [pose["repeatability_mm"] for pose in found["poses"]]
     assert np.mean(own) == pytest.approx(np.mean(by_standard), rel=0.15)
     np.testing.assert_allclose(own, by_standard, rtol=0.5)
 

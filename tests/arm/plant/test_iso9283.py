@@ -18,7 +18,7 @@ from pickenv.arm import (
     load_plant,
     shipped_effects,
 )
-from pickenv.arm.plant.iso9283 import NORM_OF_NOISE, _pose_performance
+from pickenv.arm.plant.iso9283 import NORM_OF_NOISE, pose_performance
 from pickenv.base import InputError
 from pickenv.calibration import random_joints, read_measurements, simulated_tracker
 
@@ -44,30 +44,30 @@ def orchard():
 def test_figures_are_the_formulas_of_the_standard():
     rng = np.random.default_rng(0)
     errors = rng.normal([1e-3, -2e-3, 5e-4, 1e-3, 0, 0], 1e-4, (30, 6))
-    found = _pose_performance("P1", errors)
+    found = pose_performance("P1", errors)
     mean = errors.mean(axis=0)
     distances = np.sqrt(((errors - mean)[:, :3] ** 2).sum(axis=1))
     spread = np.sqrt(((distances - distances.mean()) ** 2).sum() / 29)
-    assert found.accuracy_mm == pytest.approx(1e3 * np.sqrt((mean[:3] ** 2).sum()))
-    assert found.repeatability_mm == pytest.approx(1e3 * (distances.mean() + 3 * spread))
-    low, high = found.repeatability_ci95_mm
-    assert low < found.repeatability_mm < high
-    assert _pose_performance("P1", errors[:29]).repeatability_ci95_mm is None  # the standard's thirty, or none
-    assert _pose_performance("P1", np.tile(errors[0], (30, 1))).repeatability_ci95_mm is None
+    assert found["accuracy_mm"] == pytest.approx(1e3 * np.sqrt((mean[:3] ** 2).sum()))
+    assert found["repeatability_mm"] == pytest.approx(1e3 * (distances.mean() + 3 * spread))
+    low, high = found["repeatability_ci95_mm"]
+    assert low < found["repeatability_mm"] < high
+    assert pose_performance("P1", errors[:29])["repeatability_ci95_mm"] is None  # the standard's thirty, or none
+    assert pose_performance("P1", np.tile(errors[0], (30, 1)))["repeatability_ci95_mm"] is None
     turn = 3 * np.degrees(np.sqrt(((errors - mean)[:, 3:] ** 2).sum(axis=0) / 29))
-    assert found.repeatability_deg == pytest.approx(tuple(turn))
-    assert found.mean_error_mm == pytest.approx(tuple(1e3 * mean[:3]))
+    assert found["repeatability_deg"] == pytest.approx(tuple(turn))
+    assert found["mean_error_mm"] == pytest.approx(tuple(1e3 * mean[:3]))
 
 
 def test_an_arm_without_effects_repeats_exactly_and_misses_by_its_geometry():
     plant = load_plant("geometry_only")
     found = judged(plant).raw
     poses = CUBE.inclined_plane()
-    assert found.worst_repeatability_mm < 1e-9
-    assert max(found.variation_mm.values()) < 1e-9
-    assert found.drift_mm < 1e-9
-    assert len(found.poses) == len(poses.position) == 5
-    assert 0.5 < found.worst_accuracy_mm < 8
+    assert found["worst_repeatability_mm"] < 1e-9
+    assert max(found["variation_mm"].values()) < 1e-9
+    assert found["drift_mm"] < 1e-9
+    assert len(found["poses"]) == len(poses.position) == 5
+    assert 0.5 < found["worst_accuracy_mm"] < 8
 
 
 def test_the_instruments_noise_shows_in_repeatability():
@@ -75,7 +75,7 @@ def test_the_instruments_noise_shows_in_repeatability():
     # The norm of three normal components has mean 1.596 sigma and standard deviation 0.673 sigma.
     distance = np.linalg.norm(CUBE.inclined_plane().position - load_instrument("laser_tracker").stand, axis=1).mean()
     expected = (15e-3 + 0.7e-3 * distance) * (1.596 + 3 * 0.673)
-    assert [pose.repeatability_mm for pose in found.raw.poses] == pytest.approx([expected] * 5, rel=0.25)
+    assert [pose["repeatability_mm"] for pose in found.raw["poses"]] == pytest.approx([expected] * 5, rel=0.25)
     assert found.instrument_mm == pytest.approx(expected, rel=1e-3)
 
 
@@ -88,12 +88,12 @@ def test_friction_that_scatters_from_stop_to_stop_shows_in_repeatability():
         )
         for share in (0.0, 0.2, 0.4)
     )
-    assert steady.raw.worst_repeatability_mm < 1e-6
-    for pose, again in zip(scattered.raw.poses, twice.raw.poses, strict=True):
-        assert 0.02 < pose.repeatability_mm < 0.1
-        assert again.repeatability_mm == pytest.approx(2 * pose.repeatability_mm, rel=0.1)
-    for pose, variation in steady.raw.variation_mm.items():
-        assert scattered.raw.variation_mm[pose] == pytest.approx(variation, abs=0.03)
+    assert steady.raw["worst_repeatability_mm"] < 1e-6
+    for pose, again in zip(scattered.raw["poses"], twice.raw["poses"], strict=True):
+        assert 0.02 < pose["repeatability_mm"] < 0.1
+        assert again["repeatability_mm"] == pytest.approx(2 * pose["repeatability_mm"], rel=0.1)
+    for pose, variation in steady.raw["variation_mm"].items():
+        assert scattered.raw["variation_mm"][pose] == pytest.approx(variation, abs=0.03)
 
 
 def test_the_simulated_arm_comes_back_about_as_a_measured_one_does(data_folder):
@@ -105,40 +105,40 @@ def test_the_simulated_arm_comes_back_about_as_a_measured_one_does(data_folder):
     change = 1e3 * np.linalg.norm(rows.position[once] - rows.position[again], axis=-1)
     measured = np.median(change) / np.sqrt(2) / stats.chi(3).median()  # some poses moved further: the base did not hold
     settings = replace(SHORT, cycles=30)
-    poses = judged(load_plant("orchard", without=["measurement_noise"]), settings=settings).raw.poses
-    simulated = np.mean([pose.repeatability_mm for pose in poses]) / NORM_OF_NOISE
+    poses = judged(load_plant("orchard", without=["measurement_noise"]), settings=settings).raw["poses"]
+    simulated = np.mean([pose["repeatability_mm"] for pose in poses]) / NORM_OF_NOISE
     assert measured == pytest.approx(0.010, abs=0.001)
     assert measured / 2 < simulated < 2 * measured
 
 
 def test_backlash_shows_in_vap_and_not_in_repeatability():
     found = judged(only("backlash")).raw
-    assert max(found.variation_mm.values()) > 0.1
-    assert found.worst_repeatability_mm < 1e-6
+    assert max(found["variation_mm"].values()) > 0.1
+    assert found["worst_repeatability_mm"] < 1e-6
 
 
 @pytest.mark.parametrize("effect", ["thermal_growth", "base_tilt"])
 def test_warm_up_and_sinkage_show_in_drift(effect):
     found = judged(only(effect)).raw
-    assert found.wander_mm > 0.2
-    assert found.drift_mm > 0.05
-    assert found.drift_hours[0] == 0.0
-    assert found.drift_hours[-1] == pytest.approx(8.0)
-    assert len(found.drift_hours) == len(found.drift_accuracy_mm) == 9
+    assert found["wander_mm"] > 0.2
+    assert found["drift_mm"] > 0.05
+    assert found["drift_hours"][0] == 0.0
+    assert found["drift_hours"][-1] == pytest.approx(8.0)
+    assert len(found["drift_hours"]) == len(found["drift_accuracy_mm"]) == 9
 
 
 def test_effects_of_the_joints_alone_drift_and_vary_no_further_than_the_noise():
     found = judged(load_plant("qiao2026")).raw
-    assert max(found.variation_mm.values()) < 0.05
-    assert found.wander_mm < 0.05
+    assert max(found["variation_mm"].values()) < 0.05
+    assert found["wander_mm"] < 0.05
 
 
 def test_the_orchard_arm_is_as_poor_as_field_arms_are(orchard):
     raw = orchard.raw
-    assert 2 < raw.worst_accuracy_mm < 12
-    assert 0.02 < raw.worst_repeatability_mm < 0.2
-    assert 0.1 < max(raw.variation_mm.values()) < 2
-    assert 0.5 < raw.drift_mm <= raw.wander_mm < 5
+    assert 2 < raw["worst_accuracy_mm"] < 12
+    assert 0.02 < raw["worst_repeatability_mm"] < 0.2
+    assert 0.1 < max(raw["variation_mm"].values()) < 2
+    assert 0.5 < raw["drift_mm"] <= raw["wander_mm"] < 5
 
 
 def test_calibration_mends_accuracy_and_neither_repeatability_nor_variation():
@@ -149,9 +149,9 @@ def test_calibration_mends_accuracy_and_neither_repeatability_nor_variation():
     measurements = simulated_tracker(plant, random_joints(plant.arm.nominal, 60, rng), rng)
     compensate = fit(plant.arm, measurements, known_frames=True).calibration.compensator()
     found = judged(plant, compensate)
-    assert found.calibrated.worst_accuracy_mm < 0.5 * found.raw.worst_accuracy_mm
-    for before, after in zip(found.raw.poses, found.calibrated.poses, strict=True):
-        assert after.repeatability_mm == pytest.approx(before.repeatability_mm, rel=0.1)
+    assert found.calibrated["worst_accuracy_mm"] < 0.5 * found.raw["worst_accuracy_mm"]
+    for before, after in zip(found.raw["poses"], found.calibrated["poses"], strict=True):
+        assert after["repeatability_mm"] == pytest.approx(before["repeatability_mm"], rel=0.1)
 
 
 def test_any_callable_compensates():
@@ -164,7 +164,7 @@ def test_a_reference_frame_moves_what_targets_mean():
     plant = only()
     moved = plant.arm.nominal.displaced(np.array([0.0] * 30 + [0, 0, 1.0] + [0.0] * 9))
     found = judged(plant, reference=moved).raw
-    assert found.worst_accuracy_mm == pytest.approx(1000, abs=10)
+    assert found["worst_accuracy_mm"] == pytest.approx(1000, abs=10)
 
 
 def test_one_seed_repeats_the_test_to_the_bit(orchard):

@@ -157,8 +157,8 @@ def test_many_arms_at_once_are_the_arms_one_by_one(draw):
             alone[i], single = one.advance(math, alone[i], q[i].tolist(), 0.1)
             np.testing.assert_allclose(np.array(frame)[:, i], single, rtol=0, atol=1e-12)
     settled = arms.tool_pose(ways[0])
-    torched_pose = pose_of(tensors.tool_frame(torch, torch.from_numpy(ways[0]).unbind(-1)), torch)
-    np.testing.assert_allclose(torched_pose.position.numpy(), settled.position, rtol=0, atol=1e-12)
+    torched_pose = pose_of(tensors.tool_frame(torch, torch.from_numpy(ways[0]).unbind(-1)))
+    np.testing.assert_allclose(torched_pose.position, settled.position, rtol=0, atol=1e-12)
     for i, one in enumerate(ones):
         np.testing.assert_allclose(one.tool_pose(ways[0, i]).position, settled.position[i], rtol=0, atol=1e-12)
         assert one.tool_frame(math, ways[0, i].tolist())[9:] == pytest.approx(settled.position[i], abs=1e-12)

@@ -35,17 +35,13 @@ def test_derivatives_are_those_of_the_projection(webcam: Lens) -> None:
         np.testing.assert_allclose(found(webcam.values, POINTS), central, atol=1e-5)
 
 
-@pytest.mark.parametrize("form", ["ros", "opencv"])
-def test_files_keep_every_digit(form: str, webcam: Lens, tmp_path: Path) -> None:
-    found = read_lens(write_lens(webcam, tmp_path / "webcam.yaml", form))  # type: ignore[arg-type]
+def test_files_keep_every_digit(webcam: Lens, tmp_path: Path) -> None:
+    found = read_lens(write_lens(webcam, tmp_path / "webcam.yaml"))
     np.testing.assert_array_equal(found.values, webcam.values)
     assert found.size == webcam.size and found.name == "webcam"
 
 
-def test_opencv_reads_what_we_write_and_we_what_it_writes(webcam: Lens, tmp_path: Path) -> None:
-    store = cv2.FileStorage(str(write_lens(webcam, tmp_path / "ours.yaml", "opencv")), cv2.FILE_STORAGE_READ)
-    assert store.getNode("camera_matrix").mat()[1, 1] == webcam.values[1]
-    np.testing.assert_array_equal(store.getNode("distortion_coefficients").mat().ravel(), webcam.values[4:])
+def test_we_read_what_opencv_writes(tmp_path: Path) -> None:
     theirs = cv2.FileStorage(str(tmp_path / "theirs.yaml"), cv2.FILE_STORAGE_WRITE)
     theirs.write("image_width", 800)
     theirs.write("image_height", 600)

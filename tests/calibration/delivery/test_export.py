@@ -192,7 +192,7 @@ def test_what_remains_is_terms_and_learnt_residual_each_with_its_own_conditions(
     change[-1] = 23e-6
     model, later = model.displaced(change), random_joints(qiao.nominal, 6, rng)
     warm, known_arm = Conditions(temperature=np.array([8.0])), replace(calibration, model=model, learnt=learnt)
-    found = known_arm.compensator(conditions=warm, fast=False).residual.predict(later.reshape(2, 3, 6))
+    found = known_arm.compensator(conditions=warm, fast=False).residual(later.reshape(2, 3, 6))
     expected = model.displacement(later, Conditions(temperature=np.full(6, 8.0)))
     expected[:, :3] += learnt.predict(later, np.full((6, 1), 8.0) if knows else None)
     np.testing.assert_allclose(found.reshape(6, 6), expected, atol=1e-15)

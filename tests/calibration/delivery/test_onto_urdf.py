@@ -145,9 +145,9 @@ def test_an_arm_known_by_its_dh_table_is_found_in_a_vendors_file(robots, made, r
         calibration = made(arm, rng, frames)
         out = export(calibration, tmp_path / f"{frames}.urdf", onto=onto).path
         joints = random_joints(arm.nominal, 200, rng)
-        same = same_chain(arm.nominal, vendor, own, name)
-        assert same.plain()
-        standing = replace(calibration.identified, base=behind(same.root, arm.nominal.base))
+        root, sign, zero = same_chain(arm.nominal, vendor, own, name)
+        assert (sign == 1).all() and (zero == 0).all()
+        standing = replace(calibration.identified, base=behind(root, arm.nominal.base))
         assert rigid(forward(standing, joints), forward(load_arm("".join((str(out), *tip))).nominal, joints)) < 1e-12
         assert rigid(forward(standing, joints), forward(vendor, joints)) > 1e-3
 
@@ -162,16 +162,16 @@ def test_a_file_with_other_zeros_signs_and_root_keeps_its_own_reading(
     own = write_urdf(told_otherwise(arm.nominal, rng, False), folder / "vendor.urdf")
     calibration = made(arm, rng, "fitted")
     done = export(calibration, folder / "out.urdf", onto=f"{own}#tool")
-    same = same_chain(arm.nominal, load_arm(f"{own}#tool").nominal, "vendor.urdf", name)
+    root, sign, zero = same_chain(arm.nominal, load_arm(f"{own}#tool").nominal, "vendor.urdf", name)
     q = rng.uniform(-2.0, 2.0, (40, arm.nominal.joints))
-    standing = replace(calibration.identified, base=behind(same.root, arm.nominal.base))
-    wanted, seen = forward(standing, q * same.sign + same.zero), forward(load_arm(f"{done.path}#tool").nominal, q)
+    standing = replace(calibration.identified, base=behind(root, arm.nominal.base))
+    wanted, seen = forward(standing, q * sign + zero), forward(load_arm(f"{done.path}#tool").nominal, q)
     hand = np.einsum("nji,nj->ni", wanted.rotation, seen.position - wanted.position)
     np.testing.assert_allclose(hand, np.broadcast_to(hand[0], hand.shape), atol=1e-8)
     turn = np.swapaxes(wanted.rotation, 1, 2) @ seen.rotation
     np.testing.assert_allclose(turn, np.broadcast_to(turn[0], turn.shape), atol=1e-8)
-    joint = next(i for i in range(arm.nominal.joints) if same.sign[i] != 1 or same.zero[i] != 0)
-    reading = f"{arm.nominal.joint_names[joint]} = {same.sign[joint]:+.0f} x {arm.nominal.joint_names[joint]}"
+    joint = next(i for i in range(arm.nominal.joints) if sign[i] != 1 or zero[i] != 0)
+    reading = f"{arm.nominal.joint_names[joint]} = {sign[joint]:+.0f} x {arm.nominal.joint_names[joint]}"
     assert any("joints read otherwise in the file" in note and reading in note for note in done.notes)
 
 
@@ -362,7 +362,7 @@ def test_where_no_pose_tells_links_stay_as_they_are_drawn(robots, tmp_path):
     apart = np.array([line.split() for line in new], float) - np.array([line.split() for line in old], float)
     assert np.abs(apart).max() < 1e-9
     q = random_joints(arm.nominal, 20, np.random.default_rng(0))
-    same = same_chain(arm.nominal, load_arm(own).nominal, "", "")
-    standing = forward(replace(found, base=behind(same.root, arm.nominal.base)), q)
+    root, _, _ = same_chain(arm.nominal, load_arm(own).nominal, "", "")
+    standing = forward(replace(found, base=behind(root, arm.nominal.base)), q)
     hand = np.einsum("nji,nj->ni", standing.rotation, forward(load_arm(out).nominal, q).position - standing.position)
     np.testing.assert_allclose(hand, np.broadcast_to(hand[0], hand.shape), atol=1e-9)

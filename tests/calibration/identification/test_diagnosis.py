@@ -1,7 +1,6 @@
 """What is wrong with a whole data set is said in one sentence; what every kind of measurement calibrates to."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -106,11 +105,11 @@ def test_rows_that_are_grossly_off_are_left_out_with_their_reason(qiao, data, ot
     ids=["eight of ten", "seven of ten", "just too far", "too far"],
 )
 def test_a_unit_explains_rows_where_it_brings_eight_of_ten_within_eight_deviations(qiao, data, sigma, explained):
-    def sizes_of(read):
+    def sigma_of(read):
         moved = (read.position != data.position[:10]).all()
-        return SimpleNamespace(sigma=np.array(sigma) if moved else np.full(10, 50.0))
+        return np.array(sigma) if moved else np.full(10, 50.0)
 
-    why = mixed_unit(qiao, SimpleNamespace(sizes_of=sizes_of), data, np.arange(10))
+    why = mixed_unit(qiao, sigma_of, data, np.arange(10))
     assert (why is not None and why.startswith("the position is read in")) == explained and (why is None) != explained
 
 
@@ -292,7 +291,7 @@ def test_an_automatic_choice_finds_the_weight_of_a_compliant_arm(dynamic):
     whole = simulated_tracker(dynamic, random_joints(arm.nominal, 250, rng), rng)
     train, test = contiguous_folds(whole.groups, same_poses(whole.joints), 5)[3]
     found = calibrate(arm, whole.select(train), test=whole.select(test), choices=Choices(residual="none"))
-    assert "gravity" in found.terms.chosen and found.best_model == f"geometry+{found.terms.chosen}"
+    assert "gravity" in found.terms[0] and found.best_model == f"geometry+{found.terms[0]}"
     assert found.position[found.best_model].rms < 0.6 * found.position["geometric"].rms
     saved = found.fit.calibration
     left = saved.predict(whole.joints).position - dynamic.tool_pose(whole.joints).position

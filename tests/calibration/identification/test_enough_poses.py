@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pickenv.base import InputError
-from pickenv.calibration import ArmModel, ErrorModel, LeadTerm, complete_model, identify, link_model, with_terms
+from pickenv.calibration import ArmModel, ErrorModel, PeriodicTerm, complete_model, identify, link_model, with_terms
 
 
 def chosen(geometry, *names):
@@ -78,14 +78,14 @@ def test_of_several_data_sets_what_they_show_together_counts_and_no_other_pose_i
 def test_what_terms_would_show_elsewhere_is_not_asked_for(qiao, exact):
     """They may depend on loads that nobody knows there: of an arm with terms its geometry counts."""
     geometry = qiao.nominal
-    arm = ArmModel.of(geometry, (LeadTerm((1, 2, 4)),))
+    arm = ArmModel.of(geometry, (PeriodicTerm((1, 2, 4), (5.0, 5.0, 1.0)),))
     data = exact(geometry, 2)
     with pytest.raises(InputError, match="too few for the 16 parameters"):
         identify(with_terms(link_model(geometry), arm), arm, data)
 
 
 def test_an_arms_terms_are_parameters_after_those_of_its_geometry(qiao):
-    arm = ArmModel.of(qiao.nominal, (LeadTerm((1, 2, 4)),))
+    arm = ArmModel.of(qiao.nominal, (PeriodicTerm((1, 2, 4), (5.0, 5.0, 1.0)),))
     links = link_model(qiao.nominal)
     model = with_terms(links, arm)
     names = np.array(arm.parameter_names)

@@ -74,8 +74,8 @@ def chosen(planted):
 
 def test_planted_harmonics_are_found_with_orders_and_amplitudes_within_their_uncertainty(planted, chosen):
     data, bare = planted
-    assert chosen.chosen == "periodic" and [kind_of_term(term) for term in chosen.terms] == ["periodic"]
-    found = identify_terms(chosen.terms, bare, data)
+    assert chosen[0] == "periodic" and [kind_of_term(term) for term in chosen[2]] == ["periodic"]
+    found = identify_terms(chosen[2], bare, data)
     harmonics = harmonics_of(found)
     sizes = [amplitude for _, _, _, amplitude, _ in harmonics]
     assert sizes == sorted(sizes, reverse=True) and found.converged
@@ -104,7 +104,7 @@ def test_uncertainties_of_orders_and_amplitudes_are_their_scatter():
 @pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 22), marks=pytest.mark.slow)], ids=["two", "twenty"])
 def test_an_arm_without_harmonics_gets_none(seeds):
     found = [tracked(np.random.default_rng(seed), rows=160, coefficients=[0.0] * 6) for seed in seeds]
-    taken = [choose_terms(ARM, bare_of(data), data).chosen for data in found]
+    taken = [choose_terms(ARM, bare_of(data), data)[0] for data in found]
     assert taken.count("none") >= 0.9 * len(taken)
     assert terms_of("periodic", ARM, bare_of(found[0]), found[0]) == ()
 
@@ -235,8 +235,8 @@ def test_each_term_stays_only_if_it_wins_by_three_per_cent(planted, monkeypatch,
 
     monkeypatch.setattr(term_choice._Trial, "of", staticmethod(lambda *_: Trial()))
     found = choose_terms(ARM, planted[1], planted[0])
-    assert found.chosen == wanted and found.terms == tuple(wanted.replace("none", "").split("+") if found.terms else ())
-    assert all((SCORES | changed)[name] == value for name, value in found.blocked_rms.items())
+    assert found[0] == wanted and found[2] == tuple(wanted.replace("none", "").split("+") if found[2] else ())
+    assert all((SCORES | changed)[name] == value for name, value in found[1].items())
 
 
 def test_candidates_are_scored_on_blocks_as_by_a_fit_to_the_other_rows():
@@ -256,9 +256,9 @@ def test_candidates_are_scored_on_blocks_as_by_a_fit_to_the_other_rows():
         missed["gravity"].append(block.position - fitted.pose(block.joints).position)
     rms = {name: np.sqrt(np.mean(np.sum(np.vstack(parts) ** 2, axis=1))) for name, parts in missed.items()}
     assert rms["gravity"] < 0.5 * rms["none"]
-    assert found.blocked_rms["none"] == pytest.approx(rms["none"], rel=0.02)
+    assert found[1]["none"] == pytest.approx(rms["none"], rel=0.02)
     # The fit leaves out what it can hardly tell of the weight; the score does not, and comes nearer to the noise.
-    assert 0.9 * np.sqrt(3.0) * NOISE < found.blocked_rms["gravity"] < rms["gravity"]
+    assert 0.9 * np.sqrt(3.0) * NOISE < found[1]["gravity"] < rms["gravity"]
 
 
 def test_unknown_terms_are_refused(planted):

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -240,13 +241,14 @@ FAR = np.full(3, 1e-2)
 
 def judged(step=FAR, explained=10.0, weighted=1.0, before=1.0, after=0.5, rows=23, of=np.asarray):
     """The judgement of a step of three parameters; ``explained`` and ``weighted`` are root mean squares over rows."""
-    return judged_step(
+    judgement = judged_step(
         of(np.asarray(step)),
         of(np.full(rows, float(explained))),
         of(np.full(rows, float(weighted))),
         of(before),
         of(after),
     )
+    return SimpleNamespace(**dict(zip(("offset", "negligible", "better", "finished"), judgement, strict=True)))
 
 
 @pytest.mark.parametrize("of", [np.asarray, torch.as_tensor], ids=["NumPy", "torch"])
@@ -383,7 +385,7 @@ def dampings(qiao, exact, monkeypatch, script, steps=20):
 
 
 def told(better, negligible=False, finished=False, offset=1.0):
-    return least_squares.Progress(offset, negligible, better, finished)
+    return offset, negligible, better, finished
 
 
 def test_damping_grows_tenfold_from_a_thousandth_and_falls_as_it_grew(qiao, exact, monkeypatch):
@@ -575,7 +577,7 @@ def test_what_has_no_unknowns_is_judged_once(qiao, exact, ranks):
 
 @pytest.mark.parametrize("most", [1, 4])
 def test_until_it_is_judged_again_and_after_it_there_are_as_many_steps(wire, qiao, exact, monkeypatch, most):
-    monkeypatch.setattr(least_squares, "judged_step", lambda *_: least_squares.Progress(1.0, False, True, False))
+    monkeypatch.setattr(least_squares, "judged_step", lambda *_: (1.0, False, True, False))
     nominal, data = wire
     found = identify(complete_model(nominal), nominal, [data], max_iterations=most)
     assert len(found.iterates) == 1 + 2 * most and not found.converged

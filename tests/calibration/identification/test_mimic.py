@@ -24,7 +24,6 @@ from pickenv.calibration import (
     ComplianceTerm,
     Conditions,
     GravityTerm,
-    LeadTerm,
     Measurements,
     ThermalTerm,
     export,
@@ -154,7 +153,7 @@ def test_weight_bends_a_coupled_arm_as_its_drives_feel_it(arm):
     np.testing.assert_allclose(columns @ found, yielded.ravel(), atol=1e-9 * np.abs(yielded).max())
 
 
-def test_heat_and_leads_know_the_links(arm):
+def test_heat_knows_the_links(arm):
     geometry = arm.nominal
     joints = random_joints(geometry, 20, np.random.default_rng(5))
     grown = ThermalTerm().columns(geometry, joints, Conditions(temperature=np.full(20, 10.0)))[..., 0]
@@ -165,8 +164,6 @@ def test_heat_and_leads_know_the_links(arm):
         delta[n : 2 * n], delta[3 * n : 4 * n] = geometry.a, geometry.d + moved
         shift = forward(geometry.displaced(10.0 * step * delta), q).position - forward(geometry, q).position
         np.testing.assert_allclose(grown[row, :3], shift / step, rtol=1e-5, atol=1e-6)
-    lead = LeadTerm((1,)).columns(geometry, joints, Conditions())[..., 0]
-    np.testing.assert_allclose(lead, joint_jacobian(geometry, joints)[..., 1] * joints[:, [1]])
 
 
 def test_a_wandering_zero_moves_every_link_of_its_joint(arm):

@@ -20,6 +20,7 @@ from pickenv.calibration import (
     read_observations,
     same_poses,
 )
+from pickenv.calibration.residuals.gate import selected
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +170,7 @@ def test_no_learnt_residual_wins_where_harmonics_were_taken(data_folder):
     arm, reading = read_set(data_folder, "ur5", "ur5_jacobi2025", "ur5_wam_jacobi2025/UR5/*grid*.csv")
     _, poses = read_set(data_folder, "ur5", "ur5_jacobi2025", "ur5_wam_jacobi2025/UR5/*random*.csv")
     found = calibrate(arm, reading.observations, test=poses.observations)
-    assert found.best_model == "geometry+periodic" and found.gate.selected is None
+    assert found.best_model == "geometry+periodic" and selected(found.gate) is None
     assert found.position[found.best_model].mean <= 0.066
 
 
@@ -208,7 +209,7 @@ def test_ur10_geometry(data_folder, series):
     assert np.mean([item["nominal"].rms for item in found]) == pytest.approx(nominal, rel=0.03)
     assert np.mean([item["geometric"].rms for item in found]) <= geometric
     if series != "A":
-        assert reading.floor.repeat * 1e3 == pytest.approx(0.027, abs=0.006)  # a tenth of what geometry leaves
+        assert reading.floor[0] * 1e3 == pytest.approx(0.027, abs=0.006)  # a tenth of what geometry leaves
 
 
 def test_a_file_of_poses_without_a_convention_is_asked_for_it(data_folder, tmp_path):

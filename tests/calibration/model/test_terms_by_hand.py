@@ -17,11 +17,9 @@ from pickenv.arm import (
     split_joints,
 )
 from pickenv.calibration import (
-    BendingTerm,
     ComplianceTerm,
     Conditions,
     GravityTerm,
-    LeadTerm,
     ThermalTerm,
     plain_term,
     random_joints,
@@ -75,46 +73,15 @@ def test_moments_are_named_by_joint_and_link_and_the_mass_on_a_joints_own_axis_i
 
 
 def test_tolerances_are_a_millimetre_or_a_milliradian_of_what_usually_acts(qiao):
-    """1 mrad at 10 N*m, 1 mm at 100 N; 1 mm at 1 m of boom, at 1 m of travel, and of 1 m at 20 K."""
+    """1 mrad at 10 N*m, 1 mm at 100 N; 1 mm of 1 m at 20 K."""
     geometry = qiao.nominal
     slides = np.array(geometry.prismatic)
     np.testing.assert_allclose(
         ComplianceTerm(tuple(range(6)), None).tolerances(geometry), np.where(slides, 1e-3 / 100, 1e-3 / 10)
     )
-    tip, own = BendingTerm(2, 0.5).tolerances(geometry)
-    assert (tip * 1.0**3 / 3, own * 1.0**4 / 8) == (pytest.approx(1e-3), pytest.approx(1e-3))
-    np.testing.assert_allclose(LeadTerm((1, 2)).tolerances(geometry), 1e-3)
     np.testing.assert_allclose(ThermalTerm().tolerances(geometry) * 20.0, 1e-3)
     weight = GravityTerm((0, 1), (0.0, 0.0, 1.0))
     np.testing.assert_allclose(weight.tolerances(geometry), np.full(len(weight.names(geometry)), 1e-3))
-
-
-@pytest.mark.parametrize(("end_mass", "factor"), [(0.0, 1.0), (0.5, 1.0 + 0.8 / 0.5), (2.0, 1.0 + 0.8 / 2.0)])
-def test_a_payload_adds_to_the_load_of_a_booms_tip_where_its_mass_is_known(qiao, end_mass, factor):
-    joints = random_joints(qiao.nominal, 10, np.random.default_rng(0))
-    boom = BendingTerm(2, 0.5, end_mass)
-    bare = boom.columns(qiao.nominal, joints, Conditions())
-    loaded = boom.columns(qiao.nominal, joints, Conditions(payload=np.full(10, 0.8)))
-    np.testing.assert_allclose(loaded[..., 0], factor * bare[..., 0])
-    np.testing.assert_allclose(loaded[..., 1], bare[..., 1])
-    assert BendingTerm(2, 0.5).end_mass == 0.0 and np.abs(bare).max() > 0.01
-
-
-def test_a_boom_sags_as_a_cantilever_and_turns_by_its_slope(qiao):
-    """Its own tip, straight down by the part of gravity across it: L^3/3 and L^4/8; turned by L^2/2 and L^3/6."""
-    geometry = replace(qiao.nominal, base=Pose(np.zeros(3), rotation_matrix([0.3, 0.1, 0.5])))
-    joints = random_joints(geometry, 10, np.random.default_rng(1))
-    found = frames(np, chain_of(geometry), split_joints(6, joints))[3]
-    z, tip = (np.stack([np.broadcast_to(part, 10) for part in found[a : a + 3]], 1) for a in (6, 9))
-    down = np.array([0.0, 0.0, -1.0])
-    across = down - (z @ down)[:, None] * z
-    length = joints[:, [2]] + 0.4
-    columns = BendingTerm(2, 0.4).columns(geometry, joints, Conditions())
-    lever = forward(geometry, joints).position - tip
-    for k, (sag, slope) in enumerate(((length**3 / 3, length**2 / 2), (length**4 / 8, length**3 / 6))):
-        turn = slope * np.cross(z, across)
-        np.testing.assert_allclose(columns[:, 3:, k], turn, atol=1e-12)
-        np.testing.assert_allclose(columns[:, :3, k], sag * across + np.cross(turn, lever), atol=1e-12)
 
 
 @pytest.mark.parametrize(("payload", "counts"), [(None, False), ([1.2, 1.2, 1.2], False), ([0.0, 0.4, 0.2], True)])

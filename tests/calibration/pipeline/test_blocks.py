@@ -17,7 +17,6 @@ from pickenv.calibration import (
     simulated_tracker,
 )
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.observations import BLOCKS
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.pipeline.fitting import AS_CHOSEN, HeldOut, pooled
@@ -82,7 +81,7 @@ def test_what_a_block_is_judged_with_is_chosen_on_rows_of_other_blocks(dynamic, 
     def choosing(arm, bare, rows):
         seen = frozenset(np.flatnonzero((data.joints[:, None] == rows.joints).all(-1).any(-1)).tolist())
         chosen[seen] = "gravity" if 30 in seen else "none"
-        return TermChoice(chosen[seen], {}, (weight,) if 30 in seen else ())
+        return (chosen[seen], {}, (weight,) if 30 in seen else ())
 
     def learning(draft, rows):
         learnt.append(set(rows.tolist()))

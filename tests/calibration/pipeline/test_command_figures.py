@@ -15,7 +15,6 @@ from pickenv.calibration import (
     NOMINAL,
     Calibration,
     Choices,
-    GateReport,
     GateVerdict,
     Measurements,
     assess,
@@ -110,8 +109,7 @@ def sets(dynamic):
 def judged(request, dynamic, sets):
     train, test = sets if request.param == "poses" else [part.positions_only() for part in sets]
     verdict = GateVerdict("gp", 2e-4, 4e-4, None, None, 5e-5, 6e-5, True, "cuts")
-    gate = GateReport((verdict,), "gp", 2e-4)
-    return replace(assess(dynamic.arm, fit(dynamic.arm, train, known_frames=True), train, test), gate=gate)
+    return replace(assess(dynamic.arm, fit(dynamic.arm, train, known_frames=True), train, test), gate=(verdict,))
 
 
 def test_a_results_figures_are_those_of_its_errors(judged, sets):
@@ -176,7 +174,7 @@ def test_the_gates_table_is_in_mm(judged):
     block = next(block for block in judged.blocks() if block.title == "Learnt residual models")
     assert block.rows == (("without", "0.4000", ""), ("gp", "0.2000", "cuts"))
     assert block.note == "'gp' is used; judged within the training rows"
-    off = replace(judged, gate=replace(judged.gate, selected=None))
+    off = replace(judged, gate=(replace(judged.gate[0], accepted=False),))
     assert any(block.note.startswith("none is used;") for block in off.blocks())
 
 

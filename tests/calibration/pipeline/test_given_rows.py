@@ -50,18 +50,18 @@ def test_one_layout_is_for_all_files_and_several_are_one_each(
     """What is told of noise is the first file's: its last digit, over the root of twelve, in three coordinates."""
     data, (points, wire), joints = files
     one, floor = given_rows(ur5, data[0], points)
-    assert isinstance(one, Measurements) and floor is not None and floor.digits == pytest.approx(1e-5 * 0.5)
+    assert isinstance(one, Measurements) and floor is not None and floor[1] == pytest.approx(1e-5 * 0.5)
     np.testing.assert_allclose(one.joints, joints[0])
     both, _ = given_rows(ur5, data[:2], [points])
     assert isinstance(both, Measurements) and len(both) == 16
     np.testing.assert_allclose(both.joints, np.concatenate(joints[:2]))
     apart, floor = given_rows(ur5, data[1::-1], points, "tool")
     assert len(apart.stations) == 2
-    assert floor is not None and floor.digits == pytest.approx(1e-4 * 0.5)
+    assert floor is not None and floor[1] == pytest.approx(1e-4 * 0.5)
     assert {name.partition("_")[0] for name in apart.unknowns()} == {"tool2"}
     mixed, floor = given_rows(ur5, data[1:], [points, wire])
     assert [type(part) for part in mixed.parts] == [Measurements, DistanceObservations]
-    assert floor is not None and floor.digits == pytest.approx(1e-4 * 0.5)
+    assert floor is not None and floor[1] == pytest.approx(1e-4 * 0.5)
     assert {name.partition("_")[0] for name in mixed.unknowns()} == {"anchor", "zero", "tool2"}
     np.testing.assert_allclose(mixed.joints, np.concatenate(joints[1:]))
     for wrong in ([points, points], [points, points, points, wire]):

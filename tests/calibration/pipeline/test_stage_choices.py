@@ -8,7 +8,6 @@ import pytest
 from pickenv.base import InputError
 from pickenv.calibration import (
     Choices,
-    GateReport,
     GateVerdict,
     GravityTerm,
     PeriodicTerm,
@@ -18,7 +17,6 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.diagnosis import LeftOut
-from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.pipeline import stages
 from pickenv.calibration.residuals.gate import AUTO as OURS
 
@@ -53,7 +51,7 @@ def test_forty_training_rows_are_enough_to_choose_terms_on_blocks(dynamic, sets,
     def choosing(arm, bare, data):
         calls.append(len(data))
         assert bare.poses == len(data) and not bare.arm_model.terms
-        return TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3}, weight)
+        return ("gravity", {"none": 2e-3, "gravity": 1e-3}, weight)
 
     monkeypatch.setattr(stages, "choose_terms", choosing)
     draft = stages._add_terms(identified(dynamic, sets, rows))
@@ -97,11 +95,11 @@ def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
     def judging(data, refit, rng, *, models, fitters, progress):
         calls.append((len(data), models, rng.bit_generator.state))
         assert refit(data).geometry is not None
-        return GateReport((verdict("gp"),), "gp", 1e-3)
+        return (verdict("gp"),)
 
     monkeypatch.setattr(stages, "gate_residuals", judging)
     draft = stages._learn(identified(dynamic, sets, rows))
-    assert list(draft.fits) == ["geometry"] + ["geometry+gp"] * asked and (draft.gate is not None) == asked
+    assert list(draft.fits) == ["geometry"] + ["geometry+gp"] * asked and bool(draft.gate) == asked
     if asked:
         ((count, models, state),) = calls
         assert (count, models) == (40, OURS)
@@ -112,9 +110,7 @@ def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
 
 
 def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, monkeypatch):
-    monkeypatch.setattr(
-        stages, "gate_residuals", lambda *_, **__: GateReport((verdict("rbf", accepted=False),), None, 1e-3)
-    )
+    monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: (verdict("rbf", accepted=False),))
     named = replace(AUTO, residual="rbf")
     for choices, fits in (
         (named, ["geometry"]),
@@ -169,8 +165,8 @@ def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monke
 
 def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
     """Fits step by step, the choice of terms, the gate's verdicts, rows left out, and what is expected elsewhere."""
-    choice = TermChoice("gravity", {"none": 2e-3, "gravity": 1e-3}, (gravity(dynamic),))
-    gate = GateReport((verdict("rbf"),), "rbf", 1e-3)
+    choice = ("gravity", {"none": 2e-3, "gravity": 1e-3}, (gravity(dynamic),))
+    gate = (verdict("rbf"),)
     monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
     monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: gate)
     left = (LeftOut("tracker.csv", 7, False, 5e-3, None, 9.0),)

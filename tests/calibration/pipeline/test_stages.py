@@ -80,7 +80,7 @@ def test_poses_of_its_own_teach_the_named_network_as_in_the_paper(dynamic, sets)
     settings = pickenv.calibration.BpnnSettings(epochs=3)
     choices = Choices("none", "bpnn", frames="known", learn_from=sets[0], settings=settings)
     found = calibrate(dynamic.arm, sets[0], test=sets[1], choices=choices)
-    assert list(found.errors) == ["nominal", "geometric", "geometry+bpnn"] and found.gate is None
+    assert list(found.errors) == ["nominal", "geometric", "geometry+bpnn"] and found.gate == ()
     assert found.calibration.record["residual"]["settings"]["epochs"] == 3
 
 

@@ -144,7 +144,7 @@ def test_the_error_to_expect_of_other_instruments_is_the_posteriors_too(kind: st
         prior=model,
     )
     all_rows = data.select(np.r_[:25, data_row(data, plan)])
-    first = first_rows(arm, few).model
+    _, first, _ = first_rows(arm, few)
     solution = solve(replace(model, start=first), all_rows, stated_noise(all_rows))
     stated = workspace_error(solution, first.geometry, all_rows.joints, near)
     assert stated is not None

@@ -15,6 +15,7 @@ from pickenv.calibration import (
     read_observations,
     same_poses,
 )
+from pickenv.calibration.reading.read import floor_text
 
 JOINTS = 'joints.columns = ["A1", "A2", "A3", "A4", "A5", "A6"]\njoints.unit = "deg"\n'
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3
@@ -154,7 +155,7 @@ def test_conditions_and_repeat_sigma(read, moved):
     np.testing.assert_allclose(conditions.temperature, extra[:, 0] - 22.0)
     np.testing.assert_allclose(conditions.payload, extra[:, 1] * 1e-3)
     np.testing.assert_allclose(conditions.torque, -extra[:, 2:8])
-    assert found.floor.repeat == pytest.approx(np.sqrt(np.mean(np.sum(extra[:, 8:] ** 2, axis=1))))
+    assert found.floor[0] == pytest.approx(np.sqrt(np.mean(np.sum(extra[:, 8:] ** 2, axis=1))))
     half = found.observations.select(np.arange(15))
     np.testing.assert_allclose(half.conditions.torque, conditions.torque[:15])
 
@@ -163,9 +164,9 @@ def test_the_last_digit_is_a_floor_of_the_noise(read, moved):
     joints, pose = moved
     rows = [[*np.degrees(q), *(f"{v * 1e3:.2f}" for v in p)] for q, p in zip(joints, pose.position, strict=True)]
     description = JOINTS + 'position.columns = ["x", "y", "z"]\nposition.unit = "mm"\n'
-    floor = read(description, rows, [*NAMES, "x", "y", "z"]).floor
-    assert floor.digits == pytest.approx(1e-5 * np.sqrt(3 / 12)) and floor.repeat is None
-    assert "digits of the file 0.005 mm" in floor.text()
+    repeat, digits = read(description, rows, [*NAMES, "x", "y", "z"]).floor
+    assert digits == pytest.approx(1e-5 * np.sqrt(3 / 12)) and repeat is None
+    assert "digits of the file 0.005 mm" in floor_text((repeat, digits))
 
 
 def test_yaml_entries_by_dotted_paths(tmp_path, ur5, moved):

@@ -18,6 +18,7 @@ from pickenv.calibration import (
     gate_residuals,
     identify,
 )
+from pickenv.calibration.residuals.gate import selected, verdicts_record
 
 
 class Nearest:
@@ -73,10 +74,9 @@ def test_noise_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (200, 6))
     data = displaced(joints, 1e-4 * rng.normal(size=(200, 6)))
     gate = gate_residuals(data, lambda _: qiao.nominal, rng, models=("rbf", "gp"))
-    assert gate.selected is None
-    assert not any(verdict.accepted for verdict in gate.verdicts)
-    assert all("no gain" in verdict.reason for verdict in gate.verdicts)
-    assert gate.blocked_rms == gate.verdicts[0].geometric_blocked_rms
+    assert selected(gate) is None
+    assert not any(verdict.accepted for verdict in gate)
+    assert all("no gain" in verdict.reason for verdict in gate)
 
 
 def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
@@ -84,10 +84,10 @@ def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (120, 6))
     error = 1e-3 * np.sin(joints) + 1e-5 * rng.normal(size=(120, 6))
     gate = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf", "gp"))
-    assert gate.selected == "gp"
-    chosen = next(verdict for verdict in gate.verdicts if verdict.model == "gp")
+    assert selected(gate) == "gp"
+    chosen = next(verdict for verdict in gate if verdict.model == "gp")
     assert chosen.accepted
-    assert gate.blocked_rms == chosen.blocked_rms < 0.2 * chosen.geometric_blocked_rms
+    assert chosen.blocked_rms < 0.2 * chosen.geometric_blocked_rms
 
 
 def test_remembering_neighbours_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
@@ -103,10 +103,10 @@ def test_remembering_neighbours_is_no_gain(qiao: Arm, displaced: Displaced) -> N
         models=("gp",),
         fitters={"gp": lambda x, y, _: Nearest(x, y)},
     )
-    (verdict,) = gate.verdicts
+    (verdict,) = gate
     assert verdict.blocked_rms > 0.9 * verdict.geometric_blocked_rms
     assert not verdict.accepted
-    assert gate.selected is None
+    assert selected(gate) is None
 
 
 def test_winning_on_the_held_out_blocks_alone_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
@@ -117,11 +117,11 @@ def test_winning_on_the_held_out_blocks_alone_is_no_gain(qiao: Arm, displaced: D
     error[blocked_split(np.arange(200))[1]] = 1e-4
     lucky: dict[str, Fitter] = {"rbf": lambda *_: Constant(np.full(6, 1e-4))}
     gate = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=lucky)
-    (verdict,) = gate.verdicts
+    (verdict,) = gate
     assert verdict.blocked_rms < 1e-3 * verdict.geometric_blocked_rms
     assert not verdict.accepted
     assert "cross-validated over the other blocks" in verdict.reason
-    assert gate.selected is None
+    assert selected(gate) is None
 
 
 def test_better_positions_do_not_excuse_worse_attitudes(qiao: Arm, displaced: Displaced) -> None:
@@ -129,9 +129,7 @@ def test_better_positions_do_not_excuse_worse_attitudes(qiao: Arm, displaced: Di
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (100, 6))
     error = np.repeat([[1e-3] * 3 + [1e-4] * 3], 100, axis=0)
     half: dict[str, Fitter] = {"rbf": lambda *_: Constant(np.array([1e-3] * 3 + [-1e-4] * 3))}
-    (verdict,) = gate_residuals(
-        displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=half
-    ).verdicts
+    (verdict,) = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf",), fitters=half)
     assert not verdict.accepted
     assert "attitudes lose" in verdict.reason
 
@@ -183,14 +181,14 @@ def test_rows_of_a_cluster_are_few_facts(qiao: Arm, displaced: Displaced) -> Non
     error = np.where(near[:, None], 1e-3, 3e-4) * np.ones((1, 6))
     fitters: dict[str, Fitter] = {"gp": lambda *_: Local()}
     gate = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("gp",), fitters=fitters)
-    assert gate.selected is None and "raises" in gate.verdicts[0].reason
+    assert selected(gate) is None and "raises" in gate[0].reason
 
 
 def test_a_model_that_cannot_be_fitted_is_reported(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(6)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (30, 6))
     gate = gate_residuals(displaced(joints, 1e-3 * np.sin(joints)), lambda _: qiao.nominal, rng, models=("bpnn",))
-    (verdict,) = gate.verdicts
+    (verdict,) = gate
     assert "not fitted: 24 poses are too few" in verdict.reason
     assert not verdict.accepted
 
@@ -209,11 +207,9 @@ def test_verdicts_are_json_in_mm_and_degrees(dynamic: Plant, displaced: Displace
     rng = np.random.default_rng(8)
     joints = rng.uniform(nominal.lower, nominal.upper, (100, 6))
     gate = gate_residuals(displaced(joints, 1e-3 * np.sin(joints)), lambda _: nominal, rng, models=("rbf",))
-    told = json.loads(json.dumps(gate.as_dict()))
-    assert told["selected"] == gate.selected
-    model = told["models"]["rbf"]
-    assert model["blocked_rms_mm"] == pytest.approx(gate.verdicts[0].blocked_rms * 1e3)
-    assert model["blocked_attitude_rms_deg"] == pytest.approx(np.degrees(gate.verdicts[0].blocked_attitude_rms))
+    model = json.loads(json.dumps(verdicts_record(gate)))["rbf"]
+    assert model["blocked_rms_mm"] == pytest.approx(gate[0].blocked_rms * 1e3)
+    assert model["blocked_attitude_rms_deg"] == pytest.approx(np.degrees(gate[0].blocked_attitude_rms))
 
 
 def test_nothing_to_judge_is_refused(qiao: Arm, displaced: Displaced) -> None:
@@ -232,6 +228,6 @@ def test_a_measured_ur5_gains_a_quarter_on_blocks(measured_ur5: tuple[Geometry, 
         return identify(complete_model(nominal), start, train).geometry
 
     gate = gate_residuals(data, refit, np.random.default_rng(0), models=("rbf", "gp"))
-    assert gate.selected == "gp"
-    assert gate.blocked_rms <= 0.080e-3
-    assert gate.verdicts[0].geometric_blocked_rms == pytest.approx(0.0999e-3, rel=0.01)
+    assert selected(gate) == "gp"
+    assert gate[1].blocked_rms <= 0.080e-3
+    assert gate[0].geometric_blocked_rms == pytest.approx(0.0999e-3, rel=0.01)

@@ -92,7 +92,7 @@ def referees(arm: Arm, restarts: int) -> list[GaussianProcessRegressor]:
 
 
 def test_the_gaussian_process_is_the_textbooks() -> None:
-    """Likelihood, its gradient, mean and standard deviation agree with scikit-learn's for the same kernel."""
+    """Likelihood, its gradient, and mean agree with scikit-learn's for the same kernel."""
     rng = np.random.default_rng(0)
     inputs = rng.normal(size=(80, 3))
     target = np.sin(inputs[:, 0]) + 0.3 * inputs[:, 1] + 0.1 * rng.normal(size=80)
@@ -101,10 +101,8 @@ def test_the_gaussian_process_is_the_textbooks() -> None:
     kernel = ConstantKernel(ours.amplitude[0] ** 2) * RBF(ours.length_scales[0]) + WhiteKernel(ours.noise[0] ** 2)
     theirs = GaussianProcessRegressor(kernel, optimizer=None, alpha=1e-10).fit(inputs, scaled)
     later = rng.normal(size=(40, 3))
-    mean, std = theirs.predict(later, return_std=True)
+    mean = theirs.predict(later)
     np.testing.assert_allclose(ours.predict(later)[:, 0], mean * target.std() + target.mean(), atol=1e-6)
-    noise_free = np.sqrt(np.maximum(std**2 - ours.noise[0] ** 2, 0.0)) * target.std()
-    np.testing.assert_allclose(ours.predict_std(later)[:, 0], noise_free, atol=1e-5)
     theta = hyper_parameters(ours, 0)
     value, slope = negative_log_likelihood(theta, inputs, scaled)
     assert value == pytest.approx(-theirs.log_marginal_likelihood_value_, rel=1e-6)
@@ -113,14 +111,6 @@ def test_the_gaussian_process_is_the_textbooks() -> None:
         step[k] = 1e-5
         ahead, behind = (negative_log_likelihood(theta + s * step, inputs, scaled)[0] for s in (1, -1))
         assert slope[k] == pytest.approx((ahead - behind) / 2e-5, abs=1e-3)
-
-
-def test_the_knowledge_of_the_process_ends_where_its_rows_end() -> None:
-    """Standard deviations: next to nothing at a row without noise, the whole prior far from all rows."""
-    inputs = np.random.default_rng(0).uniform(-1.0, 1.0, (100, 2))
-    process = GaussianProcess.fit(inputs, np.sin(inputs), np.random.default_rng(0))
-    np.testing.assert_allclose(process.predict_std([1e6, 1e6]), process.amplitude * process.output_std)
-    assert np.all(process.predict_std(inputs) < 0.01 * process.output_std)
 
 
 @pytest.mark.parametrize("seed", [2, 4, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (0, 1, 3))])

@@ -153,18 +153,6 @@ def test_far_from_its_data_a_smooth_model_predicts_the_mean(name: str) -> None:
     np.testing.assert_allclose(model.predict([0.0, 1e4, 0.0]), field(joints).mean(axis=0), atol=1e-9)
 
 
-def test_the_gaussian_process_knows_where_it_knows_nothing() -> None:
-    joints = drawn(200)
-    model = fit_residual("gp", joints, field(joints), PRISMATIC, np.random.default_rng(0))
-    near, far = model.standard_deviation(joints[:5]), model.standard_deviation([0.0, 50.0, 0.0])
-    assert near is not None and far is not None
-    assert np.all(near[:, :5].max(axis=0) < 0.1 * far[:5])
-    assert (
-        fit_residual("rbf", joints, field(joints), PRISMATIC, np.random.default_rng(0)).standard_deviation(joints)
-        is None
-    )
-
-
 def test_centres_are_means_of_their_points() -> None:
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.normal(m, 0.01, (50, 2)) for m in (0.0, 5.0, 10.0)])

@@ -43,7 +43,7 @@ class Known:
 @pytest.fixture(scope="module")
 def calibrated():
     plant = load_plant("orchard")
-    return Compensator(plant.arm.nominal, plant.geometry, Known(plant))
+    return Compensator(plant.arm.nominal, plant.geometry, Known(plant).predict)
 
 
 def pick(seed, compensator=None, *, policy=None, options=None, steps=400, **arguments):

@@ -59,12 +59,11 @@ def test_a_situation_is_kept_in_si_units():
     assert (given.period, given.latency, given.delay) == ((0.04, 0.08), (1, 3), (2, 2))
     assert given.joint_noise == pytest.approx((5e-4, 2e-3)) and given.hours == (1.0, 5.0) and given.spread == 0.25
     assert given.drawn == ("period", "latency", "joint_noise", "hours")
-    assert given.frames_per_second == 12.5 and given.late and not given.plain
+    assert given.frames_per_second == 12.5 and not given.plain
     assert given.widths(6, 9) == (4, 12, 27)
     assert given.value("latency", (0.06, 2.5, 1e-3, 4.0)) == 2.5 and given.value("delay", ()) == 2
     usual = make_situation()
-    assert usual.period == (0.1, 0.1) and usual.plain and not usual.late and usual.drawn == ()
-    assert [make_situation(**{name: 1}).late for name in ("latency", "action_delay", "hours_on")] == [True, True, False]
+    assert usual.period == (0.1, 0.1) and usual.plain and usual.drawn == ()
     assert make_situation(hours_on=3.0).plain
     assert not any(make_situation(**some).plain for some in ({"joint_noise": 0.1}, {"start_spread": 0.1}))
     assert make_situation(3 / 7).frames_per_second == 2.333333

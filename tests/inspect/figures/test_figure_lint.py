@@ -16,7 +16,7 @@ from pickenv.commands.calibrate import write_run
 from pickenv.experiments import SETS, PolicySettings, load_study, run_policies, run_study, write_outputs
 from pickenv.experiments.policy_tables import evaluation_drawings
 from pickenv.experiments.robots import learnable
-from pickenv.inspect import Drawing, Run, drawings_of, read_run
+from pickenv.inspect import Run, drawings_of, read_run
 from pickenv.inspect.figures import plot_calibration, style
 from pickenv.inspect.figures.run_drawings import Drawings
 from pickenv.inspect.reports import report_page
@@ -44,7 +44,7 @@ def sound() -> Figure:
 
 def faults(drawings: Drawings | Mapping[str, Callable[[], Figure]]) -> list[str]:
     """What is found wrong with figures that belong together."""
-    draws = drawings if isinstance(drawings, Mapping) else {d.name: d.draw for d in drawings if isinstance(d, Drawing)}
+    draws = drawings if isinstance(drawings, Mapping) else {d.name: d.draw for d in drawings if d.draw is not None}
     assert draws
     figures = {name: draw() for name, draw in draws.items()}
     faults = [f"{name}: {fault}" for name, figure in figures.items() for fault in figure_faults(figure)]
@@ -143,7 +143,7 @@ def test_contrast_is_that_of_wcag() -> None:
 def test_the_dark_colours_are_those_of_pages() -> None:
     dark = re.search(r"prefers-color-scheme: dark\) \{ :root \{(.*?)\}", CSS.read_text(encoding="utf-8"), flags=re.S)
     assert dark is not None
-    variables = dict(re.findall(r"(--\w+):\s*(#\w+)", dark[1]))
+    variables = dict(re.findall(r"--(\w+):\s*(#\w+)", dark[1]))
     assert {style.THEME[colour]: shown for colour, shown in DARK.items()} == {
         name: variables[name] for name in style.THEME.values()
     }

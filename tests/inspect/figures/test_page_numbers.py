@@ -12,9 +12,7 @@ import pytest
 
 from pickenv.harvester import Measure
 from pickenv.inspect import (
-    Drawing,
     HarvestTrace,
-    JointCurves,
     PickedTree,
     Run,
     drawings_of,
@@ -133,7 +131,7 @@ def test_iso_9283(iso: Run, result: dict[str, Any]) -> None:
 
 
 def test_the_figures_of_iso_9283(iso: Run, result: dict[str, Any]) -> None:
-    drawn = {drawing.name: drawing.draw() for drawing in drawings_of(iso) if isinstance(drawing, Drawing)}
+    drawn = {drawing.name: drawing.draw() for drawing in drawings_of(iso) if drawing.draw is not None}
     for axes, key in zip(drawn["pose_accuracy"].axes, ("accuracy_mm", "repeatability_mm"), strict=True):
         bars = {group.get_label().split(":")[0]: [b.get_height() for b in group] for group in axes.containers}  # type: ignore[attr-defined]
         assert bars == {name: [pose[key] for pose in result[name]["poses"]] for name in CONTROLLERS}
@@ -174,7 +172,7 @@ def trace() -> HarvestTrace:
         measures={name: measures() for name in names},
         throughput={"thin": {1: Measure(500.0, 450.0, 540.0)}},
         cloud=rng.uniform(size=(20, 3, 3)),
-        curves=JointCurves(np.linspace(0, 1, 5), {"master d2": np.linspace(0, 1, 5)}, ()),
+        curves=(np.linspace(0, 1, 5), {"master d2": np.linspace(0, 1, 5)}, ()),
         tree_count=12,
     )
 

@@ -19,7 +19,6 @@ from pickenv.calibration import ArmModel, Board, Lens, PixelObservations, Result
 from pickenv.calibration.model.arm_model import joints_of_finished_poses
 from pickenv.inspect import (
     CalibrationTrace,
-    Drawing,
     calibration_page,
     corner_errors,
     trace_drawings,
@@ -178,7 +177,7 @@ def test_a_run_folder_keeps_what_they_are_drawn_from(result: Result, tmp_path: P
     sets = {"identification": result.train, "test": result.test}
     trace = trace_of(result.fit, sets, dict(result.errors), views_of(result))
     kept = load_numbers(save_numbers(tmp_path / "trace.npz", trace), CalibrationTrace, "pickenv calibrate --run")
-    drawings = {item.name: item for item in trace_drawings(kept) if isinstance(item, Drawing)}
+    drawings = {item.name: item for item in trace_drawings(kept) if item.draw is not None}
     for name, errors in zip(("corner_errors", "view_errors"), (result.held_out.pixels, None), strict=True):
         first = quiver_of(panels(drawings[name].draw())[0])
         again = quiver_of(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -239,38 +238,6 @@ def test_singular_values_are_numbered_from_one(count: int) -> None:
     assert np.array_equal(axes.get_lines()[0].get_ydata(), [1e-318, 1e-318])
 
 
-def test_joint_ranges(comparison: Comparison) -> None:
-    geometry = comparison.nominal
-    share = RNG.uniform(0.1, 0.8, (30, 6))
-    share[0], share[1, 2], share[2, 3], share[3, 4] = -0.01, -0.3, 1.4, 0.123456
-    joints = geometry.lower + share * (geometry.upper - geometry.lower)
-    figure = plot_calibration.joint_ranges(geometry, joints)
-    (axes,) = figure.axes
-    assert figure.get_size_inches() == pytest.approx([4.2, 0.6 + 0.28 * 6])
-    assert axes.get_xlabel() == "place within the limits (%)" and axes.get_ylim() == (5.5, -0.5)
-    assert not is_seen(axes.xaxis) and not axes.spines["left"].get_visible()
-    spans = 100 * np.ptp(share, axis=0)
-    said = f"Each joint moves over {spans.min():.0f} to {spans.max():.0f} % of its range"
-    assert axes.get_title("left").replace("\u00a0", " ").split("\n") == wrap(said, int((4.2 - 1.2 - 0.75) / 0.083))
-    for row in range(6):
-        rail, marks = axes.get_lines()[2 * row : 2 * row + 2]
-        assert np.asarray(rail.get_xydata()).tolist() == [[0.0, row], [100.0, row]]
-        wanted = sorted({round(min(max(100 * s, -2.0), 102.0), 1) for s in share[:, row]})
-        found = np.asarray(marks.get_xydata()).reshape(-1, 3, 2)
-        np.testing.assert_allclose(found[:, :2, 0], np.stack([wanted, wanted], axis=1), atol=1e-9)
-        np.testing.assert_allclose(found[:, :, 1], [[row - 0.3, row + 0.3, np.nan]] * len(wanted))
-    scale = np.where(geometry.prismatic, 1e3, 180 / np.pi)
-    units = ["mm" if slides else "deg" for slides in geometry.prismatic]
-    assert [tick.get_text().replace("−", "-") for tick in axes.get_yticklabels()] == [
-        f"{name}  {low:.0f} to {high:.0f} {unit}"
-        for name, low, high, unit in zip(
-            geometry.joint_names, geometry.lower * scale, geometry.upper * scale, units, strict=True
-        )
-    ]
-    sizes = [axis.get_major_ticks()[0].tick1line.get_markersize() for axis in (axes.xaxis, axes.yaxis)]
-    assert sizes[0] > 0.0 and sizes[1] == 0.0
-
-
 def test_uncertainty_map() -> None:
     x, y, values = RNG.uniform(0.0, 0.49, 80), RNG.uniform(0.0, 0.2, 80), RNG.gamma(2, 0.1, 80)
     x[0], x[1] = 0.0, 0.49
@@ -286,7 +253,7 @@ def test_uncertainty_map() -> None:
     assert right - left == pytest.approx(step * shape[1]) and top - bottom == pytest.approx(step * shape[0])
     assert shape == tuple(int(np.ptp(v) // step) + 1 for v in (y, x))
     assert image.get_interpolation() == "none" and image.origin == "lower"
-    np.testing.assert_allclose(image.get_cmap()([0.0, 1.0])[:, :3], viridis([0.0, 1.0]) / 255.0)
+    np.testing.assert_allclose(image.get_cmap()([0.0, 1.0])[:, :3], viridis([0.0, 1.0]) / 255.0, atol=4e-3)
     assert not is_seen(axes.xaxis) and not bar.spines["outline"].get_visible()
     (image,) = plot_calibration.uncertainty_map([3.0, 3.0], [5.0, 5.0], [0.1, 0.3]).axes[0].get_images()
     assert np.diff(image.get_extent())[[0, 2]] == pytest.approx([1e-9 / 26] * 2, rel=1e-4)

@@ -112,9 +112,9 @@ def test_each_grasp_is_an_attempt_that_is_taken_or_not(many):
     for held in run(many).policies:
         for e in range(3):
             found = attempts_of(held, e)
-            assert [a.close for a in found] == np.flatnonzero(np.isfinite(held.miss_mm[e])).tolist()
+            assert [close for _, close, *_ in found] == np.flatnonzero(np.isfinite(held.miss_mm[e])).tolist()
             gains = np.diff(held.picked[e], prepend=0)
-            assert [a.taken for a in found] == [bool(gains[a.close]) for a in found]
+            assert [taken for *_, taken in found] == [bool(gains[close]) for _, close, *_ in found]
 
 
 def test_the_stage_shows_arm_ghost_and_misses_of_the_run():

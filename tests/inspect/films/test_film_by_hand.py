@@ -16,7 +16,6 @@ from pickenv.inspect.colours import RED
 from pickenv.inspect.films import film as film_module
 from pickenv.inspect.films.film import (
     HALF,
-    Attempt,
     Film,
     arm_parts,
     attempts_of,
@@ -77,14 +76,14 @@ def moved(place: Sequence[float], metres: float) -> list[float]:
 @pytest.mark.parametrize(
     ("track", "misses", "picks", "found"),
     [
-        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {5: 1}, [Attempt(0, 3, 5, True), Attempt(6, 8, 8, False)]),
-        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {8: 1}, [Attempt(0, 3, 5, False), Attempt(6, 8, 8, True)]),
-        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {4: 1}, [Attempt(0, 3, 4, True), Attempt(5, 8, 8, False)]),
-        ([A] * 3 + [B] * 5, {3: 7.0}, {}, [Attempt(0, 3, 3, False)]),  # the next fruit at the moment of closing
-        ([A] * 4 + [moved(A, 0.061)] * 3, {2: 7.0}, {}, [Attempt(0, 2, 3, False)]),
-        ([A] * 4 + [moved(A, 0.059)] * 3, {2: 7.0}, {}, [Attempt(0, 2, 2, False)]),  # it swings, and is the same
-        ([A] * 5, {0: 1.0, 4: 3.0}, {0: 1}, [Attempt(0, 0, 0, True), Attempt(1, 4, 4, False)]),
-        ([A] * 5, {4: 3.0}, {4: 2}, [Attempt(0, 4, 4, True)]),
+        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {5: 1}, [(0, 3, 5, True), (6, 8, 8, False)]),
+        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {8: 1}, [(0, 3, 5, False), (6, 8, 8, True)]),
+        ([A] * 6 + [B] * 4, {3: 2.0, 8: 9.0}, {4: 1}, [(0, 3, 4, True), (5, 8, 8, False)]),
+        ([A] * 3 + [B] * 5, {3: 7.0}, {}, [(0, 3, 3, False)]),  # the next fruit at the moment of closing
+        ([A] * 4 + [moved(A, 0.061)] * 3, {2: 7.0}, {}, [(0, 2, 3, False)]),
+        ([A] * 4 + [moved(A, 0.059)] * 3, {2: 7.0}, {}, [(0, 2, 2, False)]),  # it swings, and is the same
+        ([A] * 5, {0: 1.0, 4: 3.0}, {0: 1}, [(0, 0, 0, True), (1, 4, 4, False)]),
+        ([A] * 5, {4: 3.0}, {4: 2}, [(0, 4, 4, True)]),
         ([A] * 5, {}, {}, []),
     ],
 )
@@ -96,11 +95,11 @@ def test_attempts_begin_after_the_last_and_end_with_the_pick_or_the_next_fruit(t
 def test_the_offset_of_a_grasp_is_from_the_fruit_that_was_gone_for():
     track, close = [A] * 3 + [B] * 5, 3
     policy = of_tracks([track], [{close: 7.0}], [{}])
-    np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(0, 3, 3, False)), np.array(B) + OFF - A, atol=1e-12)
-    np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(4, 5, 5, False)), OFF, atol=1e-12)
-    np.testing.assert_allclose(grasp_offset(policy, 0, Attempt(0, 0, 0, False)), OFF, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(policy, 0, 3), np.array(B) + OFF - A, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(policy, 0, 5), OFF, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(policy, 0, 0), OFF, atol=1e-12)
     swung = of_tracks([[A] * 3 + [moved(A, 0.02)] * 3], [{close: 7.0}], [{}])
-    np.testing.assert_allclose(grasp_offset(swung, 0, Attempt(0, 3, 3, False)), OFF, atol=1e-12)
+    np.testing.assert_allclose(grasp_offset(swung, 0, 3), OFF, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -161,8 +160,8 @@ def test_fruit_is_one_where_policies_go_for_it_within_45_mm(film_set):
     assert film_set.shown == [0, 1]
     np.testing.assert_array_equal(film_set.fruit[0], [A, B])
     np.testing.assert_array_equal(film_set.fruit[1], [C])
-    assert film_set.attempts[0][0] == [Attempt(0, 3, 5, True), Attempt(6, 8, 8, False)]
-    assert film_set.attempts[1][0] == [Attempt(0, 3, 3, True), Attempt(4, 8, 8, True)]
+    assert film_set.attempts[0][0] == [(0, 3, 5, True), (6, 8, 8, False)]
+    assert film_set.attempts[1][0] == [(0, 3, 3, True), (4, 8, 8, True)]
     farther = film_set.policies[1].fruit_position.copy()
     farther[0, 4:, 0] = 0.5 + 0.046
     apart = replace(film_set.policies[1], fruit_position=farther)
@@ -207,9 +206,9 @@ def test_each_fruit_hangs_is_held_gone_or_missed_as_the_policy_left_it(
     stage = film_stage(film_set, number, side)
     assert [words.large for words in stage.words[:4]] == [True, False, False, False]  # the policy's name
     drawn, loose, crate = stage.balls[-3:]
-    np.testing.assert_allclose(drawn.centre.reshape(-1, 3), np.reshape(hanging, (-1, 3)), atol=1e-12)
-    np.testing.assert_allclose(loose.centre.reshape(-1, 3), np.reshape(held, (-1, 3)), atol=1e-12)
-    assert len(crate.centre) == film_set.stated(number)[side].picked and (drawn.radius == 0.03).all()
+    np.testing.assert_allclose(drawn.start.reshape(-1, 3), np.reshape(hanging, (-1, 3)), atol=1e-12)
+    np.testing.assert_allclose(loose.start.reshape(-1, 3), np.reshape(held, (-1, 3)), atol=1e-12)
+    assert len(crate.start) == film_set.stated(number)[side].picked and (drawn.radius == 0.03).all()
     assert sum(len(rods.radius) for rods in stage.rods if (rods.radius == 0.004).all()) == len(hanging)  # their stems
     colours = [tuple(colour) for colour in drawn.colour[:, :3].tolist()]
     assert colours.count(tuple(MISSED_FRUIT)) == missed and colours.count(tuple(RIPE)) == len(hanging) - missed
@@ -235,10 +234,10 @@ def test_a_reach_has_its_fruit_with_a_sprig_and_a_crate():
     for moment, picked in ((0, 0), (5, 1)):
         stage = film_stage(plan, plan.frames.index((0, moment)), 0)
         hanging, held, crate = stage.balls[-3:]
-        assert (len(hanging.centre), len(held.centre), len(crate.centre)) == (1 - picked, picked, picked)
+        assert (len(hanging.start), len(held.start), len(crate.start)) == (1 - picked, picked, picked)
         drawn = sprig(np.array(A), 0.06)
-        np.testing.assert_array_equal(stage.rods[-1].start, drawn.rods[0].start)
-        np.testing.assert_array_equal(stage.meshes[-1].corners, drawn.meshes[0].corners)
+        np.testing.assert_array_equal(stage.rods[-1].start, drawn[0][0].start)
+        np.testing.assert_array_equal(stage.meshes[-1].corners, drawn[2][0].corners)
 
 
 @pytest.mark.parametrize(("moment", "closed"), [(4, False), (5, True), (7, True)])
@@ -247,9 +246,9 @@ def test_a_hand_is_closed_from_the_grasp_on(moment, closed):
     episodes = replace(run_of(policy), gripper="compliant_hand")
     found = arm_parts(episodes, policy, 0, moment, (1, 2, 3))
     expected = hand_solids(policy.tool_position[0, moment], UP, 0.0375, closed)
-    np.testing.assert_array_equal(found.rods[0].end, expected.rods[0].end)
+    np.testing.assert_array_equal(found[0][0].end, expected[0][0].end)
     other = hand_solids(policy.tool_position[0, moment], UP, 0.0375, not closed)
-    assert not np.allclose(found.rods[0].end, other.rods[0].end)
+    assert not np.allclose(found[0][0].end, other[0][0].end)
 
 
 def test_the_ghost_stands_where_the_tool_of_the_believed_arm_would_be():
@@ -263,7 +262,7 @@ def test_the_ghost_stands_where_the_tool_of_the_believed_arm_would_be():
     joints = np.broadcast_to(target, (1, 4, 6))
     policy = replace(policy, joint_target=joints, joint_command=joints + 0.01)
     found = arm_parts(replace(run_of(policy), plant=Plant("ur5", arm, nominal)), policy, 0, 2, (1, 2, 3))
-    ghost = next(rods for rods in found.rods if len(rods.colour) and rods.colour[0, 3] < 255)
+    ghost = next(rods for rods in found[0] if len(rods.colour) and rods.colour[0, 3] < 255)
     np.testing.assert_allclose(ghost.end[-1], believed + (1 - GAIN) * 0.002 * SIDE, atol=1e-9)
 
 

@@ -1,11 +1,17 @@
 """Whether calibration changes picks, computed anew by drawing perception errors and by the grippers' own limits."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from pickenv.inspect import PickChange, matters, pick_changes
+from pickenv.inspect import matters, pick_changes
 from pickenv.inspect.runs.matters import MATTERS, PERCEPTION_MM, pick_share
 from pickenv.orchard import Cup, capture_probability, load_gripper
+
+
+def change(gripper: str, perception_mm: float, before: float, after: float) -> dict[str, Any]:
+    return {"gripper": gripper, "perception_mm": perception_mm, "before": before, "after": after}
 
 
 @pytest.mark.parametrize("name", ["li_cup", "compliant_hand"])
@@ -28,11 +34,11 @@ def test_a_cup_takes_what_its_clearance_allows() -> None:
 def test_every_gripper_and_perception_error_is_told() -> None:
     changes = pick_changes([3.0, 4.0], [0.1, 0.2])
     assert len(changes) == 2 * len(PERCEPTION_MM)
-    assert all(c.after >= c.before for c in changes)
+    assert all(c["after"] >= c["before"] for c in changes)
 
 
 def test_the_sentence_says_for_which_gripper_and_perception_error() -> None:
-    some = [PickChange("cup", 0.0, 1.0, 1.0), PickChange("cup", 2.0, 0.6, 0.9), PickChange("hand", 0.0, 0.9, 0.91)]
+    some = [change("cup", 0.0, 1.0, 1.0), change("cup", 2.0, 0.6, 0.9), change("hand", 0.0, 0.9, 0.91)]
     said = matters("orchard", some)
     assert said.startswith(
         "On orchard this changes picks with cup and the fruit seen to 2 mm per axis: 60 % taken without, 90 %"
@@ -41,11 +47,11 @@ def test_the_sentence_says_for_which_gripper_and_perception_error() -> None:
         "Were the fruit seen without error, it would change none (100 % taken without, 100 % with calibration)" in said
     )
     assert "Hardly a pick changes with hand (90 % taken without, 91 % with calibration)" in said
-    few = matters("orchard", [PickChange("cup", 0.0, 0.96, 1.0), PickChange("cup", 2.0, 0.6, 0.9)])
+    few = matters("orchard", [change("cup", 0.0, 0.96, 1.0), change("cup", 2.0, 0.6, 0.9)])
     assert "it would change hardly any (96 % taken without, 100 % with calibration)" in few
-    least = [PickChange("cup", 2.0, 0.9, 0.9 + 0.6 * MATTERS), PickChange("hand", 0.0, 0.9, 0.9)]
+    least = [change("cup", 2.0, 0.9, 0.9 + 0.6 * MATTERS), change("hand", 0.0, 0.9, 0.9)]
     assert matters("arm", least).startswith("On arm this changes no more than 3 of 100 picks, with any gripper")
-    worse = [PickChange("cup", 0.0, 0.9, 0.8)]
+    worse = [change("cup", 0.0, 0.9, 0.8)]
     assert matters("arm", worse) == (
         "On arm this changes picks with cup and the fruit seen without error: 90 % taken without, "
         "80 % with calibration."

@@ -11,7 +11,6 @@ from pickenv.calibration import assess, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
 from pickenv.inspect import calibration_page, gripped, gripper_curves
 from pickenv.inspect.runs.comparison_summary import (
-    attitude_scale_deg,
     cell_means,
     colour_scale_mm,
     error_spread,
@@ -59,7 +58,7 @@ def rows_of(markdown):
 
 def test_every_cell_of_the_summary_is_its_policys(comparison):
     many = mixed(comparison)
-    heads, _, *rows = rows_of(summary_markdown(many, 25.0))
+    heads, _, *rows = rows_of(summary_markdown(many))
     expected_heads = ["policy", "picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
     assert heads == expected_heads and len(rows) == 3
     for policy, row in zip(many.policies, rows, strict=True):
@@ -80,7 +79,7 @@ def test_every_cell_of_the_summary_is_its_policys(comparison):
 
 def test_the_sentences_below_the_summary_count_and_compare_the_last_two(comparison):
     many = mixed(comparison)
-    text = summary_markdown(many, 25.0)
+    text = summary_markdown(many)
     before, last = (np.linalg.norm(p.field_errors, axis=1) for p in many.policies[1:])
     share = 100 * np.count_nonzero(last < before) / len(last)
     assert 20 < share < 45
@@ -89,19 +88,19 @@ def test_the_sentences_below_the_summary_count_and_compare_the_last_two(comparis
     assert "capture region, radius 1 mm" in text
     assert f"{len(many.grid.points)} field points, cells of 55 mm." in text
     top = np.percentile(1e3 * np.linalg.norm(many.policies[0].field_errors, axis=1), 99)
-    assert f"drawn ×25. **Colour**: its length, 0 to {top:.2f} mm in every field (p99 of raw;" in text
-    assert f"qiao2026, seed {many.seed}" in text and "difference drawn ×25; red ball = capture region ×25" in text
+    assert f"drawn ×20. **Colour**: its length, 0 to {top:.2f} mm in every field (p99 of raw;" in text
+    assert f"qiao2026, seed {many.seed}" in text and "difference drawn ×20; red ball = capture region ×20" in text
     assert colour_scale_mm(many) == pytest.approx(top)
     shown = np.concatenate([1e3 * many.field_uncertainty, 1e3 * np.linalg.norm(many.policies[2].field_errors, axis=1)])
     assert uncertainty_scale_mm(many) == pytest.approx(np.percentile(shown, 99))
 
 
 def test_a_field_alone_has_its_own_table(without_reaches):
-    heads, _, row = rows_of(summary_markdown(without_reaches, 10.0))
+    heads, _, row = rows_of(summary_markdown(without_reaches))
     assert heads == ["policy", "field mean", "field RMS", "field p95", "field max"]
     mean, rms, p95, largest = numbers(1e3 * np.linalg.norm(without_reaches.policies[0].field_errors, axis=1))
     assert row == ["**raw**", f"{mean:.2f} mm", f"{rms:.2f}", f"{p95:.2f}", f"{largest:.2f}"]
-    text = summary_markdown(without_reaches, 10.0)
+    text = summary_markdown(without_reaches)
     assert "reaches" not in text and "errs less" not in text and "Picking" not in text
 
 
@@ -139,8 +138,6 @@ def test_scales_end_at_the_99th_percentile_and_at_one_where_there_is_nothing():
     values = np.arange(1.0, 202.0)
     assert scale_end(values) == pytest.approx(199.0)
     assert scale_end(np.empty(0)) == scale_end(np.zeros(4)) == 1.0
-    turned = np.radians([[3.0, 4.0, 0.0]] * 3)
-    assert attitude_scale_deg({"raw": turned, "LS": 9 * turned}) == pytest.approx(5.0)
 
 
 def test_cells_hold_the_means_of_their_points():

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.agents.evaluation.reaches import pick_canopies
-from pickenv.agents.policies.scripted import ScriptedPick
+from pickenv.agents import ScriptedPick, pick_canopies
 from pickenv.arm import Array
 from pickenv.base import InputError, seed_words, stream
 from pickenv.envs import PickVectorEnv
