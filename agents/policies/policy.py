@@ -149,7 +149,7 @@ class ReachController:
 
     @property
     def settled(self) -> Any:
-        """Whether what is seen now was seen after the arm had come to stand ``(...)``."""
+        """Whether what is read now was read after the arm came to a stop ``(...)``; True where nothing is late."""
         return self._still > self.lag if self.lag else True
 
     def action(self, step: Array) -> NDArray[np.float32]:

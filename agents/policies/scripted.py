@@ -418,7 +418,7 @@ def random(env: Any, seed: int) -> policy.Policy:
 @register("policy", "scripted")
 @policy.with_traits(("encoders",))
 def scripted(env: Any, seed: int = 0) -> policy.Policy:
-    """The scripted policy of an environment, which draws nothing.
+    """The scripted policy of an environment; it draws no random numbers and ignores ``seed``.
 
     Raises:
         InputError: If the environment is none of pickenv's.

@@ -146,7 +146,7 @@ def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
 
 
 def harmonic_block(rows: Sequence[Mapping[str, Any]]) -> Block:
-    """The same as a table."""
+    """`harmonic_rows` as a table."""
     header = ("joint", "order (cycles per turn)", "± 1 sigma", "amplitude", "± 1 sigma", "unit")
     cells = []
     for row in rows:
@@ -204,7 +204,7 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
 
 
 def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
-    """The same as a table."""
+    """`stiffness_rows` as a table."""
     header = ("joint", "stiffness", "± 1 sigma", "unit", "torques, RMS", "of these left")
     cells = []
     for row in rows:

@@ -269,9 +269,9 @@ class Compensator:
         return joints
 
     def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
-        """The same for some ``count`` targets ``(count, n)`` again and again: machine code, the same up to roundings.
+        """This map as machine code, for repeated calls with ``count`` targets ``(count, n)``; the same up to roundings.
 
-        In single precision there is none, and it is this compensator itself.
+        In single precision there is no machine code, and this compensator itself is returned.
 
         Raises:
             MissingExtra: If llvmlite is not installed.

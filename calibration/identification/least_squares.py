@@ -98,7 +98,7 @@ class Identification:
 
     @property
     def standard_deviation(self) -> Array:
-        """Of every parameter, m or rad; NaN for dropped ones."""
+        """Standard deviation of every parameter, m or rad; NaN for dropped ones."""
         return self.identifiability.of_all(np.sqrt(np.diag(self.covariance)))
 
     @property

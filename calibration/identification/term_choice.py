@@ -119,7 +119,7 @@ class Linearised:
 
 
 def left_of(normal: tuple[Array, Array, Array], block: int, solution: Array) -> float:
-    """Sum of squares that a solution leaves of one block."""
+    """Sum of squared residuals of one block after a solution ``(P,)``; ``normal`` as from `Linearised.normal`."""
     matrix, right, square = normal
     slope = matrix[block] @ solution - 2.0 * right[block]
     return float(square[block] + solution @ slope)

@@ -368,11 +368,11 @@ class GravityTerm(JointTerm):
         return np.array([i for i, _, _ in self.moments(geometry)])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Each moment's torque."""
+        """The joint of each coefficient ``(k,)``, and the torque of its moment ``(N, k)``, as from `torques`."""
         return self.owners(geometry).tolist(), self.torques(geometry, joints, conditions)
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Torque of each moment on its joint, per unit of it ``(N, k)``."""
+        """Torques ``(N, k)`` of the moments, each on its own joint, per unit of the moment."""
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = chain_of(geometry)
@@ -485,7 +485,7 @@ class ErrorModel:
     tolerance: Array
 
     def some(self, kept: NDArray[np.bool_]) -> ErrorModel:
-        """Those of these parameters ``(P,)`` that are marked."""
+        """The model of only the parameters that ``kept`` ``(P,)`` marks."""
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         return ErrorModel(self.columns[kept], names, self.tolerance[kept])
 

@@ -300,7 +300,7 @@ class SocketObservations(Observations):
         return np.concatenate([*sockets, self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Of ball minus socket."""
+        """Whitened derivatives of ball minus socket, by the model and by the places of sockets and tool point."""
         by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, numbers[-3:])
         places = np.eye(len(self._names))[self.socket]
         by_socket = -np.einsum("ns,ij->nisj", places, np.eye(3)).reshape(*by_tip.shape[:2], -1)
@@ -464,7 +464,7 @@ class ReflectorObservations(Observations):
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """The same at other joints ``(M, n)``, were every reflector seen."""
+        """Such readings at other joints ``(M, n)``, as if every reflector were seen."""
         return Observations.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
 
     def readings(self) -> Array:
@@ -510,12 +510,12 @@ class ReflectorObservations(Observations):
         return np.asarray((self.points - self._points(model, numbers))[self.seen])
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
-        """Of the reflectors seen."""
+        """Whitened errors of the reflectors seen."""
         errors = self.points - self._points(model, numbers)
         return np.asarray(np.einsum("nkij,nkj->nki", self._whitening(), errors)[self.seen])
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Of the reflectors seen."""
+        """Whitened derivatives of the reflectors seen, by the model and by the reflectors' places."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         count = self.points.shape[1]
         lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
@@ -594,7 +594,7 @@ class TiltObservations(Observations):
         )
 
     def readings(self) -> Array:
-        """The components."""
+        """The measured components ``(N, K)``."""
         return self.components
 
     def start(self, model: ArmModel) -> Array:
@@ -624,7 +624,7 @@ class TiltObservations(Observations):
         return np.asarray(self.components - local @ np.array(axes).T)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """By rotations of the tool, and by the directions."""
+        """Whitened derivatives of the components by the model, through the tool's rotation, and by axes and down."""
         *axes, (down, by_down) = (direction(vector) for vector in numbers.reshape(-1, 3))
         rotation = model.pose(self.joints, self.conditions).rotation
         turned = model.jacobian(self.joints, self.conditions)[:, 3:]

@@ -137,7 +137,7 @@ class Measurements(Observations):
 
     @property
     def poses(self) -> Measurements:
-        """Themselves."""
+        """These measurements themselves."""
         return self
 
     def joinable(self, other: Measurements) -> bool:
@@ -150,7 +150,7 @@ class Measurements(Observations):
         return replace(self, rotation=None)
 
     def fingerprint(self) -> str:
-        """Of joints, positions and attitudes."""
+        """Hash of joints, positions and attitudes."""
         return hash_of(self.joints, self.position, *([] if self.rotation is None else [self.rotation]))
 
     def table(self) -> tuple[list[str], Array]:
@@ -306,12 +306,12 @@ class InstrumentStation:
         return "" if self.number == 1 else f"_{self.number}"
 
     def unknowns(self) -> tuple[str, ...]:
-        """The data's own, then those of the frames: base2_x."""
+        """Names of the data's own unknowns, then of the frames' deviations, such as base2_x."""
         names = tuple(f"{name}{self.suffix}" for name in self.data.unknowns())
         return names + tuple(f"{frame}{self.number}_{name}" for frame in self.frames for name in FRAME_PARAMETERS)
 
     def tolerances(self) -> Array:
-        """Of a frame's deviation, as of the arm's own base and tool."""
+        """Scales of the data's own unknowns, then of the frames' deviations: those of the arm's own base and tool."""
         return np.concatenate([self.data.tolerances(), np.tile(FRAME_TOLERANCES, len(self.frames))])
 
     def start(self, model: ArmModel) -> Array:
@@ -327,11 +327,11 @@ class InstrumentStation:
         return replace(model, geometry=replace(model.geometry, **frames)) if frames else model, values
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Of the data, seen from here."""
+        """Residual of the data with the arm as this station sees it, divided by ``scale``."""
         return self.data.residual(*self.seen(model, unknowns)) / self.scale
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Likewise."""
+        """Misses of the data with the arm as this station sees it."""
         return self.data.misses(*self.seen(model, unknowns))
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
@@ -355,7 +355,7 @@ class Stacked(Observations):
 
     @worked_out
     def rounding(self) -> float:
-        """The first one's."""
+        """Rounding of the first station's data."""
         return self.parts[0].rounding
 
     @property
@@ -365,12 +365,12 @@ class Stacked(Observations):
 
     @worked_out
     def joints(self) -> Array:
-        """Of all rows."""
+        """Joints of all rows, station by station."""
         return np.concatenate([part.joints for part in self.parts])
 
     @worked_out
     def source(self) -> str:
-        """The first one's."""
+        """Source of the first station's data, and how many more stations there are."""
         more = len(self.stations) - 1
         return self.parts[0].source + (f" and {more} more" if more else "")
 
@@ -431,42 +431,42 @@ class Stacked(Observations):
         return np.concatenate(rows), _numbered([channels for _, channels in parts])
 
     def unknowns(self) -> tuple[str, ...]:
-        """Of all stations."""
+        """Names of the unknowns of all stations."""
         return tuple(name for station in self.stations for name in station.unknowns())
 
     def tolerances(self) -> Array:
-        """Of all stations."""
+        """Scales of the deviations of all stations' unknowns."""
         return np.concatenate([station.tolerances() for station in self.stations])
 
     def start(self, model: ArmModel) -> Array:
-        """Of all stations."""
+        """Starting values of the unknowns of all stations."""
         return np.concatenate([station.start(model) for station in self.stations])
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Of all stations."""
+        """Whitened residuals of all stations."""
         return np.concatenate([station.residual(model, values) for station, values in self._with(unknowns)])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Of all stations."""
+        """Whitened derivatives of all stations by the arm, and by the unknowns of all stations."""
         parts = [station.jacobian(model, values) for station, values in self._with(unknowns)]
         return np.concatenate([by_arm for by_arm, _ in parts]), block_diag(*(by_own for _, by_own in parts))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Of all stations ``(R, 3)``, m; what has fewer components is filled up with zeros."""
+        """Misses of all stations ``(R, 3)``, m; those with fewer components are filled up with zeros."""
         parts = [station.misses(model, values) for station, values in self._with(unknowns)]
         return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in parts])
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """Of the first one, whose frames are the arm's."""
+        """Rough poses of the first station, whose frames are the arm's."""
         return self.parts[0].rough_poses(prismatic)
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Of all stations, each by its own tool."""
+        """Derivatives ``(E, 6)`` of all stations' equations, each by the pose of its station's own tool."""
         stations = self._with(unknowns)
         return np.concatenate([part.data.by_tool(*part.seen(model, values)) / part.scale for part, values in stations])
 
     def readings(self) -> Array:
-        """Of all stations, each in columns of its own."""
+        """Readings of all stations, each station in columns of its own."""
         return np.asarray(block_diag(*(part.readings() for part in self.parts)))
 
     def select(self, rows: ArrayLike) -> Self:

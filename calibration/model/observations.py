@@ -190,7 +190,7 @@ class Observations:
         raise NotImplementedError
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
-        """The same in standard uncertainties."""
+        """Errors as from `missed`, in standard uncertainties."""
         return np.asarray(self.missed(model, numbers) / self.std)  # type: ignore[attr-defined]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
@@ -238,7 +238,7 @@ class Observations:
         return self.numbers.unknowns()
 
     def tolerances(self) -> Array:
-        """Scale of each one's deviation, in its unit (lengths: m)."""
+        """Scale of each unknown's deviation, in the unknown's unit (lengths: m)."""
         return self.numbers.scales[self.numbers.free]
 
     def start(self, model: ArmModel) -> Array:

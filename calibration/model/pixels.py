@@ -168,7 +168,7 @@ class PixelObservations(Observations):
 
     @property
     def views(self) -> PixelObservations:
-        """Themselves."""
+        """These views themselves."""
         return self
 
     @property
@@ -236,7 +236,7 @@ class PixelObservations(Observations):
         return np.where(self.seen[..., None], self.corners, 0.0).reshape(len(self.joints), -1)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Of the projection, by the pose and by the lens."""
+        """Whitened derivatives of the projected corners by the model, through the pose, and by the lens."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         rows, _ = np.nonzero(self.seen)
         points = self.in_camera(model)[self.seen]

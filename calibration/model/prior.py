@@ -124,12 +124,12 @@ class PriorModel:
         return Prior(self.start, self.parameters.columns[some], self.width[some] / weight)
 
     def without_base(self) -> PriorModel:
-        """The same with the base held still: no instrument without a frame can see where it stands."""
+        """This model with the base held still: no instrument without a frame can see where it stands."""
         further = np.array([not name.startswith("base_") for name in self.parameters.names])
         return replace(self, parameters=self.parameters.some(further), std=self.std[further], group=self.group[further])
 
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
-        """The same with further terms, whose coefficients are expected at zero."""
+        """This model with further terms, whose coefficients are expected at zero."""
         if not terms:
             return self
         start = ArmModel.of(self.start.geometry, terms)

@@ -94,7 +94,7 @@ def fit(
 
 
 def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | None:
-    """Base and tool, fitted from anywhere with the data's own unknowns; None where they are known.
+    """Base, tool and the data's own unknowns, fitted without a first guess; None for poses in known frames.
 
     Raises:
         InputError: If the data do not fit the arm.
@@ -375,7 +375,7 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """The errors that an identified arm leaves of data, likewise."""
+    """The errors that an identified arm leaves of data, in the shapes and axes of `what_is_left`."""
     tracked = tracked_rows(found, data)
     if tracked is None:
         return data.misses(found.arm_model, unknowns_of(found, data))
@@ -415,7 +415,7 @@ def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[
 
 
 def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
-    """The same as a table; ``names`` are the views held out."""
+    """`pixel_figures` as a table; ``names`` are the views held out."""
     by_view, ends = figures["leave_one_out_view_rms_px"], figures["leave_one_out_mean_ci95_px"]
     worst = int(np.argmax(by_view))
     between = "no interval: too few views"

@@ -90,7 +90,7 @@ class ReflectorsTable(LengthsTable):
 
 @toml_table
 class ContactTable:
-    """[touches] or [plane], and what every contact says: its uncertainty, and which point of the tool it is about."""
+    """[touches] or [plane], and what all tables of contacts share: uncertainty, tool point, and column of contact."""
 
     _: KW_ONLY
     std: Annotated[float, MM.positive] = 1e-4

@@ -45,10 +45,10 @@ _TAILS = (0.025, 0.975)
 
 
 def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
-    """Of the mean of independent values ``(n,)``: Student's t, put right for skewness (Hall 1992, J. R. Stat. Soc. B).
+    """95 % interval of the mean of independent values ``(n,)``: Student's t, corrected for skewness.
 
     Errors are skewed: an arm that is three times as bad as the others is not rare. The plain t interval holds the mean
-    of such errors too seldom, and misses on the upper side.
+    of such errors too seldom, and misses on the upper side. The correction is Hall's (1992, J. R. Stat. Soc. B).
 
     Args:
         values: One per arm, fruit, tree or block.
@@ -76,7 +76,7 @@ def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 
 
 def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
-    """Of the mean of values in the order in which they were taken ``(n,)``, of which neighbours are alike.
+    """95 % interval of the mean of values ``(n,)`` in the order in which they were taken, where neighbours are alike.
 
     The mean's deviation is judged by the slowest waves of the values, the first few cosines: they grow with it where
     neighbours are alike (Mueller and Watson 2008, Econometrica 76; the critical value as in Mueller and Watson 2022,
@@ -139,7 +139,7 @@ def _beyond(critical: float, covariance: NDArray[np.float64]) -> float:
 def statistic_interval(
     table: ArrayLike, statistic: Callable[[NDArray[np.float64]], Any], least: int = LEAST, *, ordered: bool = False
 ) -> Ends | None:
-    """Of a smooth function of many rows, such as a ratio of sums: an interval of the jackknife's pseudo-values.
+    """95 % interval of a smooth function of many rows, such as a ratio of sums, from the jackknife's pseudo-values.
 
     Not for quantiles; see `quantile_interval`.
 
@@ -159,7 +159,7 @@ def statistic_interval(
 
 
 def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> Ends | None:
-    """Of a ratio of sums over clusters, such as fruit per hour over trees, however unlike the clusters' sizes are.
+    """95 % interval of a ratio of sums over clusters of any sizes, such as fruit per hour over trees.
 
     Student's t. A large cluster pulls the ratio to itself, so that its own residual is too small and few clusters
     count: the variance is put right for the first (HC2; MacKinnon and White 1985), the degrees of freedom for the
@@ -206,7 +206,7 @@ def pseudo_values(table: NDArray[np.float64], statistic: Callable[[NDArray[np.fl
 
 
 def share_interval(successes: float, trials: int) -> Ends:
-    """Of a share of independent trials: Wilson's score interval (1927).
+    """95 % interval of a share of independent trials: Wilson's score interval (1927).
 
     Args:
         successes: How many, or the sum of probabilities.
@@ -221,9 +221,9 @@ def share_interval(successes: float, trials: int) -> Ends:
 
 
 def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
-    """Of the difference of two shares of the same trials, the first minus the second: Newcombe's method 10 (1998).
+    """95 % interval of the difference of two shares of the same trials, first minus second: Newcombe's method 10.
 
-    Wilson's intervals of both, put together with the correlation that the pairs show.
+    Wilson's intervals of both, put together (Newcombe 1998) with the correlation that the pairs show.
 
     Args:
         successes: Whether each trial succeeded one way ``(n,)``.
@@ -252,10 +252,10 @@ def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
 
 
 def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int = LEAST) -> Ends | None:
-    """Of a share whose trials come in clusters, such as the fruit of many arms: Wilson's, of as many trials as count.
+    """95 % interval of a share over clusters of trials (fruit of many arms, say): Wilson's, of as many trials as count.
 
-    How many count follows from how differently the clusters do (the design effect; Korn and Graubard 1998). That is
-    known no better than from the few clusters that have any failure, or any success, if those are fewer. Where all
+    How many trials count follows from how differently the clusters do (the design effect; Korn and Graubard 1998). That
+    is known no better than from the few clusters that have any failure, or any success, if those are fewer. Where all
     do the same, each cluster counts once, large ones more: that much is certain.
 
     Args:
@@ -281,7 +281,7 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
 
 
 def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_RUNS)) -> Ends | None:
-    """Of the mean of values ``(A, B)`` over two crossed factors, both drawn: arms and training seeds.
+    """95 % interval of the mean of values ``(A, B)`` over two crossed factors, both drawn: arms and training seeds.
 
     Variance of the mean (MS_A + MS_B - MS_AB) / (A B) from the two-way analysis of variance, degrees of freedom after
     Satterthwaite (1946).
@@ -309,7 +309,7 @@ def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_R
 
 
 def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | None, float | None]:
-    """Of a quantile of independent values ``(n,)``; an end that the sample cannot bound is None.
+    """95 % interval of a quantile of independent values ``(n,)``; an end that the sample cannot bound is None.
 
     Nothing is assumed of what the values come from: fractional order statistics (Hutson 1999, J. Appl. Stat.).
     """

@@ -79,20 +79,20 @@ class Unit:
 
     @property
     def positive(self) -> Unit:
-        """The same above zero."""
+        """This unit for numbers above zero."""
         return replace(self, least=0.0, above=True)
 
     @property
     def not_negative(self) -> Unit:
-        """The same from zero."""
+        """This unit for numbers from zero."""
         return replace(self, least=0.0)
 
     def at_least(self, least: float) -> Unit:
-        """The same from a smallest value, which is allowed."""
+        """This unit for numbers from ``least``, which is allowed."""
         return replace(self, least=least)
 
     def within(self, least: float, most: float, why: str = "") -> Unit:
-        """The same between two bounds, which are allowed."""
+        """This unit for numbers between two bounds, which are allowed."""
         return replace(self, least=least, most=most, why=why)
 
     @property

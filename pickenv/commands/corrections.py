@@ -294,9 +294,9 @@ def twin(
     unit: str | None = None,
     allow: list[str] | None = None,
 ) -> None:
-    """Make a plant whose truth is what a calibration found, and whose arms are drawn from what its data allow.
+    """Make a plant from a calibration: its truth is the arm found, and its arms are drawn from what the data allow.
 
-    Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another arm of them.
+    Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another of its arms.
 
     Args:
         calibration: Calibration file (.npz).

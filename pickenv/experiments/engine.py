@@ -182,7 +182,7 @@ class Experiment:
         seed: Seed of everything random.
         inputs: What the rows depend on beside levels, seed and code: settings, plants, hashes of files; or a function
             of the levels that gives it.
-        fits: Which combinations are measured, by the same names; all when left out.
+        fits: Called with one level of each unit and factor by name; says whether to measure them. All when left out.
     """
 
     name: str

@@ -339,7 +339,7 @@ MADE = ("estimate", "units", "runs", "lost", "sampled")
 def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """The tables of `ExperimentFile.estimates` as JSON has them: "value", "ci95", "no_interval", "std" and "range".
 
-    Where "ci95" is over draws of constants, "sampled95" is that over units of the design as shipped.
+    A row whose "ci95" is over draws of constants also has "sampled95", over units of the design as shipped.
     """
 
     def plain(row: Mapping[str, Any]) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def left_by_models(
     attitudes: bool = False,
     **choices: Any,
 ) -> tuple[Squares, Result]:
-    """What the nominal arm, least squares and models upon them leave of rows held out; no model is gated.
+    """Errors on held-out rows of the nominal arm, of least squares, and of models upon them; no model is gated.
 
     Args:
         arm: The arm.
@@ -85,7 +85,7 @@ def random_sets(
 
 
 def as_measured(plant: Plant, rows: Measurements, rng: np.random.Generator) -> Measurements:
-    """What the instrument sees of an arm at the joints of these rows, with attitudes where they have any."""
+    """Readings of an arm by the instrument at the joints of these rows, with attitudes where the rows have them."""
     reading = simulated_tracker(plant, rows.joints, rng)
     return replace(rows, position=reading.position, rotation=None if rows.rotation is None else reading.rotation)
 
@@ -181,7 +181,7 @@ MEASURED = Path(__file__).with_name("measured_gains.json")
 
 
 def measured_gains(model: str = "LS + BPNN") -> tuple[BlockedGain, ...]:
-    """What a model removes of measured arms' rows, each contiguous fifth of the file held out of all fitting in turn.
+    """How much of measured arms' errors a model removes, each contiguous fifth of a file held out of all fits in turn.
 
     UR5 and WAM: Jacobi 2025; UR10: Landgraf et al. 2021. The models are not gated.
 
@@ -198,7 +198,7 @@ def blocked_gains(
     arms: int = ARMS,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[BlockedGain]:
-    """What a network removes of blocks held out, on arms drawn from designs.
+    """How much of the errors on held-out blocks a network removes, on arms drawn from each design.
 
     Args:
         designs: Plants by name, and the seed of arms, noise and networks of each.

@@ -324,7 +324,7 @@ def _reaches(
 
 
 def reaches_in(rows: Rows) -> Reaches:
-    """The ends of the episodes of rows of one plant."""
+    """How each episode in one plant's rows ended; joint columns that are not finite in every row are left out."""
     columns: dict[str, Any] = {attribute.name: rows[attribute.name] for attribute in fields(Reaches)}
     commands = rows["joint_command"]
     return Reaches(**columns | {"joint_command": commands[:, np.isfinite(commands).all(axis=0)]})

@@ -243,7 +243,7 @@ def spread_cells(models: Rows) -> list[tuple[str, ...]]:
 
 
 def spread_table(models: Rows) -> str:
-    """Those rows as Markdown."""
+    """`spread_cells` as a Markdown table."""
     return _markdown(SPREAD_HEADS, spread_cells(models))
 
 

@@ -465,7 +465,7 @@ PEER_ROWS = {f"peer_{name}": name for name in (OURS, *(peer.name for peer in PEE
 
 
 def peer_errors(rng: np.random.Generator, row: str, data: Path, peers: Path) -> list[dict[str, Any]]:
-    """What a peer leaves of the rows held out, and of the other poses, mm."""
+    """Errors of a peer, or of our least squares, on the held-out rows (RMS) and on the other poses (mean), mm."""
     errors = judged_peer(next((peer for peer in PEERS if peer.name == PEER_ROWS[row]), None), data, peers)
     keys = {"random": "held_out_rms_mm", "poses": "random_poses_mean_mm"}
     return [

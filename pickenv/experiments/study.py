@@ -308,7 +308,7 @@ class Circumstances:
 
     @property
     def perfect(self) -> Circumstances:
-        """The same with nothing left to chance: neither in the tracker nor in the friction."""
+        """These circumstances with nothing left to chance, neither in the tracker nor in the friction."""
         return replace(self, tracker=NormalDraws(*(np.zeros_like(part) for part in self.tracker)))
 
 

@@ -340,7 +340,7 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
 
 
 def parameter_of(column: str) -> str:
-    """The parameter that a column belongs to: its own name, or that of the error whose sine or cosine it is."""
+    """The parameter behind a column: the column itself, or "size_x" for "sine_x" and "cosine_x" of an error x."""
     return re.sub(r"^(sine|cosine)_", "size_", column)
 
 

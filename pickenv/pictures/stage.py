@@ -138,7 +138,7 @@ class Eye:
 
 
 def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg: float = 30.0) -> Eye:
-    """The eye in a direction (3,) from the middle of points (N, 3) that sees them all, as near as can be."""
+    """The nearest eye that sees all points ``(N, 3)``, looking at their middle from a direction ``(3,)``."""
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     eye = Eye(middle + direction, middle, angle_deg)
     right, up, ahead = ((points - middle) @ eye.axes().T).T

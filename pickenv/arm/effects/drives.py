@@ -187,7 +187,7 @@ class MeasurementNoise(Effect, place=BESIDE):
     centring_std: Annotated[float, MM.not_negative] = 0.0
 
     def position_std_at(self, distance: Any) -> Any:
-        """Of a position seen from ``distance`` metres, m."""
+        """Standard deviation per axis of a position seen from ``distance`` metres, m."""
         return self.position_std + self.range_std * distance
 
 

@@ -95,7 +95,7 @@ class PoseTable:
     rotation_vector: Annotated[Vector, toml_tables.DEG] = (0.0, 0.0, 0.0)
 
     def pose(self) -> Pose:
-        """The same as a pose."""
+        """The table's numbers as a `Pose`."""
         return Pose(np.array(self.position), rotation_matrix(np.array(self.rotation_vector)))
 
 

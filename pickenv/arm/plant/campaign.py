@@ -169,7 +169,7 @@ class NormalDraws(NamedTuple):
     stops: Array
 
     def first(self, poses: int) -> NormalDraws:
-        """Those of the first poses."""
+        """The draws of the first poses, with the same mounting."""
         return NormalDraws(self.reading[:poses], self.mounting, self.stops[:poses])
 
 

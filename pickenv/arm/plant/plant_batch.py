@@ -39,7 +39,7 @@ def plant_at(plants: Plant, i: int) -> Plant:
 
 
 def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
-    """The same arms with each of their arrays changed: where another executor wants them, or some of many arms.
+    """These arms with each of their arrays changed, for example moved to another executor or cut to some of many arms.
 
     The prepared chain's sines and cosines are changed, not computed anew, so that an arm has the same numbers to the
     bit however many others stand beside it. A single arm stays as it is.

@@ -231,11 +231,11 @@ def class_of(name: str | Path) -> Tolerances | None:
 def draw_arms(
     name: str | Path, tolerances: str | Path, count: int, rng: np.random.Generator, *, without: Iterable[str] = ()
 ) -> Plant:
-    """Arms of a plant's design, as `draw_plants` draws them: from the class that the name begins with, or else another.
+    """Arms drawn from a plant's design by `draw_plants`, in the class that its name begins with or else ``tolerances``.
 
     Args:
         name: As `load_plant` takes it.
-        tolerances: The class of a plant whose name begins with none.
+        tolerances: The class where the name begins with none.
         count: Number of arms, at least 1.
         rng: The parent of the arms' streams.
         without: Effects to switch off.

@@ -270,13 +270,13 @@ class PickScene:
 def draw_scenes(
     orchard: PickSetting, reach: Reach, rngs: Sequence[np.random.Generator], given: Sequence[Any]
 ) -> list[PickScene]:
-    """The fruit of some episodes, at least one of each in reach; whether it is, is asked of all at once.
+    """Draw the fruit of several episodes, each with at least one fruit in reach; ``reach`` is asked about all at once.
 
     Args:
         orchard: What kind of fruit.
         reach: Where the arm gets.
-        rngs: Source of every random draw of each.
-        given: Fruit positions (n, 3) in the base frame, m, in place of drawn ones, or None.
+        rngs: For each episode the source of every random draw.
+        given: For each episode fruit positions (n, 3) in the base frame, m, in place of drawn ones, or None.
 
     Raises:
         InputError: If none of the given fruit is found within reach, or none in many draws.
@@ -458,14 +458,14 @@ def draw_starts(
     fruit: Sequence[Any],
     arms: Sequence[int | None],
 ) -> list[PickStart]:
-    """Draw episodes, each from a generator of its own; sequences have one entry for each.
+    """Draw the starts of episodes, each from its own generator; every sequence has one entry per episode.
 
     Args:
         task: The arm's task.
         orchard: What kind of fruit.
         reach: Where the arm gets.
         rngs: Sources of every random draw.
-        before: Numbers of the true arms so far; None where arms "per_env" are drawn, too.
+        before: Numbers of the true arms so far; with arms "per_env", one is drawn where it is None.
         fruit: Positions in place of drawn ones, as `reset` takes them, or None.
         arms: Numbers of arms in place of drawn ones, or None.
 

@@ -50,7 +50,7 @@ class Batch(ArmBatch, ABC):
         self.goal_dict, self.poses = goal_dict, poses
 
     def copied(self, out: Views) -> Views:
-        """The same, in memory of its own."""
+        """A copy of the views ``out``, in memory of its own."""
         return cast(Views, tree_map(self.copy, out))
 
     @abstractmethod

@@ -183,7 +183,7 @@ def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Sca
 
 
 def act(x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]) -> ArmState:
-    """The state after an action: its joint target is that of `move`, late where actions are."""
+    """The state after an action: `move` gives its joint target, from an earlier action where actions are delayed."""
     setting, values = task.situation, state.drawn
     action, sent = situation.acted(x, setting, values, state.sent, action)
     target = move(x, task, state.target, situation.in_period(x, setting, values, action))

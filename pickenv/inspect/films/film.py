@@ -237,7 +237,7 @@ class Film:
 
     @cached_property
     def attempts(self) -> list[list[list[Attempt]]]:
-        """Of each policy of the film and each episode of the run up to the last one shown."""
+        """Attempts of each policy of the film, for each episode of the run up to the last one shown."""
         return [[attempts_of(policy, e) for e in range(self.shown[-1] + 1)] for policy in self.policies]
 
     @cached_property

@@ -40,7 +40,7 @@ PATIENCE = 30.0
 
 @contextmanager
 def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
-    """Serve the page of a viewer that serves itself at a port; gives the port of the page to open.
+    """Serve a viewer's page once more, at a port of its own and with a content security policy; yields that port.
 
     Args:
         host: This machine's own address, 127.0.0.1.

@@ -72,7 +72,7 @@ def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
 
 
 def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
-    """Each policy against each that stands before it, fruit by fruit: the later minus the earlier one."""
+    """Differences of all pairs of policies, fruit by fruit: the later policy minus the earlier one."""
     return [_difference(before, after) for before, after in combinations(episodes.policies, 2)]
 
 
@@ -211,7 +211,7 @@ def _across(policy: RecordedPolicy) -> Array:
 
 
 def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """All of it, for JSON."""
+    """The whole comparison, for JSON."""
     return {
         "environment": episodes.env_id,
         "plant": episodes.plant_name,
