@@ -153,13 +153,13 @@ def _commands(
     if setting.method == study.RAW:
         none = np.zeros(count, dtype=np.int64)
         return _Commands(targets, none, none, np.ones(count, dtype=bool))
-    identified = identify_batch(protocol, setting, read, around, place)
-    chain = tree_map(place, chain_of(identified.geometry, np))
+    geometry, steps, converged = identify_batch(protocol, setting, read, around, place)
+    chain = tree_map(place, chain_of(geometry, np))
     chains = (chain_of(protocol.nominal), chain)
     joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
     gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], goals[9:], strict=True)]
     missed = np.sum(_norms(gap, count) > 1e-3 * protocol.config.radius_mm, axis=1)
-    return _Commands(joints, missed, identified.steps, identified.converged)
+    return _Commands(joints, missed, steps, converged)
 
 
 def _norms(components: Sequence[Tensor], count: int) -> Array:
@@ -173,21 +173,6 @@ def _norms(components: Sequence[Tensor], count: int) -> Array:
 
 STEPS = 10
 """Steps before an arm counts as one that needs more; three or four are usual."""
-
-
-@dataclass(frozen=True, eq=False)
-class BatchIdentification:
-    """Geometries identified for N arms.
-
-    Attributes:
-        geometry: Link parameters ``(N, n)``.
-        steps: Least-squares steps of each arm ``(N,)``.
-        converged: Whether the usual parameters and undamped steps led to the minimum ``(N,)``.
-    """
-
-    geometry: Geometry
-    steps: NDArray[np.int64]
-    converged: NDArray[np.bool_]
 
 
 def visited_frames(
@@ -206,7 +191,7 @@ def identify_batch(
     read: Sequence[Tensor],
     around: Sequence[study.Circumstances],
     place: Place,
-) -> BatchIdentification:
+) -> tuple[Geometry, NDArray[np.int64], NDArray[np.bool_]]:
     """Read and identify many arms.
 
     Args:
@@ -215,6 +200,10 @@ def identify_batch(
         read: Frames from `visited_frames`; a setting of fewer poses takes the first.
         around: What each arm meets.
         place: Puts arrays where torch computes.
+
+    Returns:
+        The identified geometries, with link parameters ``(N, n)``; how many least-squares steps each arm took ``(N,)``;
+        and whether the usual parameters and undamped steps led to its minimum ``(N,)``.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)
@@ -256,7 +245,7 @@ def identify_batch(
         if not running.any():
             break
         weighted, matrix = moved_weighted, _jacobian(nominal, model, weights, links, tool)
-    return BatchIdentification(geometry, steps.cpu().numpy(), converged.cpu().numpy())
+    return geometry, steps.cpu().numpy(), converged.cpu().numpy()
 
 
 def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from pickenv.calibration import contiguous_folds, error_statistics
-from pickenv.calibration.model.observations import BLOCKS
 
 NORM = np.sqrt(8.0 / np.pi)
 """Mean norm of three standard normal coordinates."""
@@ -18,7 +17,7 @@ SAFE = 0.999
 """Neighbours that are not alike are held too often: that is the price of holding those that are."""
 
 
-@pytest.mark.parametrize("blocks", [BLOCKS, 40])
+@pytest.mark.parametrize("blocks", [10, 40])
 @pytest.mark.parametrize("alike", [0.0, 0.3, 0.6])
 @pytest.mark.parametrize("apart", [0.0, 0.25, 0.4])
 def test_blocks_of_known_spread(repeats: Any, blocks: int, apart: float, alike: float) -> None:
@@ -48,7 +47,7 @@ def test_blocks_of_known_spread(repeats: Any, blocks: int, apart: float, alike: 
 def test_rows_of_alike_errors_judged_without_their_block(repeats: Any) -> None:
     """The whole procedure on a line with a smooth remainder: fitted without each block, judged there."""
     rows = 200
-    folds = contiguous_folds(np.zeros(rows, dtype=np.int64), np.arange(rows), BLOCKS)
+    folds = contiguous_folds(np.zeros(rows, dtype=np.int64), np.arange(rows), 10)
     number = np.concatenate([np.full(len(held), i) for i, (_, held) in enumerate(folds)])
 
     def left(rng: np.random.Generator) -> Any:
