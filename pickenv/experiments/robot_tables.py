@@ -127,18 +127,22 @@ def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
     Returns:
         "sets" and "gains" counted on blocks; "models", for each its "robots" and how far, in percentage points, the
         twin is from what was measured, "median_points" and "worst_points", beside the mean of the other robots,
-        "null_median_points" and "null_worst_points" (None of a single one); "learnt_on_blocks" and "sign_right", how
-        often a learnt residual's sign is.
+        "null_median_points" and "null_worst_points" (None of a single one; other series of the same robot are left
+        out); "learnt_on_blocks" and "sign_right", how often a learnt residual's sign is.
     """
     blocks = [gain for gain in gains if gain["split"] != "random"]
     models = []
+    arms = {real.robot: real.arm for real in SETS.values()}
     for model in dict.fromkeys(gain["model"] for gain in blocks):
         some = [gain for gain in blocks if gain["model"] == model]
         predicted = np.array([gain["predicted_reduction"] for gain in some])
         measured = np.array([gain["measured_reduction"] for gain in some])
         apart = 100.0 * np.abs(predicted - measured)
-        others = (measured.sum() - measured) / max(len(some) - 1, 1)
-        null = 100.0 * np.abs(others - measured) if len(some) > 1 else None
+        arm = np.array([arms.get(gain["robot"], gain["robot"]) for gain in some])
+        others = (arm[:, None] != arm).astype(float)  # series of one robot say too much of one another
+        null = None
+        if others.any(axis=1).all():
+            null = 100.0 * np.abs(others @ measured / others.sum(axis=1) - measured)
         figures: dict[str, float | None] = {
             "median_points": float(np.median(apart)),
             "worst_points": float(apart.max()),
@@ -187,7 +191,7 @@ def points_words(found: Mapping[str, Any]) -> str:
         null = row["null_median_points"]
         beside = "" if null is None else f", the others' mean {null:.1f} (at most {row['null_worst_points']:.1f})"
         said.append(f"{row['model']} {row['median_points']:.1f} (at most {row['worst_points']:.1f}){beside}")
-        if null is not None and row["median_points"] >= null:
+        if null is not None and row["median_points"] >= null and row["worst_points"] >= row["null_worst_points"]:
             idle.append(row["model"])
     sets = "set" if found["sets"] == 1 else "sets"
     words = (
