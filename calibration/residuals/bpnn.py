@@ -257,7 +257,6 @@ def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-un
 
 def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: ignore[no-untyped-def]
     """Weights and biases with each batch normalisation folded into the linear layer before it."""
-    import torch
     from torch import nn
 
     weights, biases = [], []
@@ -268,7 +267,7 @@ def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: igno
         elif isinstance(layer, nn.BatchNorm1d):
             mean, variance = layer.running_mean, layer.running_var
             assert mean is not None and variance is not None  # they are kept unless a layer is told not to
-            gain = (layer.weight / torch.sqrt(variance + layer.eps)).detach().double().numpy()
+            gain = (layer.weight / (variance + layer.eps).sqrt()).detach().double().numpy()
             weights[-1] *= gain[:, None]
             biases[-1] = (biases[-1] - mean.double().numpy()) * gain + layer.bias.detach().double().numpy()
     return tuple(weights), tuple(biases)

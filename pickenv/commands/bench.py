@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 from typer import Option
 
-from pickenv.base import locked, separate
+from pickenv.base import locked, require, separate
 from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
 
 bench = typer.Typer(
@@ -44,10 +45,8 @@ def calibration(
         seed: Seed of everything random.
         workers: Processes; they do not change the figures.
     """
-    from dataclasses import replace
     from datetime import date
 
-    from pickenv.base import require
     from pickenv.experiments import robot_tables as tables
     from pickenv.experiments.robots import QUICK, ROWS, BenchSettings, run_bench
     from pickenv.inspect.runs.run_folder import listed_files
@@ -118,10 +117,8 @@ def policies(
         executor: What computes; it does not change the figures.
         workers: Processes; one per core if left out.
     """
-    from dataclasses import replace
     from itertools import groupby
 
-    from pickenv.base import require
     from pickenv.experiments import policy_tables
     from pickenv.inspect.runs.run_folder import listed_files
 

@@ -13,7 +13,7 @@ import typer
 from typer import Option
 
 import pickenv
-from pickenv.base import InputError, separate
+from pickenv.base import InputError, require, separate
 from pickenv.commands.showing import PARAMETERS, deliver, print_table, progress_bars
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
@@ -188,7 +188,6 @@ def evaluate(
     More: findings.md
     """
     from pickenv.agents.evaluation.contenders import kind_of
-    from pickenv.base import require
     from pickenv.experiments import policy_tables as tables
     from pickenv.experiments.engine import write_rows
     from pickenv.experiments.methods import residual_of

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from typer import Option
 
 import pickenv
-from pickenv.base import obey, separate, write_json
+from pickenv.base import obey, separate, write_json, write_text
 from pickenv.commands.showing import command_of, deliver, limited, print_table, progress_bars, with_options
 
 
@@ -198,7 +198,6 @@ def conditions(
         result = conditions_study(machine, settings, fitted, report)
 
     def write_run(folder: Path) -> list[Path]:
-        from pickenv.base import write_text
         from pickenv.inspect.reports.conditions_report import drawings, page
 
         with recorded_run(folder, "conditions", command_of(conditions, typed), seed) as run:
