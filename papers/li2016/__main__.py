@@ -63,13 +63,14 @@ def main(
     out: Annotated[Path, typer.Option(help="Folder of figures and the recording.")] = Path("runs/li2016"),
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
     vision: Annotated[str, typer.Option(help="How fruit is seen: measured_errors, rendered or ideal.")] = VISIONS[1],
+    seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = SEED,
 ) -> None:
     """Print the tables, draw the figures, write the recording and the JSON."""
     begin = time.perf_counter()
     command = "python -m papers.li2016" + (" --quick" if quick else f" --trees {trees} --sessions {count}")
-    command += "" if vision == VISIONS[1] else f" --vision {vision}"
+    command += ("" if vision == VISIONS[1] else f" --vision {vision}") + ("" if seed == SEED else f" --seed {seed}")
     trees, images, count = (min(trees, 12), 40, min(count, 100)) if quick else (trees, 400, count)
-    of_rest, of_equations, of_picture, of_sessions = np.random.SeedSequence(SEED).spawn(4)
+    of_rest, of_equations, of_picture, of_sessions = np.random.SeedSequence(seed).spawn(4)
     rng, picture_rng = np.random.default_rng(of_rest), np.random.default_rng(of_picture)
     machine, exact = load_machine(), load_machine(spacing=EXACT)  # Fig. 9 is of section 4.2, as Table 2 is
     true, lab = load_true_machine(machine), load_lab()
@@ -80,11 +81,11 @@ def main(
     with Progress() as bars:
         task = bars.add_task("56 apples", total=count)
         drawn = sessions(true, Strategy("raw", raw), count, of_sessions, lambda: bars.advance(task))
-    study = compare(true, strategies(raw, calibrated), trees, images, workers, vision)
+    study = compare(true, strategies(raw, calibrated), trees, images, workers, vision, seed)
     reach = reach_shares(machine, 20 if quick else 200, rng)
     plans = {n: assignments(machine, 2 if quick else 10, n, rng) for n in (7, 20)}
     print_tables(comparison_tables(study, plans))
-    throughput = by_arms(2 if quick else 12)
+    throughput = by_arms(2 if quick else 12, seed)
     trace = trace_of(machine, exact, study, throughput)
     picture = segmentation(sample_image(machine, picture_rng), picture_rng)
     result = verdicts_of(machine, exact, errors, trace, np.random.default_rng(of_equations))
@@ -100,8 +101,8 @@ def main(
     print_tables([part for section in (*tables, figures) for part in section.parts])
     print(headline(result))
     dense = max(study.trees["optimised"], key=lambda h: max(len(r.fruit) for r in h.rounds))
-    with recorded_run(out, "harvest", command, SEED) as run:
-        save_part(out, trace, SEED)
+    with recorded_run(out, "harvest", command, seed) as run:
+        save_part(out, trace, seed)
         shared = {d.name: d for d in harvest_report.drawings(run)}
         shown = drawings(machine, picture, result, shared["workspace"], shared["joint_curves"])
         for path in write_drawings([*shared.values(), *shown[:2], shown[-1]], out / "figures"):

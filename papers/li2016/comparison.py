@@ -155,13 +155,13 @@ class Comparison:
 
 
 def compare(
-    true: TrueMachine, ways: list[Strategy], trees: int, images: int, workers: int, vision: str = "measured_errors"
+    true: TrueMachine, ways: list[Strategy], trees: int, images: int, workers: int, vision: str, seed: int
 ) -> Comparison:
     """The same trees, leafy, and images of Li's bare tree under each strategy, seen as ``vision`` says."""
     model, orchard, grid = load_picking(), load_orchard(), load_grid()
     worked, pictured = {}, {}
     for way in ways:
-        words = {"vision": vision, "seed": SEED}
+        words = {"vision": vision, "seed": seed}
         worked[way.name] = work_trees(true, way, model, orchard, grid, count=trees, workers=workers, **words)
         pictured[way.name] = work_images(true, way, model, count=images, **words)
     measures, shares = (
@@ -189,7 +189,7 @@ def assignments(machine: Machine, zones: int, fruit: int, rng: np.random.Generat
     return makespans
 
 
-def by_arms(trees: int) -> dict[str, dict[int, Measure]]:
+def by_arms(trees: int, seed: int) -> dict[str, dict[int, Measure]]:
     """Picks per hour by number of slave arms, machine and fruit perfectly known and zones as wide as the machine."""
 
     def picks_per_hour(density: float, count: int) -> Measure:
@@ -197,7 +197,7 @@ def by_arms(trees: int) -> dict[str, dict[int, Measure]]:
         grid = replace(load_grid(), columns=int(np.ceil(2.5 / (0.15 + count * true.machine.spacing))))
         way = strategies(Controller(true.machine), Controller(true.machine))[-1]
         orchard = load_orchard(per_metre=density)
-        done = work_trees(true, way, load_picking(), orchard, grid, count=trees, seed=SEED, vision="ideal")
+        done = work_trees(true, way, load_picking(), orchard, grid, count=trees, seed=seed, vision="ideal")
         return summary(true.machine, done)["picks_per_hour"]
 
     return {
