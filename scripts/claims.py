@@ -41,7 +41,7 @@ DUE = 0.834
 HOW = (
     "Each is made again with other arms, fruit and looks, often with fewer. It holds where both lie no farther apart "
     "than the root mean square of their intervals' half widths. Numbers of one page share arms, and so hold or miss "
-    "together. Measured rows are the same each time, and so must be their numbers."
+    "together. Measured rows are the same each time: only splits and networks are drawn anew."
 )
 WHERE = (
     'Draw ten more with `make claims`, or others with `make claims ARGS="--count 40 --seed 7"`. '
@@ -313,7 +313,7 @@ def sentence(again: Sequence[Row], known: Mapping[str, Row]) -> str:
             f"({100 * low:.0f} to {100 * high:.0f}); about {100 * DUE:.0f} % are due, as both numbers vary."
         )
     if same:
-        words += f" Of measured rows {sum(row['held'] for row in same)} of {len(same)} numbers came out the same."
+        words += f" Of the numbers of measured rows {sum(row['held'] for row in same)} of {len(same)} held."
     return words
 
 
