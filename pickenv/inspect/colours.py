@@ -55,9 +55,9 @@ def policy_key(name: str) -> str:
 def policy_colours(names: Sequence[str]) -> list[Rgb]:
     """The colour of each policy, given keys or labels: it depends on the policy's name alone unless two would clash.
 
-    The keys of `BY_KEY`, such as raw and LS, have fixed colours. A name that ends in such a key (``ppo_raw``) prefers the
-    same colour, and any other name prefers one of `OTHERS`. Where that colour is taken already, the policy gets the next
-    free one.
+    The keys of `BY_KEY`, such as raw and LS, have fixed colours. A name that ends in such a key (``ppo_raw``) prefers
+    the same colour, and any other name prefers one of `OTHERS`. Where the preferred colour is taken already, the policy
+    gets the next free one.
     """
     keys = [policy_key(name) for name in names]
     taken = {BY_KEY[key] for key in keys if key in BY_KEY}

@@ -64,7 +64,7 @@ class ArmLook:
 
 @lru_cache(maxsize=8)
 def arm_look(geometry: Geometry) -> ArmLook:
-    """The look of an arm, from poses all over its joint ranges: which parts to draw, how thick, and the room they take."""
+    """The look of an arm from poses all over its joint ranges: the parts to draw, their thickness, and their room."""
     share = qmc.Halton(geometry.joints, scramble=False).random(256)
     points = nominal_points(geometry, geometry.lower + share * (geometry.upper - geometry.lower))
     parts = drawn_parts(points)

@@ -35,7 +35,7 @@ FINER = 2
 """Factor by which shapes are drawn larger at first; the picture is then reduced, for smooth edges."""
 NEAREST = 0.05
 LIGHT = np.array([-0.45, 0.65, -0.6]) / np.linalg.norm([0.45, 0.65, 0.6])
-"""Unit vector from the lamp's side, in the eye's axes: to the right, up, and away from the eye."""
+"""Unit vector towards the lamp; its components are to the right, up, and away from the eye."""
 SHADE = 0.72
 """Brightness of the sides of rods and balls, as a share of their full colour."""
 
@@ -157,7 +157,7 @@ def _draw_disc(x: float, y: float, radius: float, colour: Array, pen: ImageDraw.
 
 
 def lettered(pixels: Pixels, stage: Stage) -> Pixels:
-    """Write the stage's words and dial onto its picture; words in the corners first, then words at places of the world."""
+    """Write the stage's words and dial onto its picture: words in corners first, then words at places of the world."""
     if not stage.words and stage.dial is None:
         return pixels
     picture = Image.fromarray(pixels)

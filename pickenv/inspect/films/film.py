@@ -85,8 +85,8 @@ Progress = Callable[[str, int, int], None]
 
 Attempt: TypeAlias = tuple[int, int, int, bool]
 """A policy's attempt at one fruit in one episode: its first moment; the moment at which the gripper closes, until which
-the fruit hangs still; its last moment, at which the fruit is collected or the attempt has failed; and whether the fruit
-was collected."""
+the fruit hangs still; its last moment, at which the fruit is collected or the gripper has closed beside it; and whether
+the fruit was collected."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def plan_film(
 
 
 def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> list[tuple[int, int]]:
-    """The moments to show of one episode, as (episode, moment): until all tools stand still, then its end for a while."""
+    """The moments of one episode to show, as (episode, moment): until all tools stand, then its end for a while."""
     last = max(int(policy.moments[episode]) for policy in policies) - 1
     arrived = last
     if reaching:
@@ -282,7 +282,7 @@ class Film:
 
     @cached_property
     def still(self) -> tuple[Mesh, ...]:
-        """Surfaces that stay the same in all frames: ground, pedestal, and trees around the fruit (no trees for reaches)."""
+        """Surfaces that stay the same in all frames: ground, pedestal and, but for reaches, trees around the fruit."""
         middle = self.points.mean(axis=0)
         parts: tuple[Mesh, ...] = (ground_around(float(middle[0]), float(middle[1]), self.ground, self.dark),)
         if self.episodes.nominal is not None:
@@ -384,7 +384,7 @@ def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
 
 
 def seen_along(axis: Array, offset: Array, eye: Eye) -> Array:
-    """The components ``(2,)`` of an offset across the tool's axis: to the right as seen by the eye, and across that."""
+    """The components ``(2,)`` of an offset across the tool's axis: to the right, and away from the eye."""
     right = np.cross(eye.axes()[2], axis)
     right /= max(float(np.linalg.norm(right)), 1e-9)
     return np.array([offset @ right, offset @ np.cross(axis, right)])
