@@ -171,7 +171,7 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy
 
 
 def _send_tolerance(scribe: Scribe, comparison: Comparison) -> None:
-    """Send the gripper's capture region: a line on the error plot, and a ball around the fruit, enlarged like errors."""
+    """Send the gripper's capture region: a line on the error plot, and a ball around the fruit, enlarged as errors."""
     level = [comparison.tolerance_mm] * len(comparison.fruit)
     scribe.curve("metrics/tolerance_mm", f"tolerance {comparison.tolerance_mm:g} mm", RED, level, 1.5)
     radius = GAIN * comparison.tolerance_mm * 1e-3

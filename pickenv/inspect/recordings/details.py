@@ -121,9 +121,9 @@ FLOOR = "floor"
 
 
 ArrowTab: TypeAlias = tuple[str, float, Mapping[str, tuple[str, Array, Array]]]
-"""Fields of arrows that stand side by side with one colour scale: unit of the errors, mm or deg; upper end of the scale,
-in that unit; and for each entity, its title, the arrows as drawn ``(F, 3)``, m, and their errors ``(F, 3)``, in the
-unit."""
+"""Fields of arrows that stand side by side with one colour scale: unit of the errors, mm or deg; upper end of the
+scale, in that unit; and for each entity, its title, the arrows as drawn ``(F, 3)``, m, and their errors ``(F, 3)``, in
+that unit."""
 LEGENDS = {"mm": "position", "deg": "attitude"}
 """Keys of colour scales, by the scale's unit."""
 
@@ -207,11 +207,11 @@ CAMERA_STD = 1e-3
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
 """Noise of a look that the filter assumes: the camera's, and half a millimetre that no geometry explains."""
 PRIOR, WALK = 0.2, 0.3
-"""The filter's prior, the parameters' errors after calibration, and their random walk per root hour, in tolerances."""
+"""Parameters' errors after calibration, in tolerances, and their random walk per root hour, as the filter assumes."""
 FILTERED = 10
 """Largest number of machines with a filter, which costs more than all the rest of a recording."""
 FEWEST_LOOKS = 10
-"""Fewest reaches for which a filter is run: with fewer, a day has too few looks and joint positions to learn from."""
+"""Fewest reaches for which a filter is run: with fewer, a day has too few looks and joint values to learn from."""
 
 
 ADAPTED = "adapted"
@@ -219,8 +219,8 @@ ADAPTED = "adapted"
 
 
 Day: TypeAlias = Mapping[str, tuple[str, Array]]
-"""Curves of the same reaches while the arm warms up and the machine tilts and sinks: for each key, the curve's label and
-position errors, mm. Each policy has a curve with every reach at every time ``(R times, R reaches)``. Unless the reaches
+"""Curves of the same reaches while the arm warms up and the machine tilts and sinks: for each key, the curve's label
+and position errors, mm. Each policy has a curve with every reach at every time ``(R times, R reaches)``. Unless the reaches
 are too few, `ADAPTED` is the curve of the last policy's commands with a filter on top ``(R times, M machines)``; each of
 these machines begins with another reach."""
 

@@ -123,7 +123,7 @@ class RecordedPolicy:
         return replace(self, **{name: getattr(self, name)[rows] for name in MOMENTS})
 
     def with_field(self, errors: Array) -> RecordedPolicy:
-        """The policy with an error field: true against wanted poses ``(F, 6)``, m and rad, or positions ``(F, 3)``, m."""
+        """The policy with an error field: true against wanted poses ``(F, 6)``, or positions alone ``(F, 3)``."""
         return replace(self, field_errors=errors[:, :3], field_attitude=errors[:, 3:] if errors.shape[1] == 6 else None)
 
 
