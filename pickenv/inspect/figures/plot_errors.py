@@ -187,7 +187,7 @@ def _arrow_outlines(tail: Array, tip: Array, width: float) -> Array:
 
 
 def _box(axes: Axes, view: _View) -> None:
-    """Draw a wire box around the field, with the range of each axis written along one of the box's edges."""
+    """Draw a wire box around the field, with each axis's range written along one of its edges."""
     farthest = int(np.argmin(view.depth(view.corners)))
     near: dict[str, Any] = {"linewidth": 0.9, "linestyle": "-", "alpha": 1.0}
     hidden: dict[str, Any] = {"linewidth": 0.5, "linestyle": ":", "alpha": 0.6}

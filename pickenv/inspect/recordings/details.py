@@ -207,11 +207,11 @@ CAMERA_STD = 1e-3
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
 """Noise of a look that the filter assumes: the camera's, and half a millimetre that no geometry explains."""
 PRIOR, WALK = 0.2, 0.3
-"""Parameters' errors after calibration, in tolerances, and their random walk per root hour, as the filter assumes."""
+"""Errors of parameters after calibration, in tolerances, and their walk per root hour, as the filter assumes."""
 FILTERED = 10
 """Largest number of machines with a filter, which costs more than all the rest of a recording."""
 FEWEST_LOOKS = 10
-"""Fewest reaches for which a filter is run: with fewer, a day has too few looks and joint values to learn from."""
+"""Fewest reaches for which a filter is run: fewer give a day with too few looks and joint values."""
 
 
 ADAPTED = "adapted"

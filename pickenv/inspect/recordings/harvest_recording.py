@@ -72,7 +72,7 @@ def _send(stream: rr.RecordingStream, machine: Machine, harvest: Harvest, shown:
 
 
 def _send_machine(scribe: Scribe, machine: Machine, masters: Array, slaves: Array) -> None:
-    """Send column, boom with the slaves' rail, and slaves, for joints of master ``(T, 3)`` and slaves ``(T, A, 3)``."""
+    """Send column, boom with rail, and slaves, for the joints of master ``(T, 3)`` and slaves ``(T, A, 3)``."""
     drawn_in = slaves.copy()
     drawn_in[..., 1:] = 0.0
     tips, pivots, frame = machine.tips(masters, slaves), machine.tips(masters, drawn_in), machine.frame3(masters)
@@ -119,7 +119,7 @@ def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arri
 
 
 def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint8]:
-    """Colours ``(T, F, 3)`` of the fruit ``numbers`` by their fate so far, at times ``at``, s, of a round's timetable."""
+    """Colours ``(T, F, 3)`` of the fruit ``numbers`` by their fates at times ``at``, s, of a round's timetable."""
     colours = np.broadcast_to(np.array(FATES["hanging"], dtype=np.uint8), (len(at), len(numbers), 3)).copy()
     place = {number: i for i, number in enumerate(numbers.tolist())}
     for pick, number in enumerate(shown.fruit.tolist()):

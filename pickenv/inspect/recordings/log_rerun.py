@@ -90,7 +90,7 @@ class _Recorder:
         self._identity = ":".join([name, *([] if plant is None else [plant.name]), f"seed{outer.np_random_seed}"])
 
     def ended(self, growth: float = GROWTH) -> None:
-        """Show an episode that has ended; write the file if new steps make its steps at least ``growth`` times as many."""
+        """Show an episode that has ended; write the file if recorded steps are ``growth`` times those in it or more."""
         recorded = self._recorded
         if recorded and self._live:
             self._show()

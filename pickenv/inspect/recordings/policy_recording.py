@@ -110,7 +110,7 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
 
 
 def _field_scale(comparison: Comparison) -> tuple[float, float, Array]:
-    """The scale of all fields: upper end of colours, mm; gain of arrows; shift from one field to the next ``(3,)``, m."""
+    """The scale of all fields: upper end of colours, mm; gain of arrows; shift to the next field ``(3,)``, m."""
     top = max(scale_end(field_mm(policy)) for policy in comparison.policies)
     return top, field_gain(comparison.grid.step, top), APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
 
@@ -153,7 +153,7 @@ def _field_tab(comparison: Comparison) -> Any:
 
 
 def _box(episodes: RecordedEpisodes) -> tuple[Array, Array, Array]:
-    """Low and high corners ``(3,)`` of a box around tools, fruit and base, and the shift to the next policy ``(3,)``, m."""
+    """Low and high corner ``(3,)`` of a box around tools, fruit and base, and shift to the next policy ``(3,)``, m."""
     points = [values.reshape(-1, 3) for p in episodes.policies for values in (p.tool_position, p.fruit_position)]
     if episodes.nominal is not None:
         points.append(episodes.nominal.base.position[None])

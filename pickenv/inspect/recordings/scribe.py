@@ -128,7 +128,7 @@ class Scribe:
     def arm(
         self, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
     ) -> None:
-        """Send the look of a moving arm and its places; ``points`` ``(T, K, 3)``, m, and ``parts`` are as in `capsules`."""
+        """Send a moving arm's look and places; ``points`` ``(T, K, 3)``, m, and ``parts`` are as in `capsules`."""
         count = len(parts)
         self.still(
             entity,
