@@ -162,7 +162,7 @@ class _View:
 
 
 def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, top: float) -> None:
-    """Draw arrows for errors ``(N, 3)`` at points ``(N, 3)``, m, from far to near; the colour scale ends at `top` mm."""
+    """Draw arrows of errors ``(N, 3)`` at points ``(N, 3)``, m, from far to near; colours end at `top` mm."""
     order = np.argsort(view.depth(start))
     start, error = start[order], error[order]
     colours = viridis(np.linalg.norm(error, axis=-1) * 1e3 / top) / 255.0

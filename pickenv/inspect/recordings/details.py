@@ -65,7 +65,7 @@ def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array
 
 
 def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Array, top: float) -> None:
-    """Send a field's values ``(F,)`` as voxels, but for those that hide all others; the colour scale ends at ``top``."""
+    """Send a field's values ``(F,)`` as voxels, except those that hide all others; colours end at ``top``."""
     visible, grid = ~cut_away(comparison), comparison.grid
     index, means = summary.cell_means(grid.index[visible], values[visible])
     cells = rr.VoxelGridMap(
@@ -220,9 +220,9 @@ ADAPTED = "adapted"
 
 Day: TypeAlias = Mapping[str, tuple[str, Array]]
 """Curves of the same reaches while the arm warms up and the machine tilts and sinks: for each key, the curve's label
-and position errors, mm. Each policy has a curve with every reach at every time ``(R times, R reaches)``. Unless the reaches
-are too few, `ADAPTED` is the curve of the last policy's commands with a filter on top ``(R times, M machines)``; each of
-these machines begins with another reach."""
+and position errors, mm. Each policy has a curve with every reach at every time ``(R times, R reaches)``. Unless the
+reaches are too few, `ADAPTED` is the curve of the last policy's commands with a filter on top
+``(R times, M machines)``; each of these machines begins with another reach."""
 
 
 def day_hours(comparison: Comparison) -> Array:

@@ -2,8 +2,8 @@
 
 Everything comes from `info`, and entities whose entries it lacks are left out. Entities have the policy's colour and
 name. Time lines: `episode_time` begins anew with every episode, so curves of episodes lie over one another, and the
-arms show the last episode. `sim_time` strings all episodes together, with a gap before each; `step` counts steps. `episode`
-shows how each episode ended.
+arms show the last episode. `sim_time` strings all episodes together, with a gap before each; `step` counts steps.
+`episode` shows how each episode ended.
 """
 
 from __future__ import annotations
