@@ -45,7 +45,7 @@ SMALL, LARGE = 1 / 26, 1 / 19
 DIAL = 0.27
 """Width of the dial, as a share of the picture's height."""
 SHOWN, RIM = 2.2, 0.93
-"""The dial's radius in radii of its ring, and the share of it at which larger misses are drawn."""
+"""The dial's radius in radii of its ring, and the share of the dial's radius at which larger misses are drawn."""
 PLATE = {False: (255, 255, 255, 205), True: (20, 23, 29, 205)}
 """Colour and opacity of the plates behind words and dial, by whether the background is dark."""
 

@@ -149,7 +149,7 @@ def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """All that one picture shows.
+    """Everything that one picture shows.
 
     Attributes:
         eye: The eye that sees it.

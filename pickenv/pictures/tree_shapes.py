@@ -22,7 +22,7 @@ BARK, STEM = (122, 92, 66), (104, 84, 52)
 GROUND = {False: ((226, 230, 220), (214, 220, 208)), True: ((52, 58, 64), (46, 52, 58))}
 """Two colours of the ground's squares, by whether the page is dark."""
 CRATE = (0.28, 0.8)
-"""Where the crate's corner is seen, as shares of the picture's width and height."""
+"""Place of the crate's corner on the picture, as shares of the picture's width and height."""
 SQUARE, SPREAD = 0.5, 6.0
 TWIG = 0.09
 BRIGHTER = 1.35

@@ -62,7 +62,7 @@ BOXES: dict[str, Any] = {
 GROUPS = 8
 """Largest number of groups of poses whose mean errors are drawn against a possible cause."""
 WIDEST = 16
-"""Largest number of characters of a label on one line; in a longer label, each part that begins with + has its own."""
+"""Largest number of characters of a label on one line; longer labels break before each +."""
 
 
 def error_fields(comparison: Comparison) -> Figure:
@@ -388,7 +388,7 @@ def error_cumulative(
         quantity: What the errors are, for the axis.
         unit: Their unit.
         tolerance: Tolerance in ``unit``, drawn as a line when given.
-        counted: What is counted, such as poses: the shares are shares of these.
+        counted: Name of the things counted, such as poses, in the words of the axis.
     """
     series = style.finite_series(errors)
     words = f"{quantity} ({unit})", f"{counted} within it (%)"

@@ -227,7 +227,7 @@ class Film:
     dark: bool
 
     def stated(self, number: int) -> list[FilmCaption]:
-        """What the frame of a number states about each policy."""
+        """The statements about each policy in the frame with a given number."""
         return [_caption(policy, *self.frames[number]) for policy in self.policies]
 
     @cached_property
@@ -296,12 +296,12 @@ class Film:
 
 
 def film_stage(film: Film, number: int, side: int) -> Stage:
-    """The stage of one half of a frame: one policy.
+    """The stage of one half of a frame, which shows one policy.
 
     Args:
         film: The film.
         number: Number of the frame.
-        side: Number of the policy among those of the film.
+        side: Number of the policy among the film's policies.
     """
     policy, caption, (episode, moment) = film.policies[side], film.stated(number)[side], film.frames[number]
     (colour,) = policy_colours([policy.key])

@@ -305,8 +305,8 @@ def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Ar
 def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     """Position errors, mm, ``(R, M)`` of machines whose filters correct the last policy's commands.
 
-    A filter takes the arm behind these commands for the nominal one (as `AdaptiveReach` does behind a compensator):
-    its joints are those at which the nominal tool is at the fruit, and its correction is added to the command.
+    A filter treats the arm with these commands as the nominal arm (as `AdaptiveReach` does behind a compensator):
+    its joint values are those that bring the nominal tool to the fruit, and its correction is added to the command.
     """
     nominal, count = comparison.nominal, len(comparison.fruit)
     commands = comparison.policies[-1].ends.joint_command

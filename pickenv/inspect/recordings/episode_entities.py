@@ -65,7 +65,7 @@ class EpisodeLog:
             key: Name in entity paths: the policy, and the environment's number where there are several.
             episode_trigger: Whether to record from the start of an episode, given its number.
             step_trigger: Whether to record from a step, given its number.
-            length: Steps of one recording; infinite for whole episodes.
+            length: Number of steps of one recording; infinite for whole episodes.
         """
         self.key, self.length, self.rows = key, length, list[Row]()
         self._episode_trigger, self._step_trigger = episode_trigger, step_trigger
@@ -241,7 +241,7 @@ def _send_bodies_looks(scribe: Scribe, scene: Scene, key: str, rows: Sequence[Ro
 
 
 def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], root: str = "world") -> None:
-    """Send ``rows`` of one environment as whole columns; an episode that is sent in parts ends with its last part."""
+    """Send ``rows`` of one environment as whole columns; an episode may be sent in parts, of which the last ends it."""
     moments, seconds = _strung(scene, rows)
     strung = [rr.TimeColumn("step", sequence=moments), rr.TimeColumn("sim_time", duration=seconds)]
     every = [

@@ -146,7 +146,7 @@ NOT_OF_THE_RECORDER = ("self", "env", "indices")
 class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
     """Log episodes for the Rerun viewer: true and nominal arm, fruit, miss, and every number of `info`.
 
-    The signature is that of `gymnasium.wrappers.RecordVideo`. All recorded episodes are in one file,
+    The signature follows `gymnasium.wrappers.RecordVideo`. All recorded episodes are in one file,
     ``save_path/name_prefix-policy.rrd``; files of several policies on one environment and seed are shown as one:
     ``rerun runs/*.rrd``. The file is written whole at the end of an episode whenever the recorded steps are twice
     those in the file, and by `close`. Live viewers see each episode when it has ended.
@@ -186,7 +186,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
             save_path: Folder for the file; None for live viewers alone.
             episode_trigger: Whether to record an episode, given its number; capped cubic if there is no trigger.
             step_trigger: Whether to record from a step, given its number.
-            recording_length: Steps of one recording; 0 for whole episodes.
+            recording_length: Number of steps of one recording; 0 for whole episodes.
             name_prefix: First part of the file's name.
             policy: Name of the policy: lower-case letters, digits and underscores.
             spawn: Show the episodes in a viewer that is started here.
@@ -249,7 +249,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         connect: str | None = None,
         serve: int | None = None,
     ) -> None:
-        """Log environments ``indices`` of ``env``; the other arguments are those of `LogRerun`.
+        """Log environments ``indices`` of ``env``; the other arguments are as for `LogRerun`.
 
         The triggers get the number of each environment's own episode or step.
 

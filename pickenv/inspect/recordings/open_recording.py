@@ -176,8 +176,8 @@ def check_recording(path: str | Path) -> None:
     """Refuse a file that the installed rerun viewer cannot show.
 
     Raises:
-        InputError: If the file is missing, no recording, damaged, or written by a rerun that is newer than the one
-            installed or older by more than one minor version, which is as far as rerun promises to read back.
+        InputError: If the file is missing, is no recording, is damaged, or was written by a rerun newer than the
+            installed one, or older by more than one minor version, beyond which rerun does not promise to read.
     """
     path = Path(path)
     try:

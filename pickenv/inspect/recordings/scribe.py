@@ -45,7 +45,7 @@ def write_recording(
 
 
 def recording_bytes(recording_id: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]) -> bytes:
-    """A recording as the content of a file, with the footer that ends a finished one.
+    """A recording as the content of a file, with the footer that ends a finished recording.
 
     It is made in memory, because rerun's own writer waits for ever when the disk fills up.
 

@@ -163,7 +163,7 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
 
 
 def explanation(episodes: RecordedEpisodes) -> str:
-    """By how much the best policy is better, whether any gripper's picks change, and the picks in these episodes."""
+    """The verdict explained: the best policy's lead, whether any gripper's picks change, and the picks here."""
     best, rival, line = _best(episodes)
     if best is None:
         return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
@@ -211,7 +211,7 @@ def _across(policy: RecordedPolicy) -> Array:
 
 
 def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """The whole comparison, for JSON."""
+    """The whole comparison as a dictionary for JSON."""
     return {
         "environment": episodes.env_id,
         "plant": episodes.plant_name,

@@ -157,7 +157,7 @@ def ended(label: str, reaches: Reaches, key: str | None = None) -> RecordedPolic
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordedEpisodes:
-    """The same episodes with several policies.
+    """Several policies in the same episodes.
 
     Attributes:
         policies: One entry per policy: raw, LS, LS+BPNN, then others.
@@ -313,6 +313,6 @@ def missing_positions(info: Mapping[str, Any]) -> str:
 
 
 def believed_joints(env: Any) -> Array | None:
-    """A copy of the joint values at which an environment's controller believes the arm to be; None where not told."""
+    """A copy of the joint values where an environment's controller believes the arm to be; None if it has none."""
     target = getattr(env.unwrapped, "joint_target", None)
     return None if target is None else np.array(target, dtype=float)
