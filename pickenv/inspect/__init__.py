@@ -5,7 +5,7 @@
     write_drawings(drawings_of(read_run("runs/demo")), Path("figures"))                         # a run's figures
     html = page_of(read_run("runs/demo"))                                                       # and its report
 
-rerun and matplotlib are loaded when a function that needs them is first asked for.
+rerun and matplotlib are loaded when a function that needs them is first used.
 """
 
 from pickenv.base.faces import offered as _offered

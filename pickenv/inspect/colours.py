@@ -22,7 +22,7 @@ RED: Rgb = (208, 32, 38)
 GREY: Rgb = (150, 150, 158)
 STEEL: Rgb = (190, 194, 204)
 WHITE: Rgb = (255, 255, 255)
-"""Of words in space: the viewer sets them on dark plates in its dark theme, on light grey ones in the light."""
+"""Colour of words in space: the viewer sets them on dark plates in its dark theme, on light grey ones in its light."""
 FRUIT: Rgb = (222, 202, 160)
 
 BY_KEY: dict[str, Rgb] = {
@@ -40,10 +40,10 @@ BY_KEY: dict[str, Rgb] = {
 OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (150, 140, 20), (150, 150, 150))
 NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
-"""Policies stand in this order everywhere; others follow."""
+"""The order in which figures and recordings list policies, by their keys; all other policies follow."""
 
 ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
-"""Of a harvester's arms, in turn."""
+"""Colours of a harvester's arms, in turn."""
 
 
 def policy_key(name: str) -> str:
@@ -53,10 +53,11 @@ def policy_key(name: str) -> str:
 
 
 def policy_colours(names: Sequence[str]) -> list[Rgb]:
-    """One colour per policy, given keys or labels, by its name alone wherever that tells them apart.
+    """The colour of each policy, given keys or labels: it depends on the policy's name alone unless two would clash.
 
-    raw, LS and LS+BPNN have fixed ones, and so has a name that ends in one of these (``ppo_raw``); others have one of
-    `OTHERS`. Where a policy before it has that colour already, it takes the next that is free.
+    The keys of `BY_KEY`, such as raw and LS, have fixed colours. A name that ends in such a key (``ppo_raw``) prefers
+    the same colour, and any other name prefers one of `OTHERS`. Where the preferred colour is taken already, the policy
+    gets the next free one.
     """
     keys = [policy_key(name) for name in names]
     taken = {BY_KEY[key] for key in keys if key in BY_KEY}
@@ -89,9 +90,9 @@ def policy_label(key: str) -> str:
 
 
 def lane(name: str) -> str:
-    """A policy's part of an entity path where the viewer sorts by path: ``1_raw``, ``2_ls``, ``3_ls_bpnn``, ``4_ppo``.
+    """A policy's part of an entity path, which sorts as `policy_rank`: ``1_raw``, ``2_ls``, ``3_ls_bpnn``, ``4_ppo``.
 
-    What follows a slash, such as an environment's number, stays.
+    Anything after a slash in the name, such as an environment's number, stays.
     """
     policy, *further = name.partition("/")
     return f"{policy_rank(policy)}_{policy_key(policy)}{''.join(further)}"

@@ -1,6 +1,7 @@
 """An arm as something to look at: links, joints, telescopes, a gripper, its ghost, and the camera's field of view.
 
-Where along the arm it deviates is not asked: what the tool is off is spread evenly along the links. Units: m.
+Pictures do not show where along the arm a deviation arises: the tool's deviation is spread evenly along the links.
+Units: m.
 """
 
 from __future__ import annotations
@@ -20,19 +21,19 @@ from pickenv.pictures.solids import ring_around, turned
 from pickenv.pictures.stage import Mesh, Rgb, Rods, rgba, spheres
 
 GAIN = 20
-"""The ghost stands so many times as far from the arm as the arm is from where its controller believes it to be."""
+"""Factor by which the ghost exaggerates the distance between the arm and where its controller believes it to be."""
 LINK, JOINT, METAL, GRIPPER = (236, 239, 243), (58, 68, 82), (168, 176, 188), (70, 78, 90)
 GHOST: Rgb = (52, 110, 200)
 FAINT = 0.42
 """Opacity of the ghost."""
 THICKNESS = 0.028
-"""Radius of the first link, as a share of the arm's length; the last one has `TAPER` of it."""
+"""Radius of the first link, as a share of the arm's length; the last link has `TAPER` times this radius."""
 WALL = 0.0035
 """Thickness of a drawn cup's wall, m."""
 CUP_RADIUS = 0.0375
-"""Of a cup that takes a fruit of 60 mm, where a picture is told of no other, m."""
+"""Radius of a cup, m, where a picture is given no other: a cup for a fruit of 60 mm."""
 FOOT = 1.9
-"""Radii of a cup from the fruit's place in it to where the arm ends."""
+"""Distance from the fruit in a cup to the end of the arm, as a multiple of the cup's radius."""
 TAPER, TELESCOPE, CAP = 0.5, 0.55, 1.28
 
 
@@ -45,12 +46,12 @@ class ArmLook:
     """The look of one arm.
 
     Attributes:
-        parts: Which parts of its polyline are drawn: numbers of their first points.
-        radius: Of these parts, m.
-        slides: Which of them become longer and shorter.
-        sleeve: Length of the outer tube of those that do, m.
-        low: Lowest corner of the room that its points take, m.
-        high: Highest corner.
+        parts: Parts of the arm's polyline that are drawn, by the numbers of their first points.
+        radius: Radius of each drawn part, m.
+        slides: Whether each drawn part becomes longer and shorter.
+        sleeve: Length of the outer tube of each drawn part, used for the parts that slide, m.
+        low: Lowest corner of the room that the arm's points take, m.
+        high: Highest corner of that room, m.
     """
 
     parts: list[int]
@@ -63,7 +64,7 @@ class ArmLook:
 
 @lru_cache(maxsize=8)
 def arm_look(geometry: Geometry) -> ArmLook:
-    """Thickness of an arm's parts, and the room it takes, from poses all over its joint ranges."""
+    """The look of an arm from poses all over its joint ranges: the parts to draw, their thickness, and their room."""
     share = qmc.Halton(geometry.joints, scramble=False).random(256)
     points = nominal_points(geometry, geometry.lower + share * (geometry.upper - geometry.lower))
     parts = drawn_parts(points)
@@ -79,7 +80,7 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
     """Links, joints and telescopes along a polyline ``(K, 3)``, up to the foot of a gripper.
 
     Args:
-        look: How thick they are.
+        look: The look of the arm: its parts and how thick they are.
         points: The polyline; its last point is the tool, within the gripper.
         axis: Direction in which the tool points ``(3,)``.
         accent: Colour of the links, in place of white.
@@ -99,12 +100,12 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
 
 
 def ghost_points(geometry: Geometry, command: ArrayLike, tool: Array, believed: Array) -> Array:
-    """The polyline ``(K, 3)`` of the arm as its controller believes it to be, `GAIN` times as far off as it is."""
+    """The ghost's polyline ``(K, 3)``: the arm as its controller believes it to be, the deviation drawn `GAIN` fold."""
     return true_points(geometry, command, tool + GAIN * (believed - tool))
 
 
 def ghost_solids(look: ArmLook, points: Array) -> Solids:
-    """An arm that is seen through."""
+    """The ghost: a transparent arm along a polyline ``(K, 3)``."""
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
     tip = spheres(points[-1:], 0.95 * look.radius[-1:], rgba(GHOST, 1, FAINT))
     return (Rods(start, end, 0.8 * look.radius, rgba(GHOST, len(start), FAINT)),), (tip,), ()
@@ -134,11 +135,11 @@ def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], lengt
     """A camera at ``eye`` that looks along the level unit vector ``ahead``, and the edges of what it sees.
 
     Args:
-        eye: Where it stands ``(3,)``, m.
-        ahead: Where it looks ``(3,)``.
+        eye: Where the camera stands ``(3,)``, m.
+        ahead: Direction in which it looks ``(3,)``.
         half_angles: Tangents of its half angles of view, to the side and up.
-        length: How far its edges are drawn, m.
-        colour: Of the edges.
+        length: Distance from the camera to which the edges are drawn, m.
+        colour: Colour of the edges.
     """
     up = np.array([0.0, 0.0, 1.0])
     side = np.cross(ahead, up)
@@ -152,6 +153,6 @@ def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], lengt
 
 
 def joined_solids(*parts: Solids) -> Solids:
-    """All of several parts."""
+    """The solids of several parts of a picture, together."""
     rods, balls, meshes = zip(*parts, strict=True)
     return tuple(chain(*rods)), tuple(chain(*balls)), tuple(chain(*meshes))

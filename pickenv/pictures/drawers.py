@@ -1,9 +1,9 @@
 """Draws a stage: with VTK where it is installed and can draw here, else plainly with Pillow; and shows it in a window.
 
-VTK needs EGL, of which a bare computer has none; it then ends the whole program. So another process tries it first.
-Without VTK rods are strokes, balls discs, meshes triangles in the light of one lamp, all flat, from far to near; what
-goes through one another is drawn in the order of its middles. Words and the dial of the miss are written with Pillow
-onto either picture. Units: px, mm on the dial.
+VTK needs EGL, and without it VTK ends the whole program. So another process tries VTK first. Without VTK, rods are
+drawn as strokes, balls as discs, and meshes as triangles in the light of one lamp: flat shapes, drawn from far to near
+in the order of their depths, even where solids pass through one another. With either drawer, words and the dial of the
+miss are written with Pillow onto the picture. Units: px, mm on the dial.
 """
 
 from __future__ import annotations
@@ -27,33 +27,33 @@ if TYPE_CHECKING:
     from pickenv.pictures.vtk_drawer import VtkDrawer
 
 PLAIN = "PICKENV_PLAIN_PICTURES"
-"""Set in the environment, it keeps to Pillow."""
+"""Environment variable that, when set, has pictures drawn with Pillow even where VTK is installed."""
 TRIAL = "pickenv.pictures.vtk_drawer"
-"""The program that tries it."""
+"""The module that is run in another process to try whether VTK can draw."""
 
 FINER = 2
-"""Shapes are drawn so much larger, and then made smaller, for smooth edges."""
+"""Factor by which shapes are drawn larger at first; the picture is then reduced, for smooth edges."""
 NEAREST = 0.05
 LIGHT = np.array([-0.45, 0.65, -0.6]) / np.linalg.norm([0.45, 0.65, 0.6])
-"""Towards the lamp: to the right, up, and away from the eye."""
+"""Unit vector towards the lamp; its components are to the right, up, and away from the eye."""
 SHADE = 0.72
-"""Brightness of the sides of rods and balls."""
+"""Brightness of the sides of rods and balls, as a share of their full colour."""
 
 MARGIN = 8
 SMALL, LARGE = 1 / 26, 1 / 19
 """Heights of letters, as shares of the picture's height."""
 DIAL = 0.27
-"""Its width, as a share of the picture's height."""
+"""Width of the dial, as a share of the picture's height."""
 SHOWN, RIM = 2.2, 0.93
-"""Radii of the ring from the dial's middle to its rim; a miss beyond is drawn on the rim."""
+"""The dial's radius in radii of its ring, and the share of the dial's radius at which larger misses are drawn."""
 PLATE = {False: (255, 255, 255, 205), True: (20, 23, 29, 205)}
-"""Colour and opacity of what lies behind words and dial, on light and on dark backgrounds."""
+"""Colour and opacity of the plates behind words and dial, by whether the background is dark."""
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 DPI = 80
 
 Shape = tuple[float, Callable[[ImageDraw.ImageDraw], None]]
-"""How far away something is, and what draws it."""
+"""A shape's depth, m, by which shapes are sorted, and the function that draws it."""
 
 
 def painted(stage: Stage) -> Pixels:
@@ -64,7 +64,7 @@ def painted(stage: Stage) -> Pixels:
 
 @lru_cache(maxsize=1)
 def drawer_name() -> str:
-    """The drawer that makes pictures here: ``vtk`` or ``plain``; found out once."""
+    """The drawer that makes pictures here: ``vtk`` or ``plain``; worked out once per process."""
     return "vtk" if why_plain() is None else "plain"
 
 
@@ -82,14 +82,14 @@ def why_plain() -> str | None:
 
 @lru_cache(maxsize=4)
 def _vtk(size: tuple[int, int], process: int) -> VtkDrawer:
-    """One drawer for each size, in each process."""
+    """The VTK drawer of a picture size, made once in each process."""
     from pickenv.pictures.vtk_drawer import VtkDrawer
 
     return VtkDrawer(size)
 
 
 def draw_plainly(stage: Stage) -> Pixels:
-    """The stage without its words, ``(height, width, 3)``."""
+    """Draw a stage with Pillow, without its words and dial: ``(height, width, 3)``."""
     size = width, height = FINER * stage.size[0], FINER * stage.size[1]
     upper, lower = (np.array(colour, dtype=float) for colour in backdrop(stage.dark))
     share = np.linspace(0.0, 1.0, height)[:, None]
@@ -157,7 +157,7 @@ def _draw_disc(x: float, y: float, radius: float, colour: Array, pen: ImageDraw.
 
 
 def lettered(pixels: Pixels, stage: Stage) -> Pixels:
-    """The picture with the stage's words and dial; lines in its corners first, then words at places of the world."""
+    """Write the stage's words and dial onto its picture: words in corners first, then words at places of the world."""
     if not stage.words and stage.dial is None:
         return pixels
     picture = Image.fromarray(pixels)
@@ -224,7 +224,7 @@ def _draw_dial(pen: ImageDraw.ImageDraw, dial: Dial, stage: Stage) -> None:
 
 @lru_cache(maxsize=8)
 def _font(height: int) -> ImageFont.FreeTypeFont:
-    """DejaVu Sans, which comes with matplotlib."""
+    """The font DejaVu Sans, which comes with matplotlib, at a height in px."""
     from matplotlib import get_data_path
 
     return ImageFont.truetype(Path(get_data_path()) / "fonts/ttf/DejaVuSans.ttf", height)
@@ -233,7 +233,7 @@ def _font(height: int) -> ImageFont.FreeTypeFont:
 class Window:
     """A matplotlib window that shows one picture after the other.
 
-    With MPLBACKEND=agg in the environment nothing is shown and nothing is said: tests without a screen use that.
+    With MPLBACKEND=agg in the environment it shows nothing and raises no error, for tests without a screen.
 
     Raises:
         InputError: If there is no display.
@@ -249,7 +249,7 @@ class Window:
         self._image: Any = None
 
     def show(self, picture: Pixels) -> None:
-        """Show a picture for one frame's time."""
+        """Show a picture for the time of one frame."""
         if self.off_screen:
             return
         from matplotlib import pyplot

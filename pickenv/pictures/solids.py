@@ -1,4 +1,4 @@
-"""Solids as triangles: rods and balls are stretched from one template, cups are turned, leaves and ground laid out.
+"""Solids as triangles: rods and balls from one template, cups as surfaces of revolution, and leaves and ground.
 
 Units: m.
 """
@@ -16,7 +16,7 @@ from pickenv.arm import Array
 from pickenv.pictures.stage import Colours, Mesh, Rgb, Rods, rgba
 
 AROUND, ARCS = 14, 4
-"""Corners around a rod, and steps from its rim to its pole: as few as look round in a picture of 480 x 360 px."""
+"""Corners around a rod, and steps from its rim to its pole: the fewest that look round in a picture of 480 x 360 px."""
 
 
 @lru_cache(maxsize=1)
@@ -41,7 +41,7 @@ def _template() -> tuple[Array, NDArray[np.bool_], NDArray[np.intp]]:
 
 
 def rod_triangles(rods: Rods) -> Mesh:
-    """Rods as triangles, all of one template; those of no length are balls."""
+    """Rods as triangles, each a copy of one template; rods of no length become balls."""
     corners, far, faces = _template()
     along = rods.end - rods.start
     length = np.linalg.norm(along, axis=-1, keepdims=True)
@@ -54,14 +54,14 @@ def rod_triangles(rods: Rods) -> Mesh:
 
 
 def _joined(corners: Array, normals: Array, colour: Colours, faces: NDArray[np.intp]) -> Mesh:
-    """N copies of a template, (N, V, 3), as one set of triangles."""
+    """Join N copies of a template, with corners (N, V, 3), into one set of triangles."""
     count, corners_each = corners.shape[:2]
     shifted = (faces + corners_each * np.arange(count)[:, None, None]).reshape(-1, 3)
     return Mesh(corners.reshape(-1, 3), shifted, np.repeat(colour, corners_each, axis=0), normals.reshape(-1, 3))
 
 
 def mesh_triangles(surface: Mesh) -> Mesh:
-    """A surface with the normals of its corners: the mean of those of the triangles around each, by area."""
+    """A surface with normals at its corners: at each, the mean normal of the triangles around it, weighted by area."""
     a, b, c = (surface.corners[surface.triangles[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
     normals = np.zeros_like(surface.corners, dtype=float)
@@ -72,7 +72,7 @@ def mesh_triangles(surface: Mesh) -> Mesh:
 
 
 def all_triangles(parts: Sequence[Mesh]) -> Mesh:
-    """Several sets of triangles as one."""
+    """Join several sets of triangles into one."""
     if not parts:
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.intp), np.empty((0, 4), np.uint8))
     first = np.cumsum([0, *(len(part.corners) for part in parts[:-1])])
@@ -84,7 +84,7 @@ def all_triangles(parts: Sequence[Mesh]) -> Mesh:
 
 
 def ring_around(axis: Array, count: int) -> Array:
-    """Unit vectors ``(count, 3)`` across a unit vector ``(3,)``, evenly around it."""
+    """Unit vectors ``(count, 3)`` at right angles to a unit vector ``(3,)``, evenly spaced around it."""
     x = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
     x = x / np.linalg.norm(x)
     turn = 2.0 * np.pi * np.arange(count)[:, None] / count
@@ -95,11 +95,11 @@ def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, around: i
     """A surface of revolution.
 
     Args:
-        profile: Radius and height of points along its outline ``(P, 2)``, m; an edge is kept by giving a point twice.
-        point: Where height is zero ``(3,)``, m.
+        profile: Radius and height of points along its outline ``(P, 2)``, m; a point given twice keeps its edge sharp.
+        point: The point of the axis at which height is zero ``(3,)``, m.
         axis: Unit vector in which height grows ``(3,)``.
         colour: Red, green, blue.
-        around: Corners around the axis.
+        around: Number of corners around the axis.
     """
     outline, ring = np.asarray(profile, dtype=float), ring_around(axis, around)
     corners = point + outline[:, None, :1] * ring + outline[:, None, 1:] * axis
@@ -115,7 +115,7 @@ def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, around: i
 
 
 def chequered(low: ArrayLike, high: ArrayLike, height: float, square: float, colours: tuple[Rgb, Rgb]) -> Mesh:
-    """Level ground of squares in two colours, from ``low`` (2,) to at least ``high`` (2,), m."""
+    """Level ground of squares in two colours, from ``low`` (2,) or somewhat less to at least ``high`` (2,), m."""
     low = np.floor(np.asarray(low, dtype=float) / square) * square
     nx, ny = np.maximum(np.ceil((np.asarray(high, dtype=float) - low) / square - 1e-9).astype(int), 1)
     ix, iy = (grid.ravel() for grid in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
@@ -128,13 +128,13 @@ def chequered(low: ArrayLike, high: ArrayLike, height: float, square: float, col
 
 
 def leaf_mesh(places: Array, length: float, width: float, colour: ArrayLike, rng: np.random.Generator) -> Mesh:
-    """Leaves of all attitudes and some shades, each a bent rhomb of two triangles.
+    """Leaves with random attitudes and shades, each a bent rhombus of two triangles.
 
     Args:
-        places: Their middles ``(N, 3)``, m.
-        length: m.
-        width: m.
-        colour: Red, green, blue of a middling leaf.
+        places: Middles of the leaves ``(N, 3)``, m.
+        length: Length of a leaf, m.
+        width: Width of a leaf, m.
+        colour: Red, green, blue of a leaf of medium shade.
         rng: Source of attitudes and shades.
     """
     count = len(places)
@@ -147,5 +147,5 @@ def leaf_mesh(places: Array, length: float, width: float, colour: ArrayLike, rng
 
 
 def _fans(count: int) -> NDArray[np.intp]:
-    """Two triangles for each of ``count`` runs of four corners."""
+    """Two triangles for each of ``count`` quadrilaterals, whose four corners follow one another."""
     return (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)

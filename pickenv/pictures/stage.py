@@ -17,9 +17,9 @@ Colours = NDArray[np.uint8]
 Pixels = NDArray[np.uint8]
 
 SIZE = (480, 360)
-"""Width and height of a picture where none is asked for."""
+"""Default width and height of a picture, px."""
 FIT = 1.06
-"""How much farther away than needed an eye stands, so that nothing touches the edge."""
+"""Factor by which an eye stands farther away than needed, so that nothing touches the picture's edge."""
 CORNERS = ("top left", "top right", "bottom left", "bottom right")
 
 
@@ -30,7 +30,7 @@ class Rods:
     Attributes:
         start: Centres of the first ends ``(N, 3)``, m.
         end: Centres of the other ends ``(N, 3)``, m.
-        radius: ``(N,)``, m.
+        radius: Radius of each ``(N,)``, m.
         colour: Red, green, blue and opacity ``(N, 4)``, 0 to 255.
     """
 
@@ -47,13 +47,13 @@ def spheres(centre: Array, radius: Array, colour: Colours) -> Rods:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles; corners that triangles share are shaded smoothly.
+    """A set of triangles; corners that triangles share are shaded smoothly.
 
     Attributes:
-        corners: ``(V, 3)``, m.
-        triangles: Numbers of corners ``(T, 3)``.
-        colour: Of each corner, red, green, blue and opacity ``(V, 4)``, 0 to 255.
-        normals: Of each corner ``(V, 3)``; none ``(0, 3)`` until they are worked out.
+        corners: Places of the corners ``(V, 3)``, m.
+        triangles: Numbers of each triangle's corners ``(T, 3)``.
+        colour: Red, green, blue and opacity of each corner ``(V, 4)``, 0 to 255.
+        normals: Normal at each corner ``(V, 3)``; empty ``(0, 3)`` until normals are worked out.
     """
 
     corners: Array
@@ -69,8 +69,8 @@ class Words:
     Attributes:
         text: The words.
         place: One of `CORNERS`, where lines stand below one another, or a point ``(3,)`` of the world, m.
-        colour: None for ink that is read on the background.
-        large: Whether it is what the picture is about.
+        colour: Colour of the text; None for the `ink` that suits the background.
+        large: Whether the text is large, as for a picture's subject.
     """
 
     text: str
@@ -81,13 +81,13 @@ class Words:
 
 @dataclass(frozen=True, eq=False)
 class Dial:
-    """Misses as seen along the tool: a ring that the gripper forgives around the fruit, and marks where the tool was.
+    """Misses as seen along the tool: a ring around the fruit as wide as the gripper forgives, and marks of the tool.
 
     Attributes:
-        marks_mm: Across the tool, to the right and up on the picture ``(K, 2)``, mm, the present one last.
-        tolerance_mm: Radius of the ring.
-        colour: Of the marks.
-        label: Words above it.
+        marks_mm: Misses across the tool, to the right and up on the picture ``(K, 2)``, mm, the present one last.
+        tolerance_mm: Radius of the ring, mm.
+        colour: Colour of the marks.
+        label: Words above the dial.
     """
 
     marks_mm: Array
@@ -101,9 +101,9 @@ class Eye:
     """A camera without distortion that keeps z upright.
 
     Attributes:
-        position: Where it stands ``(3,)``, m.
-        target: What it looks at ``(3,)``, m.
-        angle_deg: Angle of view from the lower to the upper edge.
+        position: Where the eye stands ``(3,)``, m.
+        target: The point that it looks at ``(3,)``, m.
+        angle_deg: Angle of view from the lower to the upper edge, degrees.
     """
 
     position: Array
@@ -111,7 +111,7 @@ class Eye:
     angle_deg: float = 30.0
 
     def axes(self) -> Array:
-        """Rows: to the right, up, and towards the target ``(3, 3)``."""
+        """The eye's axes as rows ``(3, 3)``: to the right, up, and towards the target."""
         ahead = self.target - self.position
         ahead = ahead / np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -119,20 +119,20 @@ class Eye:
         return np.array([right, np.cross(right, ahead), ahead])
 
     def project(self, points: ArrayLike, size: tuple[int, int]) -> Array:
-        """Column, row (px, from the upper left corner) and depth (m) of points ``(..., 3)``."""
+        """Project points ``(..., 3)``, m, to column and row (px, from the upper left corner) and depth (m)."""
         width, height = size
         right, up, depth = np.moveaxis((np.asarray(points, dtype=float) - self.position) @ self.axes().T, -1, 0)
         scale = self.pixels_per_metre(depth, size)
         return np.stack([width / 2 + scale * right, height / 2 - scale * up, depth], axis=-1)
 
     def point_at(self, pixel: tuple[float, float], depth: float, size: tuple[int, int]) -> Array:
-        """The point ``(3,)``, m, that is seen at a column and row, px, at a depth, m."""
+        """The point ``(3,)``, m, at a given depth, m, that is seen at a given column and row, px."""
         scale = self.pixels_per_metre(depth, size)
         away = np.array([(pixel[0] - size[0] / 2) / scale, (size[1] / 2 - pixel[1]) / scale, depth])
         return np.asarray(self.position + away @ self.axes())
 
     def pixels_per_metre(self, depth: ArrayLike, size: tuple[int, int]) -> Array:
-        """The size of a metre at depths ``(...)``, m."""
+        """The size of a metre on the picture at depths ``(...)``, m: px per m."""
         focal_length = size[1] / 2 / np.tan(np.radians(self.angle_deg) / 2)
         return np.asarray(focal_length / np.maximum(np.asarray(depth), 1e-3))
 
@@ -149,13 +149,15 @@ def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """All that one picture shows.
+    """Everything that one picture shows.
 
     Attributes:
-        eye: Whence it is seen.
-        rods: All of them, in any number of groups; likewise balls (`spheres`) and meshes.
-        still: Meshes that do not change between pictures: the same objects again, which a drawer may keep.
-        words: In the order in which they are read.
+        eye: The eye that sees it.
+        rods: Groups of rods.
+        balls: Groups of balls, as made by `spheres`.
+        meshes: Meshes that may change between pictures.
+        still: Meshes that do not change: a drawer may keep them, as every picture gets the same objects.
+        words: Lines of text, in the order in which they are read.
         dial: The miss, drawn into the lower right corner, or None.
         size: Width and height, px.
         dark: Whether the background is dark.
@@ -173,15 +175,15 @@ class Stage:
 
 
 def rgba(colour: Rgb, count: int, opacity: float = 1.0) -> Colours:
-    """One colour for ``count`` things, ``(count, 4)``."""
+    """One colour with its opacity, repeated for ``count`` things: ``(count, 4)``."""
     return np.broadcast_to(np.array([*colour, round(255 * opacity)], dtype=np.uint8), (count, 4))
 
 
 def backdrop(dark: bool) -> tuple[Rgb, Rgb]:
-    """Colours of the background at the upper and at the lower edge."""
+    """Colours of a light or dark background at the picture's upper and lower edges."""
     return ((38, 44, 54), (24, 27, 33)) if dark else ((214, 229, 243), (248, 250, 252))
 
 
 def ink(dark: bool) -> Rgb:
-    """Colour of words on that background."""
+    """Colour of words on a light or dark background."""
     return (236, 239, 244) if dark else (28, 36, 46)

@@ -1,7 +1,7 @@
 """The surroundings of an arm: fruit on stems, leaves and branches of a row of trees, ground, a crate. Units: m.
 
-A row stands along x. Leaves are drawn as dense as a canopy's preset says; they are not those that hide fruit from a
-camera, which environments draw anew in every episode.
+A row stands along x. Leaves are as dense as a canopy's preset says, but they are not the leaves that hide fruit from a
+camera: environments draw those at random in every episode.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from pickenv.pictures.stage import Eye, Mesh, Rods, rgba, spheres
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
 BARK, STEM = (122, 92, 66), (104, 84, 52)
 GROUND = {False: ((226, 230, 220), (214, 220, 208)), True: ((52, 58, 64), (46, 52, 58))}
-"""Colours of the ground on light and on dark pages."""
+"""Two colours of the ground's squares, by whether the page is dark."""
 CRATE = (0.28, 0.8)
-"""Where the crate's corner is seen, as shares of the picture's width and height."""
+"""Place of the crate's corner on the picture, as shares of the picture's width and height."""
 SQUARE, SPREAD = 0.5, 6.0
 TWIG = 0.09
 BRIGHTER = 1.35
-"""Leaves are drawn so much lighter than for a camera to look at."""
+"""Factor by which leaves are lighter here than in the images of a simulated camera."""
 
 
 def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, stems: bool = True) -> Solids:
@@ -59,7 +59,7 @@ def _leaves(places: Array, rng: np.random.Generator) -> Mesh:
 def row_of_trees(
     low: tuple[float, ...], high: tuple[float, ...], leaf_area_per_volume: float, ground: float
 ) -> tuple[Mesh, ...]:
-    """Trunks, level branches and leaves in a box of the world frame; the same objects for the same box."""
+    """Trunks, level branches and leaves in a box of the world frame; equal arguments give the same objects."""
     rng = np.random.default_rng(0)
     bottom, top = np.array(low), np.array(high)
     middle = (bottom[1] + top[1]) / 2
@@ -75,7 +75,7 @@ def row_of_trees(
 
 @lru_cache(maxsize=8)
 def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
-    """Level ground around a place; the same object for the same place."""
+    """Level ground around a place; equal arguments give the same object."""
     return chequered((x - SPREAD / 2, y - SPREAD / 2), (x + SPREAD / 2, y + SPREAD / 2), height, SQUARE, GROUND[dark])
 
 
@@ -88,7 +88,7 @@ def pedestal(x: float, y: float, ground: float, top: float, radius: float) -> Me
 
 
 def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: float) -> Solids:
-    """A crate on legs with the ``count`` fruit that are picked, in the lower left of what the eye sees."""
+    """A crate on legs that holds ``count`` picked fruit, in the lower left of what the eye sees."""
     distance = float(np.linalg.norm(eye.target - eye.position))
     corner = eye.point_at((CRATE[0] * size[0], CRATE[1] * size[1]), distance, size)
     wide, along = 5, diameter * 1.05
@@ -108,5 +108,5 @@ def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: 
 
 
 def fruit_colours(count: int) -> Array:
-    """The colour of ripe fruit for ``count`` of them, (count, 3), to be changed for some."""
+    """The colours of ``count`` fruit, all ripe at first (count, 3); the caller may change some."""
     return np.tile(np.array(RIPE), (count, 1))

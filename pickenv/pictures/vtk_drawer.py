@@ -1,7 +1,7 @@
 """Draws stages with VTK, off screen: lit, with smooth edges, on a graphics adapter or on the processor.
 
-Surfaces that stay the same between pictures are handed over once; all that moves is one set of triangles, which costs
-less than to move many bodies one by one.
+VTK gets surfaces that stay the same between pictures once. All moving bodies are passed to it as one set of opaque and
+one set of transparent triangles, which costs less than moving many bodies one by one.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from pickenv.pictures.stage import Eye, Mesh, Pixels, Stage, backdrop
 
 _NUMPY: Any = numpy_support  # it carries no annotations
 MOST_KEPT = 16
-"""Surfaces that are kept although a picture shows them no more."""
+"""Largest number of surfaces that are kept for later pictures."""
 
 
 class VtkDrawer:
-    """One window without a screen, and what stands in it.
+    """A VTK window without a screen, with its lights and the bodies that it shows.
 
     Args:
         size: Width and height of its pictures, px.
@@ -56,7 +56,7 @@ class VtkDrawer:
         self.kept: dict[int, tuple[Mesh, _Body]] = {}
 
     def draw(self, stage: Stage) -> Pixels:
-        """The stage without its words, ``(height, width, 3)``."""
+        """Draw a stage without its words and dial: ``(height, width, 3)``."""
         self._keep(stage.still)
         parts = [rod_triangles(rods) for rods in (*stage.rods, *stage.balls) if len(rods.start)]
         parts += [mesh_triangles(mesh) for mesh in stage.meshes]
@@ -78,7 +78,7 @@ class VtkDrawer:
         return flat.reshape(self.size[1], self.size[0], 3)[::-1].copy()
 
     def _keep(self, still: tuple[Mesh, ...]) -> None:
-        """Show these surfaces and no others of those that are kept."""
+        """Show the given still surfaces, hide all others, and drop some of the hidden ones where too many are kept."""
         for _, body in self.kept.values():
             body.actor.VisibilityOff()
         for surface in still:
@@ -113,7 +113,7 @@ class _Body:
             look.BackfaceCullingOn()
 
     def show(self, triangles: Mesh) -> None:
-        """Take these triangles in place of those before."""
+        """Replace the body's triangles by these."""
         corners, normals = (
             _NUMPY.numpy_to_vtk(np.ascontiguousarray(vectors, np.float32), deep=1)
             for vectors in (triangles.corners, triangles.normals)
@@ -133,7 +133,7 @@ class _Body:
 
 
 def _some(part: Mesh, opaque: bool) -> Mesh:
-    """The opaque triangles of a set, or the others."""
+    """The opaque triangles of a set where ``opaque`` is true, else its transparent ones."""
     mask = (part.colour[part.triangles[:, 0], 3] == 255) == opaque
     return part if mask.all() else replace(part, triangles=part.triangles[mask])
 

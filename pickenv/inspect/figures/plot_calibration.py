@@ -1,4 +1,4 @@
-"""Figures of an identification: convergence, what the poses can tell, how they fill the joint ranges.
+"""Figures of an identification: convergence, identifiability from the poses, and coverage of the joint ranges.
 
 Each function takes plain arrays and returns a matplotlib figure.
 """
@@ -24,7 +24,7 @@ NAME_ROOM = 0.15
 NUMBER_ROOM = 0.22
 """Inches along the axis that a number of up to three digits takes."""
 CELLS_ALONG = 26
-"""Cells of a map of uncertainty along its longer side."""
+"""Number of cells along the longer side of a map of uncertainty."""
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
@@ -79,13 +79,13 @@ def parameter_spectrum(
     names: Sequence[str] | None = None,
     threshold: float | None = None,
 ) -> Figure:
-    """Identifiability of each parameter from the poses: the diagonal of R of a pivoted QR, or singular values.
+    """Identifiability of parameters from the poses: the diagonal of R of a pivoted QR, or singular values.
 
     Args:
         magnitudes: |R_ii| of a pivoted QR, or singular values ``(P,)``, all in one (scaled) unit.
-        kept: Whether each one was kept ``(P,)``.
-        names: Parameter names in the same order, for a diagonal of R; none for singular values.
-        threshold: Value below which one is dropped; drawn when given.
+        kept: Whether each parameter (or singular value) was kept ``(P,)``.
+        names: Parameter names in the same order, for a diagonal of R; None for singular values.
+        threshold: Magnitude below which a parameter is dropped; drawn when given.
     """
     values, kept = style.finite_series({"magnitudes": magnitudes})["magnitudes"], np.asarray(kept, dtype=bool)
     if kept.shape != values.shape or (names is not None and len(names) != len(values)):
@@ -123,12 +123,12 @@ def parameter_spectrum(
 
 
 def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike) -> Figure:
-    """Mean predicted uncertainty in square cells of the plane through the base's axis, Viridis.
+    """Map of the mean predicted uncertainty, in Viridis, in square cells of distance from the base and height.
 
     Args:
         distance_mm: Distance from the base of each pose ``(N,)``, mm.
-        height_mm: Height above it ``(N,)``, mm.
-        uncertainty_mm: Standard uncertainty ``(N,)``, mm.
+        height_mm: Height of each pose above the base ``(N,)``, mm.
+        uncertainty_mm: Standard uncertainty at each pose ``(N,)``, mm.
     """
     series = {"distance": distance_mm, "height": height_mm, "uncertainty": uncertainty_mm}
     x, y, values = style.finite_series(series).values()
@@ -150,8 +150,8 @@ def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
     """Coverage of the measured joint ranges by pose sets: each joint's distribution, and each pair of joints.
 
     Args:
-        geometry: Gives the joints' names, kinds and limits; the title says what share of those was measured.
-        sets: For each set, by label (identification, training, test), its joints ``(N, n)``, rad or m.
+        geometry: Gives the joints' names, kinds and limits; the title says what share of these ranges the poses span.
+        sets: Joint values ``(N, n)``, rad or m, of each pose set, by label (identification, training, test).
     """
     n, scale = geometry.joints, np.where(geometry.prismatic, 1e3, np.degrees(1.0))
     least, most = geometry.lower * scale, geometry.upper * scale

@@ -1,8 +1,8 @@
-"""Figures of errors: as arrows across the workspace and on pictures of a board, at each pose, by method, distributed.
+"""Figures of errors: arrows across the workspace or on pictures of a board, errors by pose and method, distributions.
 
-Fields are projected orthographically here, so that arrows are drawn from far to near and stay crisp at any size. On
-pictures an arrow starts where a corner is predicted and points to where it was found. Arrows are longer than true by
-the factor that a figure states; their colour is their true length. Units: m, mm, px.
+This module projects fields orthographically, so that arrows are drawn from far to near and stay crisp at any size. On
+pictures an arrow starts where a corner is predicted and points to where the corner was detected. Arrows are longer than
+true by the factor that a figure states; their colour shows the true length. Units: m, mm, px.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import eye_direction, shown_box
 
 PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.5
-"""Inches; the latter is the height of the titles and the colour bar."""
+"""Width of one panel, and height of the titles and the colour bar together, inches."""
 MOST_ARROWS = 400
 """More arrows than this would cover each other: only every second, third … cell along each axis is drawn."""
 
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "headwidth": 3.5, "minlength": 0.0}
-"""Arrows that are vectors in the units of the axes."""
+"""Matplotlib's settings for arrows whose vectors are in the units of the axes."""
 
 SLICES = 3
-"""Slices of a field at most, evenly taken from those of its grid."""
+"""Largest number of slices of a field that are drawn, evenly chosen from its grid's layers."""
 
 LONGEST = 0.1
 """Length of the longest arrow, as a share of the picture's width."""
 
 MOST_VIEWS, BESIDE = 9, 3
-"""Views drawn at most, the worst first, and how many stand beside each other."""
+"""Largest number of views drawn, the worst first, and number of views in a row."""
 
 PICTURE_WIDTH, FAINT = 320, 0.4
-"""Pictures behind arrows: their width, px, and opacity."""
+"""Width, px, and opacity of the pictures behind arrows."""
 ARROWS: dict[str, Any] = QUIVER | {"scale": 1.0, "width": 0.008, "zorder": 2.0}
 BOXES: dict[str, Any] = {
     "medianprops": {"color": style.INK, "linewidth": 1.4},
@@ -60,9 +60,9 @@ BOXES: dict[str, Any] = {
     "capprops": {"color": style.SOFT},
 }
 GROUPS = 8
-"""Groups of poses at most whose mean error is drawn against what it may depend on."""
+"""Largest number of groups of poses whose mean errors are drawn against a possible cause."""
 WIDEST = 16
-"""Characters of a label beside others, above which what is added by + stands on lines of its own."""
+"""Largest number of characters of a label on one line; longer labels break before each +."""
 
 
 def error_fields(comparison: Comparison) -> Figure:
@@ -114,10 +114,10 @@ def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np
 
 
 def field_gain(step: float, top_mm: float) -> float:
-    """Factor by which one field's arrows are longer than true, in every figure of it: a round number.
+    """Factor by which a field's arrows are longer than true, in every figure of the field: a round number.
 
-    That of recordings where the longest arrow then takes a quarter of a cell or more and no more than one and a half;
-    elsewhere so that arrows nearly touch.
+    The factor is the same as in recordings, `GAIN` of `comparison_summary`, if this makes the longest arrow 0.25 to 1.5
+    cells long. Otherwise the factor is such that arrows nearly touch.
 
     Args:
         step: Cell size of the field, m.
@@ -128,16 +128,16 @@ def field_gain(step: float, top_mm: float) -> float:
 
 
 def round_down(value: float) -> float:
-    """The largest of 1, 2, 3, 4, 5 and 8 times a power of ten that is not above ``value``: for gains."""
+    """Round a factor down to 1, 2, 3, 4, 5 or 8 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(m for m in (1.0, 2.0, 3.0, 4.0, 5.0, 8.0) if m * power <= value * (1.0 + 1e-9)))
 
 
 class _View:
-    """Orthographic projection along the eye's direction; x to the right, y up, depth towards the eye. Metres.
+    """Orthographic projection along the eye's direction; x to the right, y up, depth towards the eye. Units: m.
 
-    `corners` ``(8, 3)`` are those of the field's box; bits 4, 2 and 1 of their numbers say where x, y and z are high.
-    `low` and `high` ``(2,)`` bound a panel: the box, and room for the writing along its edges.
+    `corners` ``(8, 3)`` are the corners of the field's box; bits 4, 2 and 1 of a corner's number are set where its x, y
+    and z are high. `low` and `high` ``(2,)`` bound a panel: the box, and room for the words along its edges.
     """
 
     def __init__(self, comparison: Comparison) -> None:
@@ -153,7 +153,7 @@ class _View:
         self.low, self.high = flat.min(axis=0) - margin, flat.max(axis=0) + margin * np.array([1.0, 0.2])
 
     def flat(self, points: Array) -> Array:
-        """Points ``(..., 3)`` in the picture's plane ``(..., 2)``."""
+        """Project points ``(..., 3)`` onto the picture's plane ``(..., 2)``."""
         return np.asarray((points - self.centre) @ self.plane)
 
     def depth(self, points: Array) -> Array:
@@ -162,7 +162,7 @@ class _View:
 
 
 def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, top: float) -> None:
-    """Errors ``(N, 3)`` at points ``(N, 3)``, m, from far to near; `top` is the end of the colour scale, mm."""
+    """Draw arrows of errors ``(N, 3)`` at points ``(N, 3)``, m, from far to near; colours end at `top` mm."""
     order = np.argsort(view.depth(start))
     start, error = start[order], error[order]
     colours = viridis(np.linalg.norm(error, axis=-1) * 1e3 / top) / 255.0
@@ -187,7 +187,7 @@ def _arrow_outlines(tail: Array, tip: Array, width: float) -> Array:
 
 
 def _box(axes: Axes, view: _View) -> None:
-    """Wire box around the field, with the range of each axis written along one of its outer edges."""
+    """Draw a wire box around the field, with each axis's range written along one of its edges."""
     farthest = int(np.argmin(view.depth(view.corners)))
     near: dict[str, Any] = {"linewidth": 0.9, "linestyle": "-", "alpha": 1.0}
     hidden: dict[str, Any] = {"linewidth": 0.5, "linestyle": ":", "alpha": 0.6}
@@ -200,7 +200,7 @@ def _box(axes: Axes, view: _View) -> None:
 
 
 def _axis_text(axes: Axes, view: _View, axis: int) -> None:
-    """Name, unit and range of one axis, outside the box edge parallel to it that lies lowest (or, for z, leftmost)."""
+    """Write an axis's name, unit and range outside the lowest box edge parallel to it (for z, the leftmost)."""
     bit = 4 >> axis
     flat, values = view.flat(view.corners), view.corners[:, axis]
     edges = [(i, i | bit) for i in range(8) if not i & bit]
@@ -216,7 +216,7 @@ def _axis_text(axes: Axes, view: _View, axis: int) -> None:
 
 
 def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
-    """The nominal arm at the reach whose fruit is nearest to the middle, for orientation."""
+    """Draw the nominal arm, for orientation, at the end of the reach with the fruit nearest to the middle."""
     if not len(comparison.fruit):
         return
     nearest = int(np.argmin(np.linalg.norm(comparison.fruit - view.centre, axis=-1)))
@@ -228,7 +228,7 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
 
 
 def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
-    """The one scale of all panels, Viridis from 0 to ``top`` mm, below them; ``first`` is whose errors set its end."""
+    """Draw one colour scale for all panels, Viridis from 0 to ``top`` mm; the errors of ``first`` set its end."""
     scale = ScalarMappable(Normalize(0.0, top), "viridis")
     look: dict[str, Any] = {"location": "bottom", "aspect": 60, "shrink": 0.8, "pad": 0.02, "extend": "max"}
     bar = style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
@@ -245,7 +245,7 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
 
     Args:
         points: Wanted tool positions on the grid ``(F, 3)``, m.
-        errors: For each method, by label, true minus wanted position ``(F, 3)``, m.
+        errors: True minus wanted position ``(F, 3)``, m, for each method, by label.
         step: Distance of neighbouring grid points, m.
 
     Raises:
@@ -292,7 +292,7 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
 
 
 def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position error", unit: str = "mm") -> Figure:
-    """Error at each test pose on a logarithmic axis, a mark per pose and method: before and after calibration.
+    """Error of each method, such as before and after calibration, at each test pose, on a logarithmic axis.
 
     Args:
         errors: For each method, by label, its errors ``(N,)``, in ``unit``.
@@ -320,7 +320,7 @@ def error_by_method(
     logarithmic: bool = False,
     counted: str = "poses",
 ) -> Figure:
-    """Box plot of errors by method: quartiles, whiskers to 1.5 times their distance, outliers and mean.
+    """Box plot of errors by method: quartiles, whiskers to 1.5 times the quartiles' distance, outliers and mean.
 
     Args:
         errors: For each method, by label, its errors ``(N,)`` in ``unit``.
@@ -387,8 +387,8 @@ def error_cumulative(
         errors: For each method, by label, its errors ``(N,)`` in ``unit``.
         quantity: What the errors are, for the axis.
         unit: Their unit.
-        tolerance: Drawn as a line when given.
-        counted: What the shares are of.
+        tolerance: Tolerance in ``unit``, drawn as a line when given.
+        counted: Name of the things counted, such as poses, in the words of the axis.
     """
     series = style.finite_series(errors)
     words = f"{quantity} ({unit})", f"{counted} within it (%)"
@@ -411,7 +411,7 @@ def error_cumulative(
 
 
 def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name: str, unit: str) -> Figure:
-    """Position error against what it may depend on: extension, payload, temperature; a mark per pose, and their mean.
+    """Position error at each pose against a possible cause (extension, payload, temperature), with means of groups.
 
     Args:
         cause: The quantity at each pose ``(N,)``, in ``unit``.
@@ -443,7 +443,7 @@ def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name:
 
 
 def _better(series: Mapping[str, Array]) -> str:
-    """At how many poses the last method errs less than the first, or a single one's mean."""
+    """The title: at how many poses the last method errs less than the first, or a single method's largest error."""
     (first, before), (last, after) = next(iter(series.items())), list(series.items())[-1]
     if first == last or len(before) != len(after):
         return f"{last} at {len(after)} poses: largest {style.short(float(after.max()))}"
@@ -451,7 +451,7 @@ def _better(series: Mapping[str, Array]) -> str:
 
 
 def _groups(x: Array) -> list[NDArray[np.intp]]:
-    """Rows that lie together in ``x``: one group per value, or `GROUPS` of equal size where there are more values."""
+    """Group rows by their values ``x``: a group per value, or `GROUPS` of about equal size for more values."""
     values = np.unique(x)
     if len(values) <= GROUPS:
         return [np.flatnonzero(x == value) for value in values]
@@ -459,7 +459,7 @@ def _groups(x: Array) -> list[NDArray[np.intp]]:
 
 
 def corner_errors(views: Sequence[ViewErrors]) -> Figure:
-    """The errors of all views in one plane: what a lens leaves shows as a pattern.
+    """The errors of all views in one plane, where lens distortion that is not described yet shows as a pattern.
 
     Raises:
         InputError: If there is no corner to draw.
@@ -477,7 +477,7 @@ def corner_errors(views: Sequence[ViewErrors]) -> Figure:
 
 
 def view_errors(views: Sequence[ViewErrors]) -> Figure:
-    """The errors of each view on its picture, the worst first, nine at most; without a picture the corners alone.
+    """The errors of the nine worst views, each on its picture, the worst first; without a picture, the corners alone.
 
     Raises:
         InputError: If there is no corner to draw.
@@ -509,7 +509,7 @@ def view_errors(views: Sequence[ViewErrors]) -> Figure:
 
 
 def faint_picture(path: str | Path) -> Array | None:
-    """Grey values of a picture, made small ``(h, w)``; None where it cannot be read."""
+    """Grey values ``(h, w)`` of a picture reduced to `PICTURE_WIDTH`; None where the picture cannot be read."""
     try:
         with Image.open(path) as opened:
             opened.draft("L", (PICTURE_WIDTH, PICTURE_WIDTH))
@@ -526,7 +526,7 @@ def _size(views: Sequence[ViewErrors]) -> tuple[int, int]:
 
 
 def _scale(views: Sequence[ViewErrors]) -> tuple[float, float]:
-    """Factor by which the arrows are longer than true, and the longest error, px."""
+    """Factor by which arrows on views are longer than true, and the longest error, px."""
     width, _ = _size(views)
     top = max(float(np.linalg.norm(view.errors, axis=1).max(initial=0.0)) for view in views)
     return round_down(LONGEST * width / max(top, 1e-9)), max(top, 1e-9)

@@ -1,6 +1,6 @@
-"""Figures of numbers with their 95 % intervals: whiskers side by side, or lines with bands along a number.
+"""Figures of numbers with their 95 % intervals: whiskers side by side, or lines with bands along another number.
 
-Among these are a calibration's errors along the conditions of work.
+One of these figures shows a calibration's errors along the conditions of work.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from pickenv.inspect.figures.style import LINES, WIDTH, alike, change, new_figur
 
 Row = Mapping[str, Any]
 UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
-"""What the name of a column of numbers may end in."""
+"""Units that the name of a column of numbers may end in."""
 
 LINE_INCHES = 0.17
-"""Height of a whisker with the room around it."""
+"""Height of a whisker with the room around it, inches."""
 
 METHODS = (BLUE, GREEN, *OTHERS[:2], GREY)
-"""Colours of what is not raw, in turn."""
+"""Colours of methods other than raw, in turn."""
 ALIKE = 0.01
-"""Methods whose errors differ nowhere by more than this share are drawn once."""
+"""Methods whose errors differ by less than this share everywhere are drawn as one line."""
 
 
 def estimates_figure(
@@ -44,12 +44,12 @@ def estimates_figure(
     """Numbers with their intervals; an open end of a whisker is an arrow.
 
     Args:
-        rows: Each with the columns of ``by`` and "estimate", as from `pickenv.base.intervals.estimate`.
+        rows: One row per number, with the columns of ``by`` and "estimate", as `pickenv.base.intervals.estimate` gives.
         label: What the numbers are, with their unit.
-        by: Columns that name a number.
-        x: A column of numbers, which lines are drawn along; whiskers are drawn when None.
-        colour: The column that colours tell apart; the first that is none of the others when None.
-        panels: A column whose levels have a panel each.
+        by: Columns that together name a number.
+        x: A column of numbers along which lines are drawn; None draws whiskers.
+        colour: The column whose values have a colour each; None takes the last of ``by`` but ``x`` and ``panels``.
+        panels: A column whose values have a panel each.
         log: Whether the numbers' axis is logarithmic.
         scale: Factor on the numbers.
     """
@@ -91,7 +91,7 @@ def estimates_figure(
 
 
 def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None) -> str:
-    """The numbers of the first line, or those that the lines of the first panel end at."""
+    """The title: the first panel's numbers by colour, at the first place or, with ``x``, where its lines end."""
     first = [row for row in rows if panels is None or row[panels] == rows[0][panels]]
     if x is not None:
         last = max(float(row[x]) for row in first)
@@ -104,7 +104,7 @@ def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None)
 
 
 def _in_words(column: str) -> str:
-    """A column's name with the unit that it ends in: time (h) of time_h; of a column without one, pick (number)."""
+    """A column's name with its unit, or (number) where it has none: time (h) for time_h, pick (number) for pick."""
     name, _, unit = column.rpartition("_")
     return f"{name.replace('_', ' ')} ({unit})" if unit in UNITS and name else f"{column} (number)"
 
@@ -117,7 +117,7 @@ def _scaled(number: Estimate, scale: float) -> Estimate:
 def _lines(
     axis: Any, rows: Sequence[Row], x: str, names: Sequence[str], colour: str, colours: Mapping[Any, Any]
 ) -> None:
-    """A line with its band for each combination of the columns ``names``."""
+    """Draw a line with its band for each combination of values in the columns ``names``."""
     series: dict[tuple[Any, ...], list[Row]] = {}
     for row in rows:
         series.setdefault(tuple(row[name] for name in names), []).append(row)
@@ -138,7 +138,7 @@ def _whiskers(
     colour: str,
     colours: Mapping[Any, Any],
 ) -> None:
-    """A whisker for each row, at the height of its place: a combination of the columns ``names``."""
+    """Draw a whisker for each row at the height of its place, a combination of values in the columns ``names``."""
     keys = list(colours)
     for row in rows:
         key, number = row.get(colour, ""), row["estimate"]
@@ -149,11 +149,11 @@ def _whiskers(
 
 
 def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[str, str]) -> Figure:
-    """Mean position error against each condition, a panel each, a line per method with its 95 % interval.
+    """Mean position error against each condition: a panel per condition, a line per method with its 95 % interval.
 
     Args:
-        sweeps: For each condition, its levels and for each method a mean and an interval (or None) at every level, mm.
-        names: What each axis is called.
+        sweeps: For each condition, its levels and, for each method, mean and interval (or None) at every level, mm.
+        names: Label of the axis of each condition, by the condition's name.
     """
     sweeps = {name: sweep for name, sweep in sweeps.items() if len(sweep["levels"]) > 1}
     if not sweeps:

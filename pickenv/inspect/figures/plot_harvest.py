@@ -22,7 +22,7 @@ from pickenv.inspect.runs.harvest_trace import PickedTree
 
 
 def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
-    """A lane per arm over the clock of one tree, a panel per strategy; hollow bars are empty cups.
+    """Gantt of one tree: a panel per strategy, a lane per arm over time; hollow bars are picks with an empty cup.
 
     Args:
         trees: One tree of each strategy, by name.
@@ -52,7 +52,7 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
 
 
 def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
-    """The tree's side with its fruit by the arm that collected it, and the zones; a panel per strategy."""
+    """Side view of one tree's fruit by the arm that collected each, with the zones; a panel per strategy."""
     _something(trees)
     with style.new_figure(style.WIDTH, 3.2, **{"axes.grid": False}) as figure:
         panels: Any = figure.subplots(1, len(trees), sharey=True, squeeze=False)[0]
@@ -75,10 +75,10 @@ def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
 
 
 def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
-    """Share of present fruit that gets to each stage, by strategy.
+    """Share of the fruit present that gets to each stage, by strategy.
 
     Args:
-        funnels: For each strategy, the number of fruit at each stage; the first stage is what all are shares of.
+        funnels: For each strategy, the number of fruit at each stage; shares are of the number at the first stage.
     """
     _something(funnels)
     stages = list(next(iter(funnels.values())))
@@ -115,11 +115,11 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
 
 
 def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]] = ()) -> Figure:
-    """The cups' workspace, from above and from the side.
+    """The workspace of the cups, from above and from the side.
 
     Args:
-        cloud: Cups at joints drawn evenly within the limits ``(N, arms, 3)``, m.
-        boxes: Ranges of x, y and z, m, to be drawn dashed, such as a paper's.
+        cloud: Places of the cups ``(N, arms, 3)``, m, for joint values drawn evenly within the limits.
+        boxes: Boxes to be drawn dashed, such as a paper's: the ranges of x, y and z of each, m.
     """
     cloud = np.asarray(cloud, dtype=float)
     if cloud.ndim != 3 or not len(cloud):
@@ -144,12 +144,12 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]]
 
 
 def joint_displacements(time: ArrayLike, moved: Mapping[str, ArrayLike], turning: Sequence[str] = ()) -> Figure:
-    """Displacement of each joint over time: sliding joints left, turning ones right; a pattern per joint of an arm.
+    """Displacement of each joint over time: sliding joints left, turning ones right; a line pattern per joint.
 
     Args:
         time: Times ``(T,)``, s.
-        moved: Displacement of each joint, by name ``(T,)``, m or rad.
-        turning: Names of those that turn, rad.
+        moved: Displacement of each joint ``(T,)``, m or rad, by the joint's name.
+        turning: Names of the joints that turn, whose displacements are in rad.
     """
     parts: dict[str, list[str]] = {}
     for name in moved:

@@ -21,13 +21,13 @@ from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 
 SMALLEST = 1e-3
-"""Errors below a micrometre are drawn there, mm."""
+"""Errors below a micrometre are drawn at a micrometre, mm."""
 HEIGHTS = 3
-"""Layers of the workspace that a map of differences shows."""
+"""Number of layers of the workspace that a map of differences shows."""
 
 
 def distance_over_time(episodes: RecordedEpisodes) -> Figure:
-    """Distance between tool and fruit in every episode, on a logarithmic axis, with what the gripper forgives."""
+    """Distance between tool and fruit in every episode, on a logarithmic axis, with the gripper's tolerance."""
     words = "time in the episode (s)", "distance to the fruit (mm)"
     with style.new_panel(style.WIDTH, 3.2, *words, legend=len(episodes.policies) + 1) as (figure, axes):
         axes.set_yscale("log")
@@ -79,11 +79,11 @@ Estimated = tuple[float, tuple[float | None, float | None] | None]
 
 
 def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> Figure:
-    """Figures of errors with 95 % intervals, on a logarithmic axis; an arrow where the data bound no end.
+    """Estimates of errors with 95 % intervals, on a logarithmic axis; an arrow where the data do not bound an end.
 
     Args:
-        panels: For each scene, for each statistic (a panel), for each policy (a line with the scene), for each
-            compensation (a colour): the estimate, mm.
+        panels: The estimate, mm, for each scene, statistic, policy and compensation, nested in this order. A statistic
+            has a panel, a policy with a scene has a line, and a compensation has a colour.
 
     Raises:
         InputError: If there is nothing to draw.
@@ -102,7 +102,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
 
 
 def _drawable(number: Estimated) -> Estimate:
-    """A number with its interval on a logarithmic axis, which has no zero."""
+    """An estimate fit for a logarithmic axis: the number and its interval's ends raised to `SMALLEST` at least."""
     value, ends = number
     low, high = (None if end is None else max(end, SMALLEST) for end in ends or (None, None))
     return Estimate(max(value, SMALLEST), None if ends is None else (low, high))
@@ -112,11 +112,11 @@ def success_against_misalignment(
     curves: Mapping[str, tuple[ArrayLike, ArrayLike]],
     points: Mapping[str, Mapping[str, tuple[float, Estimated]]],
 ) -> Figure:
-    """Success of each gripper against lateral misalignment, and where policies lie on the curves.
+    """Each gripper's success against lateral misalignment, and the policies' mean errors and successes.
 
     Args:
         curves: For each gripper, misalignment ``(N,)``, mm, and probability of success ``(N,)``.
-        points: For each policy, by gripper, its mean error, mm, and its share of successes with its interval.
+        points: For each policy, by gripper, the policy's mean error, mm, and its share of successes with the interval.
     """
     colours = style.shades(points)
     with style.new_panel(style.WIDTH, 2.8, "lateral misalignment (mm)", "success (%)", legend=3) as (figure, axes):
@@ -142,7 +142,7 @@ def success_against_misalignment(
 
 
 def _seen_to(curves: Mapping[str, tuple[ArrayLike, ArrayLike]], farthest: float) -> float:
-    """End of the misalignments that are shown, mm: where the first gripper loses half, and where the policies are."""
+    """Largest misalignment shown, mm: beyond where the first gripper's success has halved, and beyond all policies."""
     ends = [x[share <= 0.5 * share[0]][:1] for x, share in (map(np.asarray, curve) for curve in curves.values())]
     half = min((float(end[0]) for end in ends if len(end)), default=0.0)
     return 1.3 * max(half, farthest, 1.0)
@@ -151,13 +151,13 @@ def _seen_to(curves: Mapping[str, tuple[ArrayLike, ArrayLike]], farthest: float)
 def accuracy_against_cycle_time(
     curves: Mapping[tuple[str, str], ArrayLike], period: float, *, title: str = ""
 ) -> Figure:
-    """Mean error if the pick were made after each step, and the best of all curves so far.
+    """Mean error that a pick made after each step would have, and the least error of all curves so far.
 
     Args:
-        curves: Mean error after each step ``(T,)``, mm, of each policy with each compensation, by the labels of both;
-            the policy gives the line's pattern, the compensation its colour.
+        curves: Mean error after each step ``(T,)``, mm, by the labels of policy and compensation; the policy gives the
+            line's pattern, the compensation its colour.
         period: Time of a step, s.
-        title: Added to the title, such as the plant's name.
+        title: Words added to the title, such as the plant's name.
 
     Raises:
         InputError: If there is no curve, or one is empty or not finite.
@@ -195,8 +195,8 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
     """Pose accuracy AP and repeatability RP of ISO 9283 at each test pose, by controller.
 
     Args:
-        accuracy_mm: For each controller, AP at P1 to P5.
-        repeatability_mm: For each controller, RP at the same poses.
+        accuracy_mm: For each controller, AP at the poses P1 to P5, mm.
+        repeatability_mm: For each controller, RP at the same poses, mm.
     """
     kinds = {"AP": style.finite_series(accuracy_mm), "RP": style.finite_series(repeatability_mm)}
     with style.new_figure(style.WIDTH, 2.6) as figure:
@@ -216,11 +216,11 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
 
 
 def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Figure:
-    """Pose accuracy at P1 over the hours after the cold arm was switched on.
+    """Pose accuracy AP at the ISO 9283 pose P1 over the hours after the cold arm was switched on.
 
     Args:
-        hours: Times ``(T,)``, h.
-        accuracy_mm: For each controller, AP at those times ``(T,)``.
+        hours: Times since the arm was switched on ``(T,)``, h.
+        accuracy_mm: For each controller, AP at those times ``(T,)``, mm.
     """
     series = style.finite_series(accuracy_mm)
     with style.new_panel(style.COLUMN, 2.6, "time since switched on (h)", "AP at P1 (mm)") as (figure, axes):

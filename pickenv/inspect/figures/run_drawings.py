@@ -1,4 +1,4 @@
-"""The figures that a run's numbers allow, each with a caption, and those that are left out, with the reason."""
+"""The figures that a run's numbers allow, each with a caption, and the figures that they do not, with the reason."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ CAPTIONS = {
     "there are ten trees or more.",
     "joint_curves": "How the joints move from the start to a pick point and on to three fruit.",
 }
-"""What a figure of a run shows, by name."""
+"""Captions of a run's figures, by the figure's name."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ class Drawing:
 
     Attributes:
         name: File name without suffix.
-        caption: What it shows, in a sentence; of one that is left out why, and what would allow it.
-        draw: Draws it; None where it is left out.
-        spec: Plotly's data and layout where it comes alive in a browser; what `draw` draws is for print.
-        hint: What a reader can do with it then.
+        caption: What the figure shows, in a sentence; for a figure left out, why, and what would allow it.
+        draw: Function that draws the figure; None where it is left out.
+        spec: Plotly's data and layout of a figure that is interactive in a browser; `draw` then is for print.
+        hint: What a reader can do with the interactive figure.
     """
 
     name: str
@@ -89,7 +89,7 @@ def write_drawings(
     formats: Sequence[str] = ("svg", "png"),
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[Path]:
-    """Draw all that can be drawn into ``folder``, each in every format.
+    """Draw all figures that can be drawn into ``folder``, each in every format; the paths of the files.
 
     Raises:
         InputError: If a format is unknown or the folder cannot be written.
@@ -107,12 +107,12 @@ def write_drawings(
 
 
 def norms_mm(errors: Mapping[str, Array]) -> dict[str, Array]:
-    """Lengths of position errors ``(M,)``, mm, from pose errors ``(M, 6)`` or positions' ``(M, 3)``, m."""
+    """Lengths of position errors ``(M,)``, mm, by label, from pose errors ``(M, 6)`` or position errors ``(M, 3)``."""
     return {label: np.asarray(np.linalg.norm(error[:, :3], axis=1) * 1e3) for label, error in errors.items()}
 
 
 def captioned(name: str, draw: Callable[..., Figure], /, *data: Any, **options: Any) -> Drawing:
-    """A figure of which `CAPTIONS` says what it shows: ``draw`` makes it of data and options."""
+    """A drawing with the caption that `CAPTIONS` has for its name; ``draw`` makes it from the data and options."""
     return Drawing(name, CAPTIONS[name], partial(draw, *data, **options))
 
 
@@ -154,7 +154,7 @@ def _success(comparison: Comparison) -> Figure:
 
 
 def trace_drawings(trace: CalibrationTrace) -> Drawings:
-    """Figures of a calibration: held-out errors, what they depend on, convergence, identifiability, coverage."""
+    """Figures of a calibration: held-out errors and their causes, convergence, identifiability, coverage."""
     mm, threshold = norms_mm(trace.errors), REDUNDANCY_TOLERANCE * float(trace.r_diagonal.max())
     attitude = None if trace.attitude_rms is None else np.degrees(trace.attitude_rms)
     diagonal: dict[str, Any] = {"names": trace.names, "threshold": threshold}
@@ -180,13 +180,13 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
 
 
 def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
-    """Figures of views with their reprojection errors; none without views."""
+    """Figures of views with their reprojection errors; an empty list without views."""
     figures = {"corner_errors": plot_errors.corner_errors, "view_errors": plot_errors.view_errors}
     return [captioned(name, draw, views) for name, draw in figures.items()] if views else []
 
 
 def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing:
-    """Errors against a condition; left out where it was not recorded or never changed."""
+    """The figure of errors against a condition, left out where the condition was not recorded or never changed."""
     drawing = f"error_against_{name}"
     if values is None:
         return Drawing(drawing, f"no {name} was recorded with the held-out poses; measure it with them")

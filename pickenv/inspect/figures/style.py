@@ -1,6 +1,6 @@
-"""The look of figures, and their files: for papers and reports, readable at column width, by anyone's eyes.
+"""The look and the files of figures: for papers and reports, readable at column width, also for the colour-blind.
 
-No global state of matplotlib is used, so figures can be made anywhere, also without a screen. Axes name their units.
+It uses no global state of matplotlib, so figures can be made anywhere, also without a screen. Axes name their units.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from pickenv.inspect.colours import BLUE, GREEN, RED, Rgb, policy_colours
 
 PIXELS_PER_INCH = 220
 COLUMN, WIDTH = 3.5, 7.2
-"""Inches: one column of a journal's page, and both."""
+"""Widths of one column and of both columns of a journal's page, inches."""
 LETTER = 0.083
-"""Inches that a letter of a title takes in the mean."""
+"""Mean width of a letter of a title, inches."""
 LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKS = "os^Dv"
-"""Patterns and marks in turn, where colour has another meaning."""
+"""Line patterns (`LINES`) and marks to tell curves apart, in turn, where colour has another meaning."""
 
 INK, SOFT, RULE, PAPER = "#1c2024", "#5b6470", "#dde1e6", "#ffffff"
-"""Text and marks; axes and what stands back; grid lines; behind it all. Pages put their own in place of these."""
+"""Colours of text and marks; of axes and secondary parts; of grid lines; of the background. Pages replace them."""
 
 THEME: dict[str, str] = {INK: "ink", SOFT: "soft", RULE: "rule", PAPER: "paper"} | {
     "#{:02x}{:02x}{:02x}".format(*colour): variable
     for colour, variable in ((BLUE, "after"), (GREEN, "best"), (RED, "bad"))
 }
-"""Colours of figures that a page's style sheet replaces, by its variable; all others fit both backgrounds."""
+"""The style sheet's variable for each colour that a page replaces; other colours fit light and dark backgrounds."""
 STYLE: dict[str, Any] = {
     "font.size": 8.0,
     "axes.titlesize": 9.0,
@@ -80,7 +80,7 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
 
 def check_format(suffix: str, path: str | Path) -> None:
-    """Refuse a picture format that matplotlib does not know; ``path`` is what could not be written."""
+    """Refuse a picture format that matplotlib does not know with an `InputError` that names the ``path`` to write."""
     formats = sorted(FigureCanvasBase.get_supported_filetypes())
     if suffix.lower() not in formats:
         raise InputError(f"cannot write {path}: '{suffix}' is no picture format; give one of {', '.join(formats)}")
@@ -88,7 +88,7 @@ def check_format(suffix: str, path: str | Path) -> None:
 
 @contextmanager
 def style(**more: Any) -> Iterator[None]:
-    """Draw in the house's style, and leave matplotlib's settings as they were."""
+    """Apply pickenv's style while drawing; matplotlib's settings are restored afterwards."""
     settings: Any = {**STYLE, **more}
     with matplotlib.rc_context(settings):
         yield
@@ -96,7 +96,7 @@ def style(**more: Any) -> Iterator[None]:
 
 @contextmanager
 def new_figure(width: float, height: float, **more: Any) -> Iterator[Figure]:
-    """An empty figure of ``width`` by ``height`` inches that belongs to no window, to be drawn in the house's style."""
+    """An empty figure of ``width`` by ``height`` inches that belongs to no window, to be drawn in pickenv's style."""
     with style(**more):
         yield Figure(figsize=(width, height), layout="constrained")
 
@@ -106,11 +106,11 @@ def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -
     """A figure of one panel, and the panel.
 
     Args:
-        width: Of the figure, inches.
-        height: Of the figure, inches.
+        width: Width of the figure, inches.
+        height: Height of the figure, inches.
         x: Words on the panel's x axis.
-        y: Words on its y axis.
-        legend: Columns of the legend below the panel; none for 0.
+        y: Words on the panel's y axis.
+        legend: Number of columns of the legend below the panel; 0 for no legend.
     """
     with new_figure(width, height) as figure:
         yield figure, figure.add_subplot(xlabel=x, ylabel=y)
@@ -119,14 +119,18 @@ def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -
 
 
 def colour_bar(figure: Figure, marks: Any, panels: Any, **look: Any) -> Any:
-    """The scale of coloured ``marks`` beside their panels, without a frame."""
+    """Add a colour scale of ``marks`` beside their panels, without a frame."""
     bar = figure.colorbar(marks, ax=panels, **look)
     bar.outline.set_visible(False)
     return bar
 
 
 def finite_series(curves: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """The curves as finite arrays ``(N,)``; an empty or a non-finite one is refused by name."""
+    """The curves as finite arrays ``(N,)``, by label.
+
+    Raises:
+        InputError: If there is no curve, or one is empty or not finite.
+    """
     series = {str(label): np.asarray(values, dtype=float).ravel() for label, values in curves.items()}
     if not series:
         raise InputError("there is nothing to draw; give at least one series")
@@ -137,13 +141,13 @@ def finite_series(curves: Mapping[str, ArrayLike]) -> dict[str, Array]:
 
 
 def headline(axes: Any, message: str, pad: float | None = None, beside: float = 0.0) -> None:
-    """Set a panel's title: what it shows, in lines as long as its part of the figure has room for.
+    """Set a panel's title, wrapped to the room that the panel has in the figure.
 
     Args:
         axes: The panel.
         message: The title.
         pad: Room between title and panel, points.
-        beside: What a legend beside the panels takes, inches.
+        beside: Width that a legend beside the panels takes, inches.
     """
     room = (axes.get_figure().get_figwidth() - beside) / axes.get_subplotspec().get_gridspec().ncols
     bound = re.sub(r"(\d) (?=mm|deg|kg|px|%)", "\\1\u00a0", message)
@@ -151,19 +155,19 @@ def headline(axes: Any, message: str, pad: float | None = None, beside: float = 
 
 
 def change(series: Mapping[str, float], unit: str) -> str:
-    """The first and the last of some figures, as a title says them: raw 1.92, LS 0.5 mm."""
+    """The first and the last of several numbers, as a title says them: raw 1.92, LS 0.5 mm."""
     ends = list(series.items())
     ends = ends if len(ends) < 3 else [ends[0], ends[-1]]
     return ", ".join(f"{label} {short(value)}" for label, value in ends) + f" {unit}"
 
 
 def short(value: float) -> str:
-    """A number as titles say it: two significant digits, or all that stand before the point."""
+    """A number as titles say it: with two significant digits, or as a whole number from 10 on."""
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:#.2g}" if abs(value) >= 1e-4 else f"{value:.1g}"
 
 
 def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
-    """Names of curves ``(T,)`` in groups that are nowhere ``nearest`` apart, each group to be drawn and named once."""
+    """Group the names of curves ``(T,)`` that stay within ``nearest`` of the first curve of their group."""
     groups: list[list[str]] = []
     values = {name: np.asarray(curve, dtype=float) for name, curve in curves.items()}
     for name, curve in values.items():
@@ -178,11 +182,11 @@ def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
 
 
 def spaced(labels: Sequence[str], least: float, room: float) -> list[str]:
-    """Labels of evenly spaced places, as many as fit: every second, third … one where not all do; the others empty.
+    """Labels of evenly spaced places, all or every second, third … one, as many as fit; the other labels are empty.
 
     Args:
-        labels: One for each place.
-        least: What a label needs along the axis, inches.
+        labels: One label for each place.
+        least: Room that a label needs along the axis, inches.
         room: Length of the axis, inches.
     """
     stride = max(1, -(-len(labels) * least // room)) if labels else 1
@@ -211,14 +215,14 @@ def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float,
 
 
 def whisker(axis: Any, y: float, value: float, ends: Sequence[float | None] | None, colour: Any) -> None:
-    """Draw one number at height ``y`` with its interval; open ends are arrows from the number.
+    """Draw a number at height ``y`` with its interval; an open end is drawn as an arrow at the number.
 
     Args:
         axis: The panel.
         y: The height.
         value: The number.
-        ends: Both ends of its interval, an open one as None; or None where it has none.
-        colour: Of the mark.
+        ends: Both ends of the interval, with None for an open end; or None where the number has no interval.
+        colour: Colour of the mark.
     """
     if ends is not None:
         low, high = (value if end is None else end for end in ends)
@@ -230,5 +234,5 @@ def whisker(axis: Any, y: float, value: float, ends: Sequence[float | None] | No
 
 
 def rgb(colours: Sequence[Rgb]) -> list[tuple[float, float, float]]:
-    """Colours for matplotlib."""
+    """Colours as matplotlib takes them: red, green, blue in 0..1, from 0..255."""
     return [(red / 255.0, green / 255.0, blue / 255.0) for red, green, blue in colours]

@@ -1,6 +1,6 @@
-"""Films of comparisons: which moments they show and what they state of them, their pictures, and GIF or MP4 files.
+"""Films of comparisons: which moments they show, what each frame states, their pictures, and GIF or MP4 files.
 
-What a frame states (`plan_film`) is what is drawn and what tests read. Units: m, s; mm in what is stated.
+The statements of a frame (`Film.stated`) are what is drawn and what tests read. Units: m, s; mm in statements.
 """
 
 from __future__ import annotations
@@ -48,24 +48,24 @@ from pickenv.pictures.tree_shapes import (
 )
 
 MOST_MOMENTS = 3.0
-"""Moments from one frame to the next at most: with more, nobody could follow."""
+"""Most moments from one frame to the next: with more, nobody could follow."""
 PAUSE = 9
-"""Moments for which an episode's end stays in sight."""
+"""Number of moments for which the end of an episode stays in sight."""
 STILL_STEP = 5e-4
 """A tool that moves less than this between two moments has arrived, m."""
 FALLEN = 0.06
 """A fruit that is this far from where it was a moment before is another fruit, m."""
 MISS: dict[bool, Rgb] = {False: RED, True: (255, 128, 128)}
-"""Of words about a miss, on light and on dark pages."""
+"""Colour of words about a miss, by whether the page is dark."""
 FRUIT = 0.06
-"""Diameter that is drawn; recordings know of places alone."""
+"""Diameter with which every fruit is drawn, m, as recordings hold only the places of fruit."""
 SAME_FRUIT = 0.045
-"""Fruit nearer to one another than this, when a tool sets out for them, are one."""
+"""Fruit nearer to one another than this, when a tool sets out for them, count as the same fruit, m."""
 LEAVES = 1.25
-"""Leaf area of the trees that are drawn, m²/m³: that of the canopy `li2016`."""
+"""Leaf area per volume of the drawn trees, m²/m³, as in the canopy `li2016`."""
 AROUND = 0.16
 HALF = (400, 360)
-"""Width and height of one half, px."""
+"""Width and height of one half of a frame, px."""
 STRIP = 28
 """Height of the line of words below the halves, px."""
 GAP = 4
@@ -78,27 +78,27 @@ KINDS = {
     ),
     ".mp4": ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "22", "-movflags", "+faststart"),
 }
-"""How ffmpeg writes each kind of file."""
+"""Options with which ffmpeg writes each kind of file, by suffix."""
 
 Progress = Callable[[str, int, int], None]
 
 
 Attempt: TypeAlias = tuple[int, int, int, bool]
-"""One fruit that a policy goes for, in one episode: the first moment at which it does; the moment at which the gripper
-closes, before which the fruit hung still; the last moment, at which it is collected or the gripper closed beside it;
-and whether it was collected."""
+"""A policy's attempt at one fruit in one episode: its first moment; the moment at which the gripper closes, until which
+the fruit hangs still; its last moment, at which the fruit is collected or the gripper has closed beside it; and whether
+the fruit was collected."""
 
 
 @dataclass(frozen=True)
 class FilmCaption:
-    """The statement of a frame on one policy.
+    """What a frame states about one policy.
 
     Attributes:
         label: Name of the policy.
-        distance_mm: From the tool to the fruit that it goes for, now.
-        miss_mm: From the tool to the fruit when the gripper closed last; None before it has.
-        picked: Fruit collected since the film began.
-        tried: Fruit on which the gripper has closed since then.
+        distance_mm: Present distance from the tool to the fruit that it goes for, mm.
+        miss_mm: Miss when the gripper last closed, mm; None before it has closed.
+        picked: Number of fruit collected since the film began.
+        tried: Number of times that the gripper has closed since the film began.
     """
 
     label: str
@@ -115,13 +115,13 @@ def plan_film(
     frames_per_second: int = 10,
     dark: bool = False,
 ) -> Film:
-    """Choose the moments of a film: the first episodes of the run, as many as can be followed.
+    """Choose the moments of a film: the first episodes of the run, as many as a viewer can follow.
 
     Args:
         episodes: The run's episodes.
-        labels: Policies to show, left first; the first and the last of the run where none are named.
-        seconds: Length of the film.
-        frames_per_second: Frames of each second.
+        labels: Labels of the policies to show, left first; the run's first and last where none are named.
+        seconds: Length of the film, s.
+        frames_per_second: Frames per second.
         dark: Whether the background is dark.
 
     Raises:
@@ -151,7 +151,7 @@ def plan_film(
 
 
 def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> list[tuple[int, int]]:
-    """The moments of one episode that are shown: until all tools stand, then its end for a while."""
+    """The moments of one episode to show, as (episode, moment): until all tools stand, then its end for a while."""
     last = max(int(policy.moments[episode]) for policy in policies) - 1
     arrived = last
     if reaching:
@@ -162,7 +162,7 @@ def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> li
 
 
 def attempts_of(policy: RecordedPolicy, episode: int) -> list[Attempt]:
-    """The fruit that a policy goes for in an episode, one after the other."""
+    """A policy's attempts at fruit in an episode, one after the other."""
     last = int(policy.moments[episode]) - 1
     picked, fruit = policy.picked[episode], policy.fruit_position[episode]
     closes = [int(t) for t in np.flatnonzero(np.isfinite(policy.miss_mm[episode, : last + 1]))]
@@ -179,7 +179,7 @@ def attempts_of(policy: RecordedPolicy, episode: int) -> list[Attempt]:
 
 
 def _follows(policy: RecordedPolicy, episode: int, close: int) -> bool:
-    """Whether the fruit that the tool went for is still the one after the gripper has closed."""
+    """Whether the recorded fruit when the gripper closes is still the fruit that the tool went for."""
     fruit = policy.fruit_position[episode]
     return bool(close and np.linalg.norm(fruit[close] - fruit[close - 1]) < FALLEN)
 
@@ -199,22 +199,22 @@ def _caption(policy: RecordedPolicy, episode: int, moment: int) -> FilmCaption:
 
 
 def grasp_offset(policy: RecordedPolicy, episode: int, close: int) -> Array:
-    """From the fruit to the tool when the gripper closed ``(3,)``, m."""
+    """The vector from the fruit to the tool when the gripper closed ``(3,)``, m."""
     before = close if _follows(policy, episode, close) else max(close - 1, 0)
     return np.asarray(policy.tool_position[episode, close] - policy.fruit_position[episode, before])
 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """A film, but for its pictures.
+    """The plan of a film: all of it except its pictures.
 
     Attributes:
         episodes: The run's episodes.
-        policies: Those that are shown, left first.
+        policies: Policies that are shown, left first.
         frames: Episode and moment of each frame; a policy whose episode is over stays at its last moment.
-        frames_per_second: How fast they follow one another.
-        speed: How many times as fast as the arms moved.
-        reaching: Whether each episode is for one fruit.
+        frames_per_second: Frames per second.
+        speed: Speed of the film as a multiple of the arms' own speed.
+        reaching: Whether each episode is about a single fruit.
         dark: Whether the background is dark.
     """
 
@@ -227,22 +227,22 @@ class Film:
     dark: bool
 
     def stated(self, number: int) -> list[FilmCaption]:
-        """The statements of a frame, given its number, one per policy."""
+        """The statements about each policy in the frame with a given number."""
         return [_caption(policy, *self.frames[number]) for policy in self.policies]
 
     @cached_property
     def shown(self) -> list[int]:
-        """Episodes that are shown."""
+        """Numbers of the episodes that are shown."""
         return sorted({episode for episode, _ in self.frames})
 
     @cached_property
     def attempts(self) -> list[list[list[Attempt]]]:
-        """Attempts of each policy of the film, for each episode of the run up to the last one shown."""
+        """Attempts at fruit: for each policy of the film, for each episode of the run up to the last one shown."""
         return [[attempts_of(policy, e) for e in range(self.shown[-1] + 1)] for policy in self.policies]
 
     @cached_property
     def fruit(self) -> dict[int, Array]:
-        """Fruit of each episode shown ``(N, 3)``, wherever a policy of the film goes for it."""
+        """For each episode shown, the places ``(N, 3)``, m, of the fruit that any policy of the film goes for."""
         fruit = {}
         for episode in self.shown:
             places: list[Array] = []
@@ -256,7 +256,7 @@ class Film:
 
     @cached_property
     def points(self) -> Array:
-        """Points that must be in sight ``(N, 3)``: fruit, tools, and the arm's base."""
+        """Points that must be in sight ``(N, 3)``, m: fruit, tools, and the arm from its base."""
         parts = [np.concatenate(list(self.fruit.values()))]
         for policy in self.policies:
             parts += [policy.tool_position[self.shown].reshape(-1, 3)]
@@ -267,12 +267,12 @@ class Film:
 
     @cached_property
     def ground(self) -> float:
-        """Height of the ground."""
+        """Height of the ground, m."""
         return float(np.floor(2.0 * (self.points[:, 2].min() - 0.2)) / 2.0)
 
     @cached_property
     def eye(self) -> Eye:
-        """From behind the arm, to its side and above it, near enough to see all."""
+        """An eye behind the arm, to its side and above it, as near as it can be and still see all points."""
         base = np.zeros(3) if self.episodes.nominal is None else np.asarray(self.episodes.nominal.base.position)
         ahead = np.concatenate(list(self.fruit.values())).mean(axis=0) - base
         ahead = np.array([ahead[0], ahead[1], 0.0]) / max(float(np.hypot(ahead[0], ahead[1])), 1e-9)
@@ -282,7 +282,7 @@ class Film:
 
     @cached_property
     def still(self) -> tuple[Mesh, ...]:
-        """Ground, pedestal, and trees around the fruit."""
+        """Surfaces that stay the same in all frames: ground, pedestal and, but for reaches, trees around the fruit."""
         middle = self.points.mean(axis=0)
         parts: tuple[Mesh, ...] = (ground_around(float(middle[0]), float(middle[1]), self.ground, self.dark),)
         if self.episodes.nominal is not None:
@@ -296,12 +296,12 @@ class Film:
 
 
 def film_stage(film: Film, number: int, side: int) -> Stage:
-    """One half of a frame.
+    """The stage of one half of a frame, which shows one policy.
 
     Args:
         film: The film.
         number: Number of the frame.
-        side: Number of the policy among those of the film.
+        side: Number of the policy among the film's policies.
     """
     policy, caption, (episode, moment) = film.policies[side], film.stated(number)[side], film.frames[number]
     (colour,) = policy_colours([policy.key])
@@ -342,7 +342,7 @@ def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
 
 
 def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids:
-    """Fruit of the episode as this policy has left it, and a crate with what it has picked."""
+    """Fruit of the episode as a policy has left them by now, and a crate with the fruit that it has picked."""
     track, places = film.policies[side].fruit_position[episode], film.fruit[episode].copy()
     present, in_cup, missed = np.ones(len(places), dtype=bool), *np.zeros((2, len(places)), dtype=bool)
     for begin, close, end, taken in film.attempts[side][episode]:
@@ -366,7 +366,7 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
 
 
 def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
-    """The length of each miss, in words at its fruit."""
+    """Words at each missed fruit that say by how much it was missed."""
     policy = film.policies[side]
     for begin, close, _, taken in film.attempts[side][episode]:
         if not taken and close <= now:
@@ -375,7 +375,7 @@ def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
 
 
 def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
-    """The tool's places ``(K, 2)``, mm, seen from the fruit, whenever the gripper has closed so far."""
+    """The tool's places relative to the fruit ``(K, 2)``, mm, at each closing of the gripper so far."""
     policy, attempts = film.policies[side], film.attempts[side]
     closed = [(e, close) for e in range(episode) for _, close, *_ in attempts[e]]
     closed += [(episode, close) for _, close, *_ in attempts[episode] if close <= now]
@@ -384,7 +384,7 @@ def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
 
 
 def seen_along(axis: Array, offset: Array, eye: Eye) -> Array:
-    """The part of an offset across the tool's axis, to the right and away from the eye ``(2,)``."""
+    """The components ``(2,)`` of an offset across the tool's axis: to the right, and away from the eye."""
     right = np.cross(eye.axes()[2], axis)
     right /= max(float(np.linalg.norm(right)), 1e-9)
     return np.array([offset @ right, offset @ np.cross(axis, right)])
@@ -400,23 +400,23 @@ def film(
     dark: bool = False,
     progress: Progress | None = None,
 ) -> Film:
-    """Write a film of a comparison: the same fruit, one policy beside the other.
+    """Write a film of a comparison: policies beside each other at the same fruit.
 
     Args:
         run: Folder of a run of `pickenv compare`.
-        out: The film; its ending says what it is, .gif or .mp4.
+        out: File of the film; its ending, .gif or .mp4, gives its kind.
         policies: Labels of the policies to show, left first; the run's first and last where none are named.
-        seconds: Length of the film.
-        frames_per_second: Frames of each second.
+        seconds: Length of the film, s.
+        frames_per_second: Frames per second.
         dark: Whether the background is dark.
         progress: Called with (stage, done, in all).
 
     Returns:
-        The film, which says what each of its frames states.
+        The plan of the film; `Film.stated` gives what each frame states.
 
     Raises:
         InputError: If the run is no comparison, a policy is not in it, or the file's ending is unknown.
-        MissingExtra: If what draws or writes films is not installed.
+        MissingExtra: If a package that draws or writes films is not installed.
     """
     require("matplotlib", "imageio_ffmpeg")
     path = Path(out)
@@ -451,10 +451,10 @@ def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixe
 
 
 def write_film(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -> None:
-    """Let ffmpeg write the pictures into a file.
+    """Let ffmpeg write the pictures into a film file.
 
     Raises:
-        InputError: If it cannot; with its last words.
+        InputError: If ffmpeg fails, with the last line that it wrote.
     """
     import imageio_ffmpeg  # type: ignore[import-untyped]
 

@@ -1,6 +1,6 @@
 """A comparison as one Rerun recording: error fields, reaches, arms, statistics, and the blueprint that lays them out.
 
-The main time line is `reach`, the number of the reach; a day in the field has `hours` as well.
+The main time line is `reach`, the number of the reach; the curves of a day in the field have `hours` as well.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ from pickenv.inspect.runs.saved import eye_direction, shown_box
 
 TIME_LINE = "reach"
 FRUIT_RADIUS = 0.008
-"""m; smaller than an apple, so that a hundred of them hide nothing."""
+"""Radius of a drawn fruit, m; smaller than an apple, so that a hundred fruit hide nothing."""
 
 
 def record_comparison(comparison: Comparison, path: str | Path) -> Path:
     """Write ``comparison`` as a Rerun recording (.rrd) with its blueprint inside, whole or not at all.
 
     Args:
-        comparison: What to show.
+        comparison: The comparison to show.
         path: The file to write, usually `errors.rrd`; missing folders are made.
 
     Returns:
@@ -106,7 +106,7 @@ def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, details.A
 
 
 def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
-    """The field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
+    """Send the field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
     size, corner = comparison.grid.size, comparison.grid.corner
     labels = [f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)]
     scribe.axes("world/axes", corner, size, labels, 1.5)
@@ -134,7 +134,7 @@ def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
 
 
 def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) -> None:
-    """One policy's error field as voxels, and as a tensor for slices."""
+    """Send one policy's error field as voxels, and as a tensor for slices."""
     magnitude, top = summary.field_mm(policy), summary.colour_scale_mm(comparison)
     details.send_voxels(scribe, comparison, f"world/field/{policy.key}/voxels", magnitude, top)
     index, mean = summary.cell_means(comparison.grid.index, magnitude)
@@ -154,7 +154,7 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) 
 
 
 def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb) -> None:
-    """One policy's reaches along the time line: the miss as an arrow, the errors as numbers, and pick or miss."""
+    """Send one policy's reaches along the time line: misses as arrows, errors as numbers, and outcomes."""
     ends = policy.ends
     miss = ends.tool_position - comparison.fruit
     entity = f"world/miss/{policy.key}"
@@ -171,7 +171,7 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy
 
 
 def _send_tolerance(scribe: Scribe, comparison: Comparison) -> None:
-    """The gripper's capture region: a line on the error plot and, enlarged like the errors, a ball around the fruit."""
+    """Send the gripper's capture region: a line on the error plot, and a ball around the fruit, enlarged as errors."""
     level = [comparison.tolerance_mm] * len(comparison.fruit)
     scribe.curve("metrics/tolerance_mm", f"tolerance {comparison.tolerance_mm:g} mm", RED, level, 1.5)
     radius = GAIN * comparison.tolerance_mm * 1e-3
@@ -185,7 +185,7 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison) -> None:
 
 
 def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
-    """Reach errors in bins that all policies share; within a bin the policies' bars stand side by side."""
+    """Send histograms of reach errors in bins common to all policies, whose bars stand side by side in each bin."""
     edges, count = summary.histogram_edges_mm(comparison), len(comparison.policies)
     width = float(edges[1] - edges[0]) * 0.9 / count
     for i, (policy, colour) in enumerate(zip(comparison.policies, comparison.colours, strict=True)):
@@ -202,18 +202,18 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
 
 
 EYE_DISTANCE = 2.2
-"""In units of the shown box's radius."""
+"""Distance from the eye to the middle of the shown box, in units of the box's radius."""
 
 
 def space(comparison: Comparison, name: str, contents: list[str], origin: str = "/world", **more: Any) -> Any:
-    """The workspace in 3D, always seen by the same eye at first; each view can be orbited on its own."""
+    """A view of the workspace in 3D; all such views start with the same eye, and each can be orbited on its own."""
     centre, radius = shown_box(comparison)
     eye = centre + EYE_DISTANCE * radius * eye_direction(comparison)
     return seen_from(eye, centre, origin, [*contents, "+ /world/workspace", "+ /world/axes"], name, **more)
 
 
 def ghost(comparison: Comparison) -> list[str]:
-    """The nominal arm as contents of a view, where there are reaches that it makes."""
+    """The view contents that show the nominal arm; empty where there are no reaches."""
     return ["+ /world/arm/nominal"] if len(comparison.fruit) else []
 
 
@@ -226,9 +226,9 @@ def comparison_blueprint(
     """The layout for ``comparison``, whose errors are drawn `GAIN` times too long.
 
     Args:
-        comparison: At least one policy.
-        arrows: From `details.arrow_tabs`.
-        day: From `details.day_of`.
+        comparison: The comparison, with at least one policy.
+        arrows: Fields of arrows, from `details.arrow_tabs`.
+        day: The day in the field, from `details.day_of`.
     """
     policies, has_reaches = comparison.policies, len(comparison.fruit) > 0
     title = "{} | error magnitude, mm, corner cut away"
@@ -261,7 +261,7 @@ def comparison_blueprint(
 
 
 def _meaning(unit: str, top: float) -> str:
-    """The meaning of colours from 0 to ``top`` in a field of arrows with that unit."""
+    """The words below a colour scale from 0 to ``top`` in ``unit`` (mm or deg) that say what colours mean."""
     if unit == "mm":
         return f"Colour: position error, 0 to {top:.2f} mm"
     return f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"

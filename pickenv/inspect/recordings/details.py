@@ -1,6 +1,6 @@
-"""Why the arm errs where it does: what each effect alone does, what no joint removes, what drifts within a day.
+"""Causes of the arm's errors: each effect alone, errors that no joint motion removes, and the drift within a day.
 
-Everything here is computed from a comparison, on its field of poses or on its reaches. SI units.
+Everything here is computed from a comparison, on its field of poses or on its reaches. Units: SI.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ WORLD = "tf#/"
 
 
 def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, ArrowTab], day: Day) -> None:
-    """Send fields of arrows, what a calibration predicts of its errors, the day, and the arms as they are exported."""
+    """Send fields of arrows, the uncertainty that a calibration predicts, the day, and the arms exported as URDF."""
     for unit, top, fields in tabs.values():
         for entity, (_, arrows, values) in fields.items():
             scribe.arrows(entity, comparison.grid.points, arrows, values, top, unit)
@@ -57,7 +57,7 @@ def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, Arro
 
 
 def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array) -> None:
-    """Predicted uncertainty and what the last policy really misses by, on one scale."""
+    """Send the predicted uncertainty and the last policy's actual errors, on one colour scale."""
     top = summary.uncertainty_scale_mm(comparison)
     send_voxels(scribe, comparison, "world/uncertainty/predicted", 1e3 * uncertainty, top)
     send_voxels(scribe, comparison, "world/uncertainty/actual", summary.field_mm(comparison.policies[-1]), top)
@@ -65,7 +65,7 @@ def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array
 
 
 def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Array, top: float) -> None:
-    """Values ``(F,)`` of a field as voxels, without those that would hide all others; ``top`` ends their colours."""
+    """Send a field's values ``(F,)`` as voxels, except those that hide all others; colours end at ``top``."""
     visible, grid = ~cut_away(comparison), comparison.grid
     index, means = summary.cell_means(grid.index[visible], values[visible])
     cells = rr.VoxelGridMap(
@@ -80,7 +80,7 @@ def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Arr
 
 
 def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
-    """Mean and 95th percentile over all fruit at every time of the day, and why they are so."""
+    """Send the mean and 95th percentile of errors over all fruit at each time of the day, and a text that explains."""
     times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day_hours(comparison))]
     hours = Scribe(scribe.stream, times)
     for (key, (label, errors)), colour in zip(day.items(), policy_colours(list(day)), strict=True):
@@ -93,7 +93,7 @@ def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
-    """An arm as it is exported, moved along the reaches by the joint commands ``(R, n)``."""
+    """Send an arm as exported to URDF, moved along the reaches by the joint commands ``(R, n)``."""
     with tempfile.TemporaryDirectory() as folder:
         tree = rr.urdf.UrdfTree.from_file_path(
             write_urdf(geometry, Path(folder) / f"{name}.urdf", name),
@@ -115,20 +115,21 @@ def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, col
 
 
 NO_FIELD = 1e-9
-"""m; an effect that moves the settled tool by less than this everywhere has no field to show."""
+"""An effect that moves the settled tool by less than this everywhere has no field to show, m."""
 FLOOR = "floor"
 """Key of the attitude error that no joint motion removes."""
 
 
 ArrowTab: TypeAlias = tuple[str, float, Mapping[str, tuple[str, Array, Array]]]
-"""Fields of arrows side by side, all with one scale of colours: the unit of what the arrows stand for, mm or deg; upper
-end of the scale, in that unit; for each entity its title, arrows as drawn ``(F, 3)``, m, and what they stand for."""
+"""Fields of arrows that stand side by side with one colour scale: unit of the errors, mm or deg; upper end of the
+scale, in that unit; and for each entity, its title, the arrows as drawn ``(F, 3)``, m, and their errors ``(F, 3)``, in
+that unit."""
 LEGENDS = {"mm": "position", "deg": "attitude"}
-"""Keys of colour scales, by their unit."""
+"""Keys of colour scales, by the scale's unit."""
 
 
 def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
-    """The errors of each policy with what the last one removes, of each effect alone, and of attitudes if known."""
+    """Tabs of error fields by name: each policy and what the last removes, each effect alone, attitudes if known."""
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
     errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
     if len(policies) > 1:
@@ -164,9 +165,9 @@ def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> Arro
 
 
 def effect_fields(comparison: Comparison) -> dict[str, Array]:
-    """The error field ``(F, 3)``, m, of each effect that is on, alone on the nominal geometry, and of the geometry.
+    """The error field ``(F, 3)``, m, of each cause alone on the nominal arm: each active effect, and the true geometry.
 
-    The tool is settled, the arm warm and the machine sunk. Effects that show only on the way there have no field.
+    The tool is settled, the arm warm and the machine sunk. Effects that show only before that state have no field.
     """
     plant, joints = comparison.plant, comparison.grid.joints
     nominal = forward(comparison.nominal, joints).position
@@ -181,7 +182,8 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
     """Attitude errors over the field ``(F, 3)``, rotation vectors, rad, by key; empty where attitudes are unknown.
 
-    Of the first policy, of the last, and the part of its errors that no joint motion removes (`FLOOR`).
+    Fields are those of the first and the last policy, and the part of the last policy's errors that no joint motion
+    removes (`FLOOR`).
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     if first.field_attitude is None or last.field_attitude is None:
@@ -198,29 +200,29 @@ def attitude_fields(comparison: Comparison) -> dict[str, Array]:
 
 DRIFTS = ("thermal_growth", "base_tilt")
 DRIFTING_PLANT = "orchard"
-"""The preset that tells how an arm drifts, where the plant itself does not drift."""
+"""The preset from which the drift is taken where the plant itself does not drift."""
 DAY_HOURS = 8.0
 CAMERA_STD = 1e-3
-"""Of one look at the tool, per axis, m."""
+"""Standard deviation of one look at the tool by a camera, per axis, m."""
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
-"""Noise of a look as a filter assumes it: with half a millimetre that a geometry cannot explain."""
+"""Noise of a look that the filter assumes: the camera's, and half a millimetre that no geometry explains."""
 PRIOR, WALK = 0.2, 0.3
-"""Of the filter: what a calibration leaves, in tolerances, and how far parameters wander per root hour."""
+"""Errors of parameters after calibration, in tolerances, and their walk per root hour, as the filter assumes."""
 FILTERED = 10
-"""Machines with a filter at most: it costs more than all the rest of a recording."""
+"""Largest number of machines with a filter, which costs more than all the rest of a recording."""
 FEWEST_LOOKS = 10
-"""With fewer reaches a day is too short to learn from, and too few joints tell what a filter can know."""
+"""Fewest reaches for which a filter is run: fewer give a day with too few looks and joint values."""
 
 
 ADAPTED = "adapted"
-"""Key of the line with the filter."""
+"""Key of the curve of the machines with a filter."""
 
 
 Day: TypeAlias = Mapping[str, tuple[str, Array]]
-"""The same reaches while the arm warms up and the machine tilts and sinks: label and position errors, mm, of each line
-by key. Lines are those of each policy, of every reach at every time ``(R times, R reaches)``; and as `ADAPTED`, unless
-the reaches are too few, of the last policy's commands with a filter on top ``(R times, M machines)``, each of which
-begins with another reach."""
+"""Curves of the same reaches while the arm warms up and the machine tilts and sinks: for each key, the curve's label
+and position errors, mm. Each policy has a curve with every reach at every time ``(R times, R reaches)``. Unless the
+reaches are too few, `ADAPTED` is the curve of the last policy's commands with a filter on top
+``(R times, M machines)``; each of these machines begins with another reach."""
 
 
 def day_hours(comparison: Comparison) -> Array:
@@ -230,7 +232,7 @@ def day_hours(comparison: Comparison) -> Array:
 
 
 def day_in_words(comparison: Comparison, day: Day) -> str:
-    """Explanation of what happens on a day, in Markdown, with its mean errors."""
+    """An explanation of the day in the field, in Markdown, with the mean errors of its curves."""
     plant = drifting_plant(comparison.plant)
     assert plant is not None
     rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in day.values()]
@@ -260,7 +262,7 @@ def day_in_words(comparison: Comparison, day: Day) -> str:
 
 
 def drifting_plant(plant: Plant) -> Plant | None:
-    """The plant with its own drift or, where it has none, with that of the preset `orchard` if it is the same arm."""
+    """The plant with its own drift, else with the drift of the preset `orchard`; None where that is for another arm."""
     if any(plant.effect(name) is not None for name in DRIFTS):
         return plant
     preset = load_plant(DRIFTING_PLANT)
@@ -274,7 +276,7 @@ def day_of(comparison: Comparison) -> Day:
     """Let the drifting plant make the comparison's reaches all day, with the commands that the policies gave.
 
     R machines start together, each with another fruit, and go through all fruit in the same order: so every fruit is
-    reached at every time, by a machine that has been as busy as the others. Without reaches or drift there is no line.
+    reached at every time, by a machine that has been as busy as the others. Without reaches or drift the day is empty.
     """
     plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
     if plant is None or not count:
@@ -295,7 +297,7 @@ def day_of(comparison: Comparison) -> Day:
 
 
 def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:
-    """States of machines after a pick, and where their tools stand ``(M, 3)``."""
+    """The states of machines after a pick, and their tool positions ``(M, 3)``, m."""
     state, frame = plant.advance(np, state, split_joints(plant.geometry.joints, joints), dt)
     return state, np.stack(np.broadcast_arrays(*frame[9:12]), axis=-1)
 
@@ -303,8 +305,8 @@ def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Ar
 def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
     """Position errors, mm, ``(R, M)`` of machines whose filters correct the last policy's commands.
 
-    A filter takes the arm behind these commands for the nominal one (as `AdaptiveReach` does behind a compensator):
-    its joints are those at which the nominal tool is at the fruit, and its correction is added to the command.
+    A filter treats the arm with these commands as the nominal arm (as `AdaptiveReach` does behind a compensator):
+    its joint values are those that bring the nominal tool to the fruit, and its correction is added to the command.
     """
     nominal, count = comparison.nominal, len(comparison.fruit)
     commands = comparison.policies[-1].ends.joint_command
@@ -327,9 +329,9 @@ def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
 
 
 def joints_at(geometry: Geometry, joints: Array, points: Array) -> Array:
-    """Joints ``(N, n)`` close to given ones at which the tool is at given points ``(N, 3)``, m: two Newton steps.
+    """Joint values ``(N, n)``, near given ones, that bring the tool to given points ``(N, 3)``, m: two Newton steps.
 
-    From joints that err by millimetres these leave nanometres.
+    From joint values at which the tool errs by millimetres, these steps leave nanometres.
     """
     for _ in range(2):
         gap = points - forward(geometry, joints).position

@@ -1,9 +1,9 @@
 """Logged episodes: which steps are recorded, the entities that they become, and the layout that shows them.
 
-Everything comes from `info`; what it does not hold is left out. Arms, fruit, misses, distances and numbers stand in the
-policy's colour and by its name. Time lines: `episode_time` begins anew with every episode: curves lie over one another,
-and the arms show the last one. `sim_time` strings all episodes, with a gap before each; `step` counts. On `episode` one
-sees how each ended.
+Everything comes from `info`, and entities whose entries it lacks are left out. Entities have the policy's colour and
+name. Time lines: `episode_time` begins anew with every episode, so curves of episodes lie over one another, and the
+arms show the last episode. `sim_time` strings all episodes together, with a gap before each; `step` counts steps.
+`episode` shows how each episode ended.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from pickenv.inspect.runs.recorded_episodes import POSITIONS
 Trigger = Callable[[int], bool]
 
 UNITS = {"mm": "mm", "deg": "°"}
-"""Ends of the names of numbers, and their units; numbers with another end are counts, or have the unit 1."""
+"""Unit by the end of a number's name; numbers whose names end otherwise are counts, or have the unit 1."""
 OTHERS, REST = "other", "Reward and counts"
 
 
@@ -40,12 +40,12 @@ class Row(NamedTuple):
     """One recorded step.
 
     Attributes:
-        moment: Number of steps of this environment that were recorded before it.
+        moment: Number of steps of this environment that were recorded before this one.
         episode: Number of the episode.
         within: Steps since the episode's reset.
         order: Number of episodes of which steps were recorded before this one.
-        info: Its info with its ``reward``, 0 after a reset, and as ``joint_target`` the joints at which the controller
-            believes the arm to be, where the environment tells.
+        info: The step's info, with its ``reward`` (0 after a reset) and, where the environment tells them, the joint
+            values at which the controller believes the arm to be as ``joint_target``.
     """
 
     moment: int
@@ -56,16 +56,16 @@ class Row(NamedTuple):
 
 
 class EpisodeLog:
-    """The recorded steps of one environment, `rows`, and the choice which steps those are."""
+    """The recorded steps of one environment (`rows`), and the choice of the steps to record."""
 
     def __init__(self, key: str, episode_trigger: Trigger | None, step_trigger: Trigger | None, length: float) -> None:
-        """A log without a step.
+        """Begin a log without steps.
 
         Args:
             key: Name in entity paths: the policy, and the environment's number where there are several.
             episode_trigger: Whether to record from the start of an episode, given its number.
             step_trigger: Whether to record from a step, given its number.
-            length: Steps of one recording; infinite for whole episodes.
+            length: Number of steps of one recording; infinite for whole episodes.
         """
         self.key, self.length, self.rows = key, length, list[Row]()
         self._episode_trigger, self._step_trigger = episode_trigger, step_trigger
@@ -73,7 +73,7 @@ class EpisodeLog:
         self._within, self._left = 0, 0.0
 
     def begins(self) -> bool:
-        """Count an episode; whether its first info is to be noted."""
+        """Count an episode; True if its first info is to be recorded."""
         self._episode += 1
         self._within = 0
         if self.length == np.inf:
@@ -83,7 +83,7 @@ class EpisodeLog:
         return self._wanted()
 
     def steps(self) -> bool:
-        """Count a step; whether its info is to be noted."""
+        """Count a step; True if its info is to be recorded."""
         self._step += 1
         self._within += 1
         if self._step_trigger is not None and self._step_trigger(self._step):
@@ -97,7 +97,7 @@ class EpisodeLog:
         return False
 
     def note(self, info: Mapping[str, Any], reward: float, target: Array | None = None) -> None:
-        """Keep the present step."""
+        """Add the present step to `rows`."""
         last = self.rows[-1] if self.rows else None
         order = 0 if last is None else last.order + (last.episode != self._episode)
         told = {} if target is None else {"joint_target": target}
@@ -113,7 +113,7 @@ class Scene:
         period: Time between steps, s.
         tolerance_mm: Radius of the capture region, or None.
         policy: Key of the policy, which gives the colour.
-        label: Its name for people.
+        label: Name of the policy for people.
     """
 
     nominal: Geometry | None
@@ -124,14 +124,14 @@ class Scene:
 
     @cached_property
     def parts(self) -> list[int]:
-        """Link parts that are drawn."""
+        """Parts of the arm's polyline that are drawn, as `drawn_parts` numbers them."""
         assert self.nominal is not None
         lower, upper = self.nominal.lower, self.nominal.upper
         return drawn_parts(nominal_points(self.nominal, np.stack([lower, (lower + upper) / 2.0, upper])))
 
 
 def info_of(infos: Mapping[str, Any], index: int) -> dict[str, Any]:
-    """One environment's info, copied out of a vector environment's infos, in which it may be overwritten."""
+    """A copy of one environment's info from a vector environment's infos, whose arrays may be overwritten."""
     info = {}
     for name, values in infos.items():
         if not name.startswith(("_", "final_")) and not isinstance(values, Mapping):
@@ -142,17 +142,17 @@ def info_of(infos: Mapping[str, Any], index: int) -> dict[str, Any]:
 
 
 def has_arm(scene: Scene, info: Mapping[str, Any]) -> bool:
-    """Whether the arms can be drawn."""
+    """Whether the arms can be drawn: there is a nominal arm, and `info` has joint command and tool position."""
     return scene.nominal is not None and {"joint_command", "tool_position"} <= set(info)
 
 
 def has_fruit(info: Mapping[str, Any]) -> bool:
-    """Whether misses can be drawn."""
+    """Whether misses can be drawn: `info` has tool and fruit positions."""
     return set(POSITIONS) <= set(info)
 
 
 def distances_mm(rows: Sequence[Row]) -> Array | None:
-    """Distance between tool and fruit ``(T,)``; None where `info` tells neither positions nor the distance."""
+    """Distance between tool and fruit ``(T,)``, mm; None where `info` has neither positions nor the distance."""
     if has_fruit(rows[0].info):
         return np.asarray(1e3 * np.linalg.norm(column(rows, "tool_position") - column(rows, "fruit_position"), axis=1))
     return column(rows, "position_error_mm") if "position_error_mm" in rows[0].info else None
@@ -164,7 +164,7 @@ def last_rows(rows: Sequence[Row]) -> list[Row]:
 
 
 def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Names of the numbers in ``info`` by unit; truth values and arrays are no numbers."""
+    """Names of the numbers in ``info``, grouped by unit; truth values and arrays do not count as numbers."""
     groups: dict[str, list[str]] = {}
     for name, value in info.items():
         if np.ndim(value) == 0 and isinstance(value, int | float | np.number) and not isinstance(value, bool):
@@ -174,29 +174,29 @@ def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def column(rows: Sequence[Row], name: str) -> Array:
-    """One entry of `info` along the rows ``(T, ...)``."""
+    """The values of one entry of `info` in all rows ``(T, ...)``."""
     return np.array([row.info[name] for row in rows], dtype=float)
 
 
 FRUIT_RADIUS, TOOL_RADIUS = 0.02, 0.012
-"""m."""
+"""Radii of the balls that show fruit and tool, m."""
 GAP = 1.0
-"""s; between two episodes on `sim_time`."""
+"""Gap between two episodes on the time line `sim_time`, s."""
 NEAREST_MM = 1e-4
-"""Distances below are drawn here, so that they have a logarithm."""
+"""Smaller distances are drawn as this one, mm, so that they have a logarithm."""
 MOST_CURVES = 50
-"""Episodes whose curves lie over one another on `episode_time`; later ones are on the other time lines."""
+"""Largest number of episodes with curves on `episode_time`; later episodes are only on the other time lines."""
 WIDTHS = (1.8, 1.2, 0.8, 0.5)
-"""Of a policy's several numbers with one unit, in turn; points."""
+"""Line widths of a policy's numbers that share a unit, in turn, points."""
 
 
 def decades(distance_mm: Array) -> Array:
-    """Logarithms to base 10 of distances: 0 is a millimetre, 1 a centimetre."""
+    """Logarithms to base 10 of distances in mm: 0 is a millimetre, 1 a centimetre."""
     return np.asarray(np.log10(np.maximum(distance_mm, NEAREST_MM)))
 
 
 def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], root: str = "world") -> None:
-    """Send what holds for all steps of one environment; names of curves say how all of its ``rows`` end."""
+    """Send the looks that hold for all steps of one environment; names of curves state the mean end of its ``rows``."""
     scribe, info = Scribe(stream), rows[0].info
     (colour,) = policy_colours([scene.policy])
     _send_bodies_looks(scribe, scene, key, rows, colour, root)
@@ -216,7 +216,7 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
 
 
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
-    """The look of an entity's series, and of those of its episodes, which lie over one another."""
+    """Send the look of an entity's series, and of the series of its episodes, which lie over one another."""
     widths = [WIDTHS[min(i, len(WIDTHS) - 1)] for i in range(len(names))]
     looks = rr.SeriesLines(names=names, colors=[colour] * len(names), widths=widths)
     for part in ("", *(f"/{order}" for order in dict.fromkeys(row.order for row in rows) if order < MOST_CURVES)):
@@ -241,7 +241,7 @@ def _send_bodies_looks(scribe: Scribe, scene: Scene, key: str, rows: Sequence[Ro
 
 
 def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], root: str = "world") -> None:
-    """Send ``rows`` of one environment as whole columns; an episode that is sent in parts ends with its last part."""
+    """Send ``rows`` of one environment as whole columns; an episode may be sent in parts, of which the last ends it."""
     moments, seconds = _strung(scene, rows)
     strung = [rr.TimeColumn("step", sequence=moments), rr.TimeColumn("sim_time", duration=seconds)]
     every = [
@@ -278,13 +278,13 @@ def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence
 
 
 def _strung(scene: Scene, rows: Sequence[Row]) -> tuple[NDArray[np.int64], Array]:
-    """Moments of rows, and their times, s, ``(T,)``, when all episodes are strung with gaps between them."""
+    """Moments of rows ``(T,)``, and their times ``(T,)``, s, with all episodes strung together and gaps in between."""
     moments = np.array([row.moment for row in rows])
     return moments, scene.period * moments + GAP * np.array([row.order for row in rows])
 
 
 def _send_numbers(stream: rr.RecordingStream, scene: Scene, entity: str, rows: Sequence[Row], values: Array) -> None:
-    """Numbers ``(T, k)``: strung with a break before each episode, as each ended, and over one another."""
+    """Send numbers ``(T, k)`` on each time line: episodes strung with breaks, their ends, and episodes overlaid."""
     first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
     moments, seconds = _strung(scene, rows)
     lengths = np.insert(np.full(len(rows), values.shape[1]), first, 0)  # a row without numbers ends a line
@@ -305,7 +305,7 @@ def _send_numbers(stream: rr.RecordingStream, scene: Scene, entity: str, rows: S
 
 
 def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike | None = None) -> None:
-    """Numbers ``(T, k)``, one row each, or with as many numbers a row as ``lengths`` says."""
+    """Send numbers ``(T, k)``, k in each row, or as many in each row as ``lengths`` says."""
     scalars = rr.Scalars.columns(scalars=values.ravel())
     scribe.along(entity, scalars.partition([values.shape[1]] * len(values) if lengths is None else lengths))
 
@@ -313,7 +313,7 @@ def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike
 def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
     """Points along the arm as its controller believes it to stand, and along the true arm, ``(T, K, 3)``, m.
 
-    The true arm is the nominal one under the drives' command, brought to where the true tool stood.
+    The true arm is drawn as the nominal arm under the drives' command, moved so that its tool is at the true tool.
     """
     assert scene.nominal is not None
     command = column(rows, "joint_command")
@@ -325,11 +325,11 @@ def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
 
 
 EYE = np.array([0.75, -1.0, 0.55])
-"""From the middle of the scene to the eye, in units of the arm's reach at mid-range."""
+"""Vector from the middle of the scene to the eye, in units of the scene's size."""
 SHOWN_TOLERANCES = 5.0
-"""The view from the fruit shows errors up to this many tolerances, or those at the ends of episodes if larger."""
+"""The view from the fruit shows errors up to this many tolerances, or up to the largest at an episode's end."""
 DECADES = "log10 of mm (-1: 0.1 mm, 0: 1 mm, 1: 10 mm)"
-"""Words on the axis of distances; the viewer has no logarithmic axes of its own."""
+"""Words on the axis of distances, as the viewer has no logarithmic axes of its own."""
 
 
 def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
@@ -346,7 +346,7 @@ def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
 
 
 def at_the_end(content: Any) -> rrb.Blueprint:
-    """A layout on `episode_time`, whose cursor stands at the end of the episodes."""
+    """A layout on the time line `episode_time`, with the cursor at the end of the episodes."""
     return layout(content, "episode_time", play_state="following", loop_mode="off")
 
 
@@ -359,7 +359,7 @@ def number_plots(info: Mapping[str, Any]) -> list[Any]:
 
 
 def distance_plot(name: str) -> Any:
-    """Plot of the distance from tool to fruit, on a logarithmic axis that leaves nothing out."""
+    """Plot of the logarithm of the distance from tool to fruit, in full range."""
     title = f"{name}, {DECADES}; legend: mean at the end"
     legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True)
     return view_of(rrb.TimeSeriesView, "distance", title, plot_legend=legend)
@@ -392,7 +392,7 @@ def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:
 
 
 def target_view(largest_mm: float, tolerance_mm: float | None) -> Any:
-    """The true tool seen from the fruit, mm, wide enough for the ``largest_mm`` distance at the end of an episode."""
+    """A view of the true tool from the fruit, mm, wide enough for the largest distance at an episode's end."""
     span = max(SHOWN_TOLERANCES * (tolerance_mm or 0.0), 1.2 * largest_mm)
     region = "" if tolerance_mm is None else f"; capture region, {tolerance_mm:g} mm (red)"
     name = f"True tool seen from the fruit, mm{region}"

@@ -1,6 +1,6 @@
 """A harvested zone as a Rerun recording: master and slaves moving, fruit and its fate, a lane per arm, distances.
 
-Time line: `sim_time`, seconds of the zone. Metres in space, mm on plots.
+Time line: `sim_time`, the time in the zone, s. Units: m in space, mm on plots.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from pickenv.inspect.colours import FRUIT, GREEN, GREY, RED, STEEL, Rgb, arm_col
 from pickenv.inspect.recordings.scribe import Scribe, f32, layout, seen_from, view_of, write_recording
 
 STEP = 0.05
-"""s, between two pictures."""
+"""Time between two recorded moments, s."""
 FATES: dict[str, Rgb] = {"hanging": FRUIT, "collected": GREEN, "missed": RED}
 COLUMN_RADIUS, BOOM_RADIUS, FRUIT_RADIUS = 0.03, 0.02, 0.03
-"""m."""
+"""Radii as drawn, m."""
 
 
 def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Path:
@@ -35,7 +35,7 @@ def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Pat
 
     Args:
         machine: The harvester.
-        harvest: What it did.
+        harvest: The harvest of one tree.
         path: The file to write (.rrd).
 
     Raises:
@@ -72,7 +72,7 @@ def _send(stream: rr.RecordingStream, machine: Machine, harvest: Harvest, shown:
 
 
 def _send_machine(scribe: Scribe, machine: Machine, masters: Array, slaves: Array) -> None:
-    """Column, boom with the slaves' rail, and slaves, for master ``(T, 3)`` and slave joints ``(T, A, 3)``."""
+    """Send column, boom with rail, and slaves, for the joints of master ``(T, 3)`` and slaves ``(T, A, 3)``."""
     drawn_in = slaves.copy()
     drawn_in[..., 1:] = 0.0
     tips, pivots, frame = machine.tips(masters, slaves), machine.tips(masters, drawn_in), machine.frame3(masters)
@@ -94,7 +94,7 @@ def _send_strip(scribe: Scribe, entity: str, points: Array, colour: Rgb, radius:
 
 
 def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: float) -> None:
-    """One Gantt lane: carried by the master, travelling, out, and how the pick ended."""
+    """Send one arm's Gantt lane: carried by the master, travelling, or out on a pick, and how the pick ended."""
     mine = np.flatnonzero(shown.times.arm == arm)
     moments, states = [0.0, arrival], ["carried", "travel"]
     for pick in mine[np.argsort(shown.times.start[mine])]:
@@ -107,7 +107,7 @@ def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: floa
 
 
 def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arrival: float) -> None:
-    """Fruit of the zone; it changes colour when its pick ends."""
+    """Send the fruit of the zone; each changes colour when its pick ends."""
     numbers = np.flatnonzero(shown.zone.holds(harvest.tree.fruit))
     moments = np.concatenate([[0.0], arrival + np.sort(shown.times.end)])
     colours = fates(shown, numbers, moments - arrival)
@@ -119,7 +119,7 @@ def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arri
 
 
 def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint8]:
-    """Colours ``(T, F, 3)`` of the fruit ``numbers`` at times ``at`` of a round's timetable, by what became of each."""
+    """Colours ``(T, F, 3)`` of the fruit ``numbers`` by their fates at times ``at``, s, of a round's timetable."""
     colours = np.broadcast_to(np.array(FATES["hanging"], dtype=np.uint8), (len(at), len(numbers), 3)).copy()
     place = {number: i for i, number in enumerate(numbers.tolist())}
     for pick, number in enumerate(shown.fruit.tolist()):
@@ -130,7 +130,7 @@ def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint
 
 
 def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
-    """Distance between every two slaves, mm, and the least that is allowed."""
+    """Send the distance between every two slaves, mm, and the least distance allowed; nothing for one arm."""
     if machine.arms < 2:
         return
     near = 1e3 * arm_distances(machine, slaves)
@@ -140,11 +140,11 @@ def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
 
 
 def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:
-    """The machine from beside and behind, then the lanes and the distances.
+    """The layout: the machine seen from beside and behind, then the lanes and the distances.
 
     Args:
         shown: Points that the eye must see ``(N, 3)``, m.
-        frame: Frame 3 at the pick point, which tells where ahead is ``(3,)``, m.
+        frame: Position of frame 3 at the pick point ``(3,)``, m, which gives the direction ahead.
         arms: Number of slaves.
     """
     low, high = shown.min(axis=0), shown.max(axis=0)

@@ -1,4 +1,4 @@
-"""Any calibration and any evaluation as a recording: their errors as a comparison, then `record_comparison`."""
+"""Recordings of any calibration or evaluation: the errors become a comparison, which `record_comparison` writes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pickenv.inspect.runs.comparison_summary import round_step, stage_label
 from pickenv.inspect.runs.recorded_episodes import Comparison, FieldGrid, Reaches, ended, field_grid
 
 CELLS = 10
-"""Cells along the longest side of a field whose points lie on no grid."""
+"""Approximate number of cells along the longest side of a field whose points lie on no grid."""
 
 
 def inspect_calibration(
@@ -27,18 +27,18 @@ def inspect_calibration(
     grid_step: float = 0.1,
     seed: int = 0,
 ) -> Path:
-    """Record what a calibration leaves of the error, over the workspace of a simulated arm or at measured poses.
+    """Record the errors before and after calibration, over the workspace of a simulated arm or at measured poses.
 
     Args:
         calibration: The calibration.
-        evidence: The true arm, compensated and driven over its workspace; or measured poses, best held-out ones, of
-            which the models' predictions are taken away.
+        evidence: The true arm, which is compensated and driven over its workspace; or measured poses, preferably
+            held-out ones, from which the models' predictions are subtracted.
         path: The file to write (.rrd).
         grid_step: Cell size of the simulated arm's field, m.
-        seed: Seed of the joints that find the workspace's extent.
+        seed: Seed of the random joint values from which the workspace's extent is estimated.
 
     Raises:
-        InputError: If the calibration is another arm's, there are too few poses, or the file cannot be written.
+        InputError: If the calibration is for another arm, there are too few poses, or the file cannot be written.
     """
     if isinstance(evidence, Plant):
         comparison = _simulated(calibration, evidence, grid_step, seed)
@@ -58,10 +58,10 @@ def inspect_evaluation(
     """Record how several policies ended on the same fruit.
 
     Args:
-        runs: The ends of each policy's episodes by its label, raw first; the same fruit in each.
+        runs: The ends of each policy's episodes, by the policy's label, raw first; all with the same fruit.
         plant: The arm, or the preset that a population of arms was drawn from.
         path: The file to write (.rrd).
-        tolerance_mm: Radius of the gripper's capture region.
+        tolerance_mm: Radius of the gripper's capture region, mm.
         seed: Seed of the episodes, which names the recording.
 
     Raises:
@@ -90,7 +90,7 @@ def inspect_evaluation(
 
 
 def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: int) -> Comparison:
-    """Each stage of the calibration between the controller and the simulated arm, on a grid of its workspace."""
+    """A comparison of the calibration's stages, each compensating the simulated arm, on a grid of its workspace."""
     if calibration.arm_fingerprint != plant.arm.fingerprint():
         raise InputError(
             f"the calibration is of arm '{calibration.arm_name}', not of '{plant.arm.name}' with this geometry; "
@@ -109,7 +109,7 @@ def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: i
 
 
 def _measured(calibration: Calibration, data: Measurements, seed: int) -> Comparison:
-    """Each stage of the calibration as a prediction of measured poses; its identified geometry is the true arm."""
+    """A comparison of the calibration's stages as predictions of measured poses; the true arm is the identified one."""
     if len(data) < 2:
         raise InputError(f"{data.source}: {len(data)} poses are too few to show; give at least two")
     errors = {
@@ -141,7 +141,7 @@ def _without_reaches(
 
 
 def _grid_around(points: Array, joints: Array) -> FieldGrid:
-    """A grid around points that lie on none: cells of a round size, some `CELLS` along the longest side."""
+    """A grid around points that lie on none: cells of a round size, about `CELLS` along the longest side."""
     low, high = points.min(axis=0), points.max(axis=0)
     step = round_step(max(float((high - low).max()), 1e-3) / CELLS)
     shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)

@@ -1,4 +1,4 @@
-"""Live viewers: one that is started here, one that runs already, or whoever asks a server here."""
+"""Live viewers: one that is started here, one that runs already, or any that connect to a server here."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ import rerun.blueprint as rrb
 from pickenv.base import InputError, command_line, command_words
 
 VIEWER_PORT = 9876
-"""Port at which rerun's viewer listens unless told otherwise."""
+"""Port at which rerun's viewer listens by default."""
 VIEWER_MEMORY = "2GiB"
-"""A viewer that is left open all day forgets the oldest steps beyond this."""
+"""Memory limit of a viewer, beyond which it forgets the oldest steps."""
 PATIENCE = 5.0
-"""Time to wait for a viewer that runs, s."""
+"""Time to wait for an answer from a viewer that runs, s."""
 START_PATIENCE = 30.0
-"""Time to wait for one that is being started, s."""
+"""Time to wait for a viewer that is being started, s."""
 LOCAL = "127.0.0.1"
 
 
@@ -33,12 +33,12 @@ def open_live(
     connect: str | None = None,
     serve: int | None = None,
 ) -> rr.RecordingStream:
-    """A stream to places where a recording is shown while it grows; all three at once are possible.
+    """A stream to viewers that show a recording while it grows; spawn, connect and serve may be combined.
 
     Args:
-        recording_id: Its identity.
+        recording_id: Identity of the recording.
         blueprint: The layout.
-        spawn: Start a viewer on this machine, or use the one that runs.
+        spawn: Whether to start a viewer on this machine, or use the one that runs.
         connect: Address of a viewer or proxy, as `rerun` prints it: `rerun+http://127.0.0.1:9876/proxy`.
         serve: Port of a server on this machine, for viewers that connect later; None for no server.
 
@@ -98,7 +98,8 @@ def _listens() -> bool:
 def rerun_command(*words: object, **options: object) -> list[str]:
     """The command that starts the installed rerun, whose version fits the recordings, with arguments and options.
 
-    This Python's module, and not a program beside it: packages may lie elsewhere (pip --user, system site packages).
+    It runs the module with this Python instead of a program beside Python, as packages may lie elsewhere (pip --user,
+    system site packages).
     """
     return command_words(sys.executable, "-m", "rerun_cli", *words, **options)
 
@@ -109,7 +110,7 @@ def telemetry_wanted() -> bool:
 
 
 def viewer_environment() -> dict[str, str]:
-    """Environment of a viewer, which keeps to itself how it is used unless that is wanted: it sends nothing on CI."""
+    """Environment variables for a viewer; unless telemetry is wanted, CI is set, with which a viewer sends none."""
     return dict(os.environ) if telemetry_wanted() else {**os.environ, "CI": "1"}
 
 
@@ -117,7 +118,7 @@ def check_screen() -> None:
     """Refuse to open a window where there is no screen, with a sentence instead of a panic.
 
     Raises:
-        InputError: If there is none.
+        InputError: If there is no screen.
     """
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError(
@@ -130,7 +131,7 @@ def check_answers(url: str) -> None:
     """Refuse an address where nobody listens; rerun itself would go on trying.
 
     Raises:
-        InputError: If it is no such address, or nothing listens there.
+        InputError: If ``url`` is no address of a viewer, or nothing listens there.
     """
     form = f"rerun+http://{LOCAL}:{VIEWER_PORT}/proxy"
     try:

@@ -23,7 +23,7 @@ from pickenv.inspect.runs.recorded_episodes import believed_joints, missing_posi
 Observation = TypeVar("Observation")
 Action = TypeVar("Action")
 GROWTH = 2.0
-"""The file is written anew once this many times as many steps are recorded as it holds: so the cost stays small."""
+"""The file is rewritten once the recorded steps are this many times those in the file, so the cost stays small."""
 
 
 class _Recorder:
@@ -65,7 +65,7 @@ class _Recorder:
         self._stream: rr.RecordingStream | None = None
 
     def met(self, info: Mapping[str, Any]) -> None:
-        """After the first reset: what is the same in all episodes, and the recording's identity.
+        """Note, after the first reset, what is the same in all episodes, and the recording's identity.
 
         Recordings of several policies on one environment, plant and first seed are shown as one.
         """
@@ -90,7 +90,7 @@ class _Recorder:
         self._identity = ":".join([name, *([] if plant is None else [plant.name]), f"seed{outer.np_random_seed}"])
 
     def ended(self, growth: float = GROWTH) -> None:
-        """After the end of an episode: show it, and write the file if so many times as many steps are recorded."""
+        """Show an episode that has ended; write the file if recorded steps are ``growth`` times those in it or more."""
         recorded = self._recorded
         if recorded and self._live:
             self._show()
@@ -98,7 +98,7 @@ class _Recorder:
             self._write(self.path)
 
     def close(self) -> None:
-        """Show and write what is left."""
+        """Show and write the steps not yet shown or written, and disconnect the live viewers."""
         self.ended(growth=1.0)
         if self._stream is not None:
             try:
@@ -116,7 +116,7 @@ class _Recorder:
         return next(log.rows for log in self.logs if log.rows)
 
     def _write(self, path: Path) -> None:
-        """The whole recording anew: what stood there stays until the new one is complete."""
+        """Write the whole recording anew; the old file stays until the new one is complete."""
         blueprint = entities.episode_blueprint(self._scene, self._rows())
         write_recording(path, self._identity, blueprint, lambda stream: self._send(stream, [0] * len(self.logs)))
         self._in_file = self._recorded
@@ -129,7 +129,7 @@ class _Recorder:
         self._shown = [len(log.rows) for log in self.logs]
 
     def _send(self, stream: rr.RecordingStream, start: Sequence[int]) -> None:
-        """Send each environment's rows from ``start`` on, and before them what holds for all, such as their mean."""
+        """Send each environment's rows from ``start`` on, and before them what holds for all rows, such as looks."""
         if not any(start):
             facts: dict[str, Any] = {"pickenv_version": pickenv.__version__, "rerun_version": rr.__version__}
             stream.send_property("pickenv", rr.AnyValues(**facts))
@@ -146,10 +146,10 @@ NOT_OF_THE_RECORDER = ("self", "env", "indices")
 class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
     """Log episodes for the Rerun viewer: true and nominal arm, fruit, miss, and every number of `info`.
 
-    The signature is that of `gymnasium.wrappers.RecordVideo`. All recorded episodes are in one file,
+    The signature follows `gymnasium.wrappers.RecordVideo`. All recorded episodes are in one file,
     ``save_path/name_prefix-policy.rrd``; files of several policies on one environment and seed are shown as one:
-    ``rerun runs/*.rrd``. The file is written whole at the end of an episode, each time that twice as many steps are
-    recorded as it holds, and by `close`. Live viewers see each episode when it has ended.
+    ``rerun runs/*.rrd``. The file is written whole at the end of an episode whenever the recorded steps are twice
+    those in the file, and by `close`. Live viewers see each episode when it has ended.
 
     Example:
         >>> import gymnasium as gym
@@ -186,12 +186,12 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
             save_path: Folder for the file; None for live viewers alone.
             episode_trigger: Whether to record an episode, given its number; capped cubic if there is no trigger.
             step_trigger: Whether to record from a step, given its number.
-            recording_length: Steps of one recording; 0 for whole episodes.
+            recording_length: Number of steps of one recording; 0 for whole episodes.
             name_prefix: First part of the file's name.
             policy: Name of the policy: lower-case letters, digits and underscores.
             spawn: Show the episodes in a viewer that is started here.
-            connect: Show them in the viewer at this address.
-            serve: Show them to viewers that connect to this port.
+            connect: Show the episodes in the viewer at this address.
+            serve: Show the episodes to viewers that connect to this port.
 
         Raises:
             InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
@@ -205,7 +205,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Reset the environment; a recording may begin."""
+        """Reset the environment; recording may begin."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._recorder.met(info)
         if self._log.begins():
@@ -213,7 +213,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         return observation, info
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment, and note its info while recording."""
+        """Step the environment, and record its info where the triggers ask for it."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._log.steps():
             self._log.note(info, float(reward), believed_joints(self.env))
@@ -222,13 +222,13 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
-        """Write what is left, and close the environment."""
+        """Write the steps not yet written, and close the environment."""
         self._recorder.close()
         super().close()
 
 
 class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
-    """`LogRerun` for vector environments: logs those with the chosen indices.
+    """`LogRerun` for vector environments: it logs the environments with the chosen indices.
 
     Change log:
      * v0.1.0 - Added.
@@ -249,9 +249,9 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         connect: str | None = None,
         serve: int | None = None,
     ) -> None:
-        """Log environments ``indices`` of ``env``; the other arguments are those of `LogRerun`.
+        """Log environments ``indices`` of ``env``; the other arguments are as for `LogRerun`.
 
-        The triggers are asked with the number of each environment's own episode or step.
+        The triggers get the number of each environment's own episode or step.
 
         Raises:
             InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
@@ -269,7 +269,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environments; recordings may begin."""
+        """Reset the environments; recording may begin."""
         mask = None if options is None else options.get("reset_mask")
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._recorder.met(infos)
@@ -281,7 +281,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step the environments, and note infos while recording."""
+        """Step the environments, and record infos where the triggers ask for them."""
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         same_step = self.env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
         ended = False
@@ -303,6 +303,6 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         return observations, rewards, terminations, truncations, infos
 
     def close(self, **arguments: Any) -> None:
-        """Write what is left, and close the environments."""
+        """Write the steps not yet written, and close the environments."""
         self._recorder.close()
         super().close(**arguments)

@@ -1,4 +1,4 @@
-"""Open finished recordings: in the native viewer, in a browser, in a viewer that runs already, or for whoever asks."""
+"""Open finished recordings: in the native viewer, a browser, a viewer that runs already, or any that connects."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ PATIENCE = 30.0
 
 @contextmanager
 def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
-    """Serve a viewer's page once more, at a port of its own and with a content security policy; yields that port.
+    """Serve a viewer's page again at a new port, with a content security policy; yields the port.
 
     Args:
         host: This machine's own address, 127.0.0.1.
         viewer: Port at which rerun serves its page.
-        data: Port at which it serves the recording.
+        data: Port at which rerun serves the recording.
     """
     policy = (
         "default-src 'self' 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; "
@@ -80,7 +80,7 @@ def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
             self.wfile.write(content)
 
         def log_message(self, format: str, *args: object) -> None:
-            """Nothing is said of what is asked for."""
+            """Log nothing about requests."""
 
     with ThreadingHTTPServer((host, 0), Page) as server:
         port = server.server_address[1]
@@ -96,10 +96,10 @@ def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
 
 WINDOW = "1600x900"
 STARTING, VIEWER_PICTURE_PATIENCE = 20.0, 60.0
-"""Longest times to wait for the viewer's first answer, and until its picture stands still, s."""
+"""Longest times to wait for the viewer's first answer, and for its picture to stop changing, s."""
 
 LOOK_AGAIN = 1.0
-"""Time between two looks, s: messages fade and shaders come in late."""
+"""Time between two looks at the picture, s, as messages fade and shaders come in late."""
 
 
 def viewer_picture(recording: Path) -> bytes | None:
@@ -158,7 +158,7 @@ def headless_viewer() -> Iterator[Any]:
 
 
 def _packed(png: bytes) -> bytes:
-    """The same picture at a third of the size."""
+    """A PNG picture as lossless WebP, about a third of the size."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -167,17 +167,17 @@ def _packed(png: bytes) -> bytes:
 
 
 BY_CTRL_C = 130
-"""Exit code of what Ctrl-C has ended, as shells have it."""
+"""Exit code of a program that Ctrl-C ended, as in shells."""
 HEADER = b"RRF"
 """First bytes of every recording; a digit and the writer's version follow."""
 
 
 def check_recording(path: str | Path) -> None:
-    """Refuse what this program's viewer cannot show.
+    """Refuse a file that the installed rerun viewer cannot show.
 
     Raises:
-        InputError: If the file is missing, no recording, damaged, or written by a rerun that is newer than the one
-            installed or older by more than one minor version, which is as far as rerun promises to read back.
+        InputError: If the file is missing, is no recording, is damaged, or was written by a rerun newer than the
+            installed one, or older by more than one minor version, beyond which rerun does not promise to read.
     """
     path = Path(path)
     try:
@@ -205,7 +205,7 @@ def check_recording(path: str | Path) -> None:
 
 
 def open_native(paths: Sequence[Path]) -> None:
-    """Show recordings in rerun's own window, or in the one that is open; returns when it is closed.
+    """Show recordings in a window of rerun, a new one or the open one; returns when rerun ends.
 
     Raises:
         InputError: If there is no screen.
@@ -234,7 +234,7 @@ def send(paths: Sequence[Path], url: str) -> None:
     """Send recordings to a viewer that runs already.
 
     Raises:
-        InputError: If none answers at ``url``, or it does not take everything.
+        InputError: If no viewer answers at ``url``, or it does not take everything.
     """
     live.check_answers(url)
     for path in paths:
@@ -264,7 +264,7 @@ def _serve(*paths: Path, **options: object) -> None:
 
 
 def _run(*paths: Path, **options: object) -> None:
-    """Run the installed rerun and end it, with what it started, when we end."""
+    """Run the installed rerun; end it and the programs that it started when this program ends."""
     # Its log goes nowhere: on a healthy day it is a screenful that hides the one line that says where to look.
     quiet = subprocess.DEVNULL
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
@@ -281,13 +281,13 @@ def _run(*paths: Path, **options: object) -> None:
 
 
 LEAVING = 5.0
-"""s; what a viewer has to end by itself."""
+"""Time that a viewer has to end by itself, s."""
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End the program; on POSIX its whole group, because `rerun` is a script that starts the program proper.
+    """End a program; on POSIX, its whole process group, because `rerun` is a script that starts the program proper.
 
-    A viewer that takes longer than `LEAVING` to say goodbye to whoever looks is not waited for.
+    A viewer that takes longer than `LEAVING` to end is killed.
     """
     if sys.platform == "win32":
         process.terminate()

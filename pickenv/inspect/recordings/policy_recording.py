@@ -1,6 +1,6 @@
 """A comparison of policies as one Rerun recording: who is better, where in the workspace, and every episode.
 
-Policies stand beside one another in one space, so that one eye looks at all of them. Time lines are those of
+Policies stand beside one another in one space, so that one eye looks at all of them. The time lines are as in
 `episode_entities`.
 """
 
@@ -25,7 +25,7 @@ from pickenv.inspect.runs.saved import shown_box
 SIDEWAYS = np.array([0.8, 0.6, 0.0])
 """Direction to the next policy: to the right as the eye sees it."""
 APART = 1.25
-"""Distance between policies, in widths of what is shown of one."""
+"""Distance between neighbouring policies, in widths of the scene of one policy."""
 NAME_SIZE = rr.Radius.ui_points(6.0)
 
 
@@ -33,7 +33,7 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
     """Write a comparison of policies as a recording (.rrd) with its blueprint inside, whole or not at all.
 
     Args:
-        episodes: Of every policy, and a `Comparison`'s errors over the workspace.
+        episodes: The episodes of every policy; a `Comparison` adds the errors over the workspace.
         path: The file to write.
 
     Raises:
@@ -54,7 +54,7 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
 
 
 def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
-    """A policy's episodes as recorded steps, with what `info` said of them."""
+    """A policy's episodes as recorded steps, each with its `info`; ``arm`` adds the joint command."""
     names = ["position_error_mm", "picked", "tool_position", "fruit_position", "joint_target", "reward"]
     names += ["attitude_error_deg"] * (not np.isnan(policy.attitude_error_deg).all()) + ["joint_command"] * arm
     told = {name: getattr(policy, name) for name in names} | {"is_success": policy.success}
@@ -85,7 +85,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
 
 
 def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
-    """Each policy's error field, and what the last one removes of the first one's, beside one another."""
+    """Send each policy's error field, and the first policy's errors minus the last one's, beside one another."""
     scribe, (top, gain, step) = Scribe(stream), _field_scale(comparison)
     centre, radius = shown_box(comparison)
     above = centre + np.array([0.0, 0.0, 0.8 * radius])
@@ -110,7 +110,7 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
 
 
 def _field_scale(comparison: Comparison) -> tuple[float, float, Array]:
-    """The scale of all fields: upper end of colours, mm; gain of the arrows; from one field to the next ``(3,)``, m."""
+    """The scale of all fields: upper end of colours, mm; gain of arrows; shift to the next field ``(3,)``, m."""
     top = max(scale_end(field_mm(policy)) for policy in comparison.policies)
     return top, field_gain(comparison.grid.step, top), APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
 
@@ -153,7 +153,7 @@ def _field_tab(comparison: Comparison) -> Any:
 
 
 def _box(episodes: RecordedEpisodes) -> tuple[Array, Array, Array]:
-    """Corners ``(3,)`` of a box around all tools and fruit, and the arm's base, m; from one policy to the next."""
+    """Low and high corner ``(3,)`` of a box around tools, fruit and base, and shift to the next policy ``(3,)``, m."""
     points = [values.reshape(-1, 3) for p in episodes.policies for values in (p.tool_position, p.fruit_position)]
     if episodes.nominal is not None:
         points.append(episodes.nominal.base.position[None])

@@ -1,6 +1,6 @@
-"""Rerun recordings of anything: one stream, whole columns, no wall-clock times: equal data give equal files.
+"""Rerun recordings of anything: one stream, whole columns, no wall-clock times, so that equal data give equal files.
 
-Metres in space; millimetres and degrees on plots, as their titles say.
+Units: m in space; mm and degrees on plots, as their titles say.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pickenv.inspect.runs.saved import capsules
 
 APPLICATION_ID = "pickenv"
 BASE_RADIUS, TOOL_RADIUS = 0.030, 0.012
-"""m; links are drawn thinner from base to tool."""
+"""Radii of the first and the last link as drawn, m; links become thinner from base to tool."""
 COLOUR_BAR_PIXELS = (512, 7)
 
 
@@ -33,9 +33,9 @@ def write_recording(
 
     Args:
         path: The file; missing folders are made.
-        recording_id: Its identity; files of one identity are shown as one recording.
+        recording_id: Identity of the recording; files of one identity are shown as one recording.
         blueprint: The layout.
-        send: Sends everything to the stream.
+        send: Function that sends everything to the stream.
 
     Raises:
         InputError: If the file cannot be written.
@@ -45,7 +45,7 @@ def write_recording(
 
 
 def recording_bytes(recording_id: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]) -> bytes:
-    """A recording as the content of a file, with the footer that ends a finished one.
+    """A recording as the content of a file, with the footer that ends a finished recording.
 
     It is made in memory, because rerun's own writer waits for ever when the disk fills up.
 
@@ -66,7 +66,7 @@ class Scribe:
     """Sends columns to one stream, either for all time or along time lines."""
 
     def __init__(self, stream: rr.RecordingStream, times: Sequence[rr.TimeColumn] = ()) -> None:
-        """Without ``times``, `along` sends nothing."""
+        """A scribe for one stream and its time columns; without ``times``, `along` sends nothing."""
         self.stream, self.times = stream, tuple(times)
 
     def still(self, entity: str, *content: rr.AsComponents) -> None:
@@ -85,35 +85,35 @@ class Scribe:
             self.stream.send_columns(entity, self.times, [c for several in columns for c in several], strict=True)
 
     def properties(self, **facts: Any) -> None:
-        """Facts that a reader sees beside the recording, and the versions of what made it."""
+        """Send facts that a reader sees beside the recording, and the versions of the packages that made it."""
         made_with: Any = {f"{name}_version": made for name, made in {**versions(), "rerun": rr.__version__}.items()}
         self.stream.send_property("pickenv", rr.AnyValues(**facts, **made_with))
 
     def document(self, entity: str, markdown: str) -> None:
-        """A text for all time."""
+        """Send a Markdown text for all time."""
         self.still(entity, rr.TextDocument(markdown, media_type="text/markdown"))
 
     def words(self, entity: str, place: ArrayLike, text: str) -> None:
-        """A text at a place ``(3,)`` in space, m, for all time."""
+        """Send a text at a place ``(3,)`` in space, m, for all time."""
         self.still(entity, rr.Points3D([place], labels=[text], colors=[WHITE], radii=0.0, show_labels=True))
 
     def curve(self, entity: str, name: str, colour: Rgb, values: ArrayLike, width: float | None = None) -> None:
-        """Numbers along the time lines ``(T,)``, and how they are drawn; the width is in points."""
+        """Send numbers along the time lines ``(T,)``, and how they are drawn; the width is in points."""
         self.still(entity, rr.SeriesLines(names=[name], colors=[colour], widths=None if width is None else [width]))
         self.along(entity, rr.Scalars.columns(scalars=values))
 
     def lane(self, entity: str, looks: Mapping[str, tuple[str, Rgb]], states: Sequence[str]) -> None:
-        """States along the time lines ``(T,)``; each has a label and a colour in ``looks``."""
+        """Send states along the time lines ``(T,)``; each state has a label and a colour in ``looks``."""
         labels, colours = [label for label, _ in looks.values()], [(*colour, 255) for _, colour in looks.values()]
         self.still(entity, rr.StateConfiguration(values=list(looks), labels=labels, colors=colours))
         self.along(entity, rr.StateChange.columns(state=states))
 
     def arrows(self, entity: str, origins: Array, arrows: Array, values: Array, top: float, unit: str = "mm") -> None:
-        """A field of arrows for all time, coloured by the length of what they stand for.
+        """Send a field of arrows for all time, coloured by the length of ``values``.
 
         Args:
-            entity: Its name.
-            origins: Where the arrows stand ``(N, 3)``, m.
+            entity: Name of the field.
+            origins: Points at which the arrows start ``(N, 3)``, m.
             arrows: The arrows as drawn ``(N, 3)``, m.
             values: The vectors that a click reads out ``(N, 3)``, in ``unit``.
             top: Upper end of the colour scale, in ``unit``.
@@ -128,7 +128,7 @@ class Scribe:
     def arm(
         self, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
     ) -> None:
-        """An arm that stands elsewhere at every moment; ``points`` ``(T, K, 3)``, m, and ``parts`` as of `capsules`."""
+        """Send a moving arm's look and places; ``points`` ``(T, K, 3)``, m, and ``parts`` are as in `capsules`."""
         count = len(parts)
         self.still(
             entity,
@@ -142,7 +142,7 @@ class Scribe:
         self.move_arm(entity, points, parts)
 
     def move_arm(self, entity: str, points: Array, parts: list[int]) -> None:
-        """Places of an arm at every moment, for one whose looks were sent by `arm`."""
+        """Send the places at every moment of an arm whose look `arm` has sent."""
         start, length, quaternion = capsules(points, parts)
         moving = rr.Capsules3D.columns(
             lengths=f32(length.ravel()),
@@ -152,7 +152,7 @@ class Scribe:
         self.along(entity, moving.partition([len(parts)] * len(points)))
 
     def axes(self, entity: str, corner: ArrayLike, lengths: ArrayLike, labels: Sequence[str], width: float) -> None:
-        """The world's axes from ``corner`` ``(3,)`` on, of given ``lengths`` ``(3,)``, with words; width in points."""
+        """Send the world's axes from ``corner`` ``(3,)``, m, with ``lengths`` ``(3,)`` and labels; width in points."""
         arrows = rr.Arrows3D(
             origins=[corner] * 3,
             vectors=np.diag(lengths),
@@ -163,7 +163,7 @@ class Scribe:
         self.still(entity, arrows)
 
     def capture(self, tolerance_mm: float) -> None:
-        """The gripper's capture region as seen from the fruit, a ball of that radius, mm."""
+        """Send the gripper's capture region as seen from the fruit: a ball with the tolerance as radius, mm."""
         ball = rr.Ellipsoids3D(
             half_sizes=[[tolerance_mm] * 3],
             colors=[(*RED, 200)],
@@ -173,7 +173,7 @@ class Scribe:
         self.still("target/capture", ball)
 
     def colour_bar(self, entity: str, top: float, unit: str) -> None:
-        """A colour scale from 0 to ``top`` with its unit: an image and its ticks below ``entity``."""
+        """Send a colour scale from 0 to ``top`` with its unit: an image and its ticks as entities below ``entity``."""
         width, height = COLOUR_BAR_PIXELS
         bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
         self.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
@@ -185,12 +185,12 @@ class Scribe:
 
 
 def f32(values: ArrayLike) -> Any:
-    """Values in the precision in which rerun keeps them."""
+    """Values as 32-bit floats, the precision in which rerun keeps them."""
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
 def four_digits(values: ArrayLike) -> Array:
-    """Values to four significant digits: the viewer's tables print all digits that there are."""
+    """Values rounded to four significant digits, as the viewer's tables print all digits."""
     return np.array([float(f"{value:.4g}") for value in np.ravel(values)]).reshape(np.shape(values))
 
 
@@ -200,7 +200,7 @@ def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
 
 
 def reading_columns(vectors: Array) -> Iterable[rr.ComponentColumn]:
-    """`reading` in mm with one row per moment."""
+    """The numbers of `reading`, in mm, as columns with one row per moment."""
     return rr.DynamicArchetype.columns("PickError", components=_readings(vectors, "mm"))
 
 
@@ -210,13 +210,13 @@ def _readings(vectors: Array, unit: str) -> dict[str, Any]:
 
 
 BACKGROUND = (72, 72, 80)
-"""Explicit, so that 3D views look the same in either theme; a grey from which both ends of Viridis stand out."""
+"""Background of 3D views in either theme: a grey from which both ends of Viridis stand out."""
 MOST_ABREAST = 4
-"""Views side by side before there is another row of them."""
+"""Largest number of views in one row."""
 
 
 def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
-    """A blueprint without panels but the time line, which stands still at first and then loops, if not told else."""
+    """A blueprint with all panels collapsed; unless ``time`` says otherwise, time is paused at first and then loops."""
     return rrb.Blueprint(
         content,
         rrb.BlueprintPanel(state="collapsed"),
@@ -229,7 +229,7 @@ def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
 def seen_from(
     eye: Array, look: Array, origin: str, contents: list[str], name: str, *, ground: bool = True, **more: Any
 ) -> Any:
-    """A view in 3D from ``eye`` to ``look`` ``(3,)``, above a grid on the ground or not."""
+    """A 3D view from the point ``eye`` to the point ``look`` ``(3,)``, m, with a grid on the ground or without."""
     grid = {"visible": True, "spacing": 0.5, "stroke_width": 0.5, "color": (255, 255, 255, 30)}
     return rrb.Spatial3DView(
         origin=origin,
@@ -243,7 +243,7 @@ def seen_from(
 
 
 def view_of(kind: Any, entity: str, name: str, **more: Any) -> Any:
-    """A view of that kind of all below an entity."""
+    """A view of a given kind that shows everything below an entity."""
     return kind(origin=f"/{entity}", contents=[f"+ /{entity}/**"], name=name, **more)
 
 

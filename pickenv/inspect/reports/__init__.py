@@ -1,1 +1,1 @@
-"""Pages: one HTML file without outside resources each."""
+"""Report pages, each one HTML file without outside resources."""

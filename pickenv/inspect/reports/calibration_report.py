@@ -1,6 +1,6 @@
-"""One page per calibration, for whoever must decide whether to use it: verdict first, then what it rests on.
+"""The page of a calibration, for whoever must decide whether to use it: first the verdict, then its evidence.
 
-Lengths in mm, angles in degrees, each named where it stands.
+Lengths are in mm and angles in degrees, with the unit beside each number.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ VERDICTS = {
     "do not use": "Do not use this calibration",
 }
 FURTHER = ("pictures", "uncertainty", "left_out", "terms", "stiffnesses", "harmonics", "residual_models")
-"""Keys of tables that have a section of their own, in order."""
+"""Keys of the tables that get sections of their own, in the order of the page."""
 MAP_POSES = 6000
-"""Poses drawn for the map of predicted uncertainty."""
+"""Number of random poses behind the map of predicted uncertainty."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -51,10 +51,10 @@ def drawings(run: Run) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page that was written with the run, for it needs more than the folder keeps.
+    """The page that was written with the run; it cannot be made again, as it needs more than the folder keeps.
 
     Raises:
-        InputError: If there is none, or it was edited.
+        InputError: If the folder has no page, or the page was edited.
     """
     path = run.folder / REPORT
     if not path.is_file():
@@ -63,15 +63,15 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def write_calibration_report(path: str | Path, result: Result, seeds: Mapping[str, Any] | None = None) -> Path:
-    """Write the page, whole or not at all."""
+    """Write the page of a calibration to ``path``, whole or not at all."""
     return write_text(path, calibration_page(result, seeds))
 
 
 def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> str:
-    """The page as HTML.
+    """The page of a calibration as HTML.
 
     Args:
-        result: The calibration, judged.
+        result: The calibration and its judgement.
         seeds: Seeds and options that reproduce the calibration, by name.
     """
     train, test = result.train, result.test
@@ -101,7 +101,7 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
 
 
 def _measured(data: Observations) -> str:
-    """Kind of the rows of a data set, in words."""
+    """The kind of a data set's rows, in words: views of a board, or measurements of a kind."""
     return "views of a board" if data.kind == "pixels" else f"{data.kind} measurements"
 
 
@@ -132,7 +132,7 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
 
 
 def _worth(r: Result) -> str:
-    """Whether the calibration changes picks, the whole error being taken for one across the tool."""
+    """Say whether the calibration changes picks, if all of the error were across the tool; empty where unknown."""
     if r.miss_unit != "mm" or not r.has_nominal or r.pixels is not None:
         return ""
     mm = norms_mm(r.errors)
@@ -164,7 +164,7 @@ def _sentence(text: str) -> str:
 
 
 def _table(block: Block, look: str = "") -> PageTable:
-    """A block of the terminal as a table, with its note."""
+    """A block of the terminal's output as a table, with the block's note as caption."""
     return PageTable(_sentence(block.note), block.header, block.rows, look)
 
 
@@ -189,7 +189,7 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
 
 
 def _reprojection(r: Result) -> Section:
-    """Held-out errors of pictures, drawn; nothing where no pictures were taken."""
+    """The section with drawn reprojection errors of held-out views; empty where no pictures were taken."""
     return Section(
         "Reprojection errors",
         view_drawings(views_of(r)),
@@ -265,7 +265,7 @@ def _poses(r: Result, train: Observations) -> Section:
 
 
 def _uncertainty(r: Result) -> Drawing | None:
-    """Map of the uncertainty of predicted positions; None where that is unknown."""
+    """Map of the uncertainty of predicted positions; None where it is unknown or the model has further terms."""
     model, uncertainty, geometry = r.fit.calibration.model, r.uncertainty, r.fit.identification.geometry
     if not np.isfinite(uncertainty.covariance).all() or model.terms:
         return None

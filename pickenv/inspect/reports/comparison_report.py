@@ -20,7 +20,7 @@ def drawings(run: Run) -> Drawings:
 
 
 def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
-    """Every figure of a comparison of policies."""
+    """The figures of a comparison of policies, drawable or left out."""
     drawings = [captioned("distance_over_time", plot_policies.distance_over_time, episodes)]
     if not isinstance(episodes, Comparison):
         return [*drawings, Drawing("error_fields", MISSING)]

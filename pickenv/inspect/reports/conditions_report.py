@@ -12,9 +12,9 @@ from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.run_folder import CONDITIONS, Run, TakePicture, load_result
 
 SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}
-"""Conditions that are varied one at a time, the others as at the reference."""
+"""Axis labels of the conditions, which are varied one at a time while the others stay at the reference."""
 HELD_OUT = "held-out sessions"
-"""Sessions drawn as the training sessions were, and not among them."""
+"""Key of the sessions that were drawn as the training sessions were but are not among them."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -38,7 +38,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
-    """The verdict for a reader: a headline, and what it rests on."""
+    """The verdict in words: a headline, and a text with the mean errors behind it."""
     methods = result["sweeps"][HELD_OUT]["methods"]
     figures = {name: by_level[0] for name, by_level in methods.items()}
     usual = next(name for name in figures if name != "raw")
@@ -56,7 +56,7 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def condition_tables(result: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
-    """A table for each condition: title, heads and rows, means with 95 % intervals, mm."""
+    """A table for each condition, as title, heads and rows: mean errors with 95 % intervals, mm."""
     tables = []
     for name, sweep in result["sweeps"].items():
         rows = [[method, *(_mean(figure) for figure in by_level)] for method, by_level in sweep["methods"].items()]

@@ -1,4 +1,4 @@
-"""The report of a demonstration: what the calibration removed, what remains, whether it suffices; then the evidence."""
+"""The report of a demonstration: errors removed, errors left, whether the calibration suffices, and the evidence."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ OF_ONE = "All of it is of this one calibration of one arm: intervals are over fr
 NO_INTERVAL = f"no interval: fewer than {LEAST_ROWS} reaches, or all alike"
 
 REQUIRED_SHARE = 0.95
-"""Share of reaches within the tolerance for which a calibration counts as sufficient."""
+"""Share of reaches within the tolerance from which a calibration counts as sufficient."""
 
 
 MOST_ARROWS = 3000
-"""Arrows of an interactive field at most."""
+"""Largest number of arrows of an interactive field."""
 EYE_DISTANCE = 2.55
-"""In units of the scene's size, as plotly counts."""
+"""Distance of the eye from the middle of a scene, in plotly's unit: the scene's size."""
 
 COLOUR_BAR: Mapping[str, Any] = {
     "title": {"text": "position error (mm)", "side": "bottom", "font": {"size": 13}},
@@ -64,7 +64,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
     Args:
         run: The run.
-        picture: Takes a picture of the recording, which is then shown.
+        picture: Function that draws the recording for the page; no picture is shown when None.
 
     Raises:
         InputError: If a file of the run is missing or damaged.
@@ -100,11 +100,11 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 def demo_verdict(
     comparison: Comparison, cases: Mapping[str, Sequence[Change]] | None = None
 ) -> report_page.PageVerdict:
-    """The worth of the last policy's calibration against the first, and whether that changes picks.
+    """The verdict: how much the last policy's calibration improves on the first policy, and whether picks change.
 
     Args:
-        comparison: The reaches.
-        cases: What calibration does to picks on each plant; on the comparison's own where left out.
+        comparison: The comparison with its reaches.
+        cases: Changes of picks by calibration for each plant; for the comparison's own plant when left out.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     first_mm, last_mm = first.ends.position_error_mm, last.ends.position_error_mm
@@ -146,7 +146,7 @@ def demo_verdict(
 
 
 def _cases(cases: Mapping[str, Sequence[Change]]) -> report_page.Section:
-    """Picks without and with calibration, by plant, gripper and perception error."""
+    """The section on picks without and with calibration, by plant, gripper and perception error."""
     rows = [
         (f"{plant}, {cells[0]}", *cells[1:]) for plant, changes in cases.items() for cells in map(change_cells, changes)
     ]
@@ -236,7 +236,7 @@ def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, 
 
 
 def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
-    """The attitude error that no joint motion removes, beside the whole."""
+    """A sentence with each stage's mean attitude error, and the part of it that no joint motion removes."""
     geometry, joints = comparison.plant.geometry, trace.sets["test"]
 
     def degrees(errors: Array) -> float:
@@ -269,7 +269,7 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
 
 
 def _recording(screenshot: bytes | None) -> report_page.Section:
-    """The picture of the recording; nothing where there is none, for the origin names the file and what opens it."""
+    """The section with the recording's picture; empty without one, as the origin says how to open the recording."""
     explain = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
     return report_page.Section("The recording", [screenshot], explain)
 
@@ -291,7 +291,7 @@ def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibrati
 
 
 def field_spec(comparison: Comparison) -> dict[str, Any]:
-    """The error fields side by side in 3-D: a dot per wanted position, to hover over, and a line to the true one."""
+    """Plotly's error fields side by side in 3-D: dots at wanted positions, to hover over, and lines to true ones."""
     rows, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
     gain = field_gain(comparison.grid.step, top)
@@ -314,7 +314,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
 
 
 def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Traces of lines to the true and of dots at the wanted positions, coloured by the errors' true lengths in mm."""
+    """Two traces coloured by the errors' true lengths, mm: lines to true positions, and dots at wanted positions."""
     tips, length = points + gain * errors, np.linalg.norm(errors, axis=1) * 1e3
     shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
     shaft = _coordinates(shafts) | {
@@ -336,7 +336,7 @@ def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) ->
 
 
 def _axes(points: Array, spacing: float) -> dict[str, Any]:
-    """The same axes for every scene, m."""
+    """The axes, m, that all scenes share, for points ``(N, 3)`` with room of one ``spacing`` around them."""
     low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
     small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 6.0)}
     axes = {
@@ -347,7 +347,7 @@ def _axes(points: Array, spacing: float) -> dict[str, Any]:
 
 
 def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
-    """Position error at each test pose, marks for each stage, on a logarithmic axis."""
+    """Plotly's figure of the position error at each test pose, by stage, on a logarithmic axis."""
     data = [
         {
             "type": "scatter",
@@ -376,7 +376,7 @@ def _coordinates(points: Array) -> dict[str, Any]:
 
 
 def _numbers(values: Array) -> list[float | None]:
-    """Numbers to four decimals, and gaps where they are NaN."""
+    """Numbers rounded to four decimals, with None in place of NaN, which plotly draws as a gap."""
     return [None if np.isnan(value) else round(float(value), 4) for value in values]
 
 

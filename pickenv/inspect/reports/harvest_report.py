@@ -30,11 +30,11 @@ MEASURES = {
     "collisions": "rounds with arms too near each other (number)",
     "closest": "nearest that arms came to each other (m)",
 }
-"""Measures in words, with their units."""
+"""Words and unit of each measure, by the measure's key."""
 
 
 def drawings(run: Run) -> Drawings:
-    """Figures of a harvester: what the arms did on a tree, what came of the fruit, throughput, reach."""
+    """The figures of a harvester's run folder: the arms' work on a tree, fates of fruit, throughput, workspace."""
     trace = load_part(run, HarvestTrace)
     arms = trace.cloud.shape[1]
     trees = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}

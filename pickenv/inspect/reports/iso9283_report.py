@@ -14,7 +14,7 @@ CONTROLLERS = ("raw", "calibrated")
 
 
 def _result(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
-    """All of a test's result, and the part of each controller."""
+    """The whole result of a test, and each controller's part of it by name."""
     result = load_result(run, ISO9283)
     return result, {name: result[name] for name in CONTROLLERS if name in result}
 

@@ -1,6 +1,6 @@
-"""The blocks of a report as data, and the page that the templates make of them: one file, nothing from outside.
+"""The blocks of a report as data, and the page that templates make of them: one file without outside resources.
 
-Every text is escaped once, by the templates. A page is light or dark as the reader's screen, and fit for print.
+Every text is escaped once, by the templates. A page is light or dark like the reader's screen, and fit for print.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from pickenv.inspect.runs.number_words import named_values
 from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
 PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
-"""Sizes at which a figure's text is as large as the page's, and still legible: a small screen scrolls then."""
+"""Sizes at which a figure's text is as large as the page's, and just legible; smaller screens scroll the figure."""
 HERE = Path(__file__).parent / "templates"
 TONES = ("good", "care", "bad", "note")
-"""The last for what is neither good nor bad: no requirement was stated."""
+"""Tones of a verdict; ``note`` is neither good nor bad, for where no requirement was stated."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class PageVerdict:
     Attributes:
         tone: One of `TONES`.
         headline: The verdict in a few words.
-        text: What it rests on, in sentences with numbers; a paragraph per line.
-        findings: What else was found: its weight (fail, caution or note), and a sentence.
+        text: Reasons for the verdict, in sentences with numbers; a paragraph per line.
+        findings: Further findings: the weight of each (fail, caution or note), and a sentence.
     """
 
     tone: str
@@ -53,22 +53,22 @@ class PageVerdict:
 
 Bar: TypeAlias = tuple[float, float, float]
 """A bar from zero to a value, with a whisker of two standard deviations: value, standard deviation, and limit of the
-scale, which goes from minus to plus this."""
+scale, which goes from minus to plus the limit."""
 
 
 def bar_place(value: float, limit: float) -> float:
-    """Place of a value on a bar's scale: 4 to 116, with zero at 60."""
+    """The place of a value on a bar's scale, from 4 for minus ``limit`` to 116 for plus ``limit``, with zero at 60."""
     return 60.0 + 56.0 * min(max(value / limit, -1.0), 1.0)
 
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table whose first column names the rows; columns of numbers are set to the right.
+    """A table whose first column names the rows; columns of numbers are aligned to the right.
 
     Attributes:
-        caption: What it shows, with units.
-        heads: Column names with units; none for plain lines.
-        rows: Cells: words, numbers as they are written, or bars.
+        caption: What the table shows, with units.
+        heads: Column names with units; empty for a table without a head.
+        rows: Cells of each row: words, numbers as text, or bars.
         look: ``code`` where the first column holds names of parameters, ``wide`` where the second holds sentences,
             ``dense`` where there are many columns.
     """
@@ -79,14 +79,14 @@ class PageTable:
     look: str = ""
 
     def in_words(self, column: int) -> bool:
-        """Whether a column holds words: the first does, and those of which most cells are no numbers."""
+        """Whether a column holds words: the first column does, and so does one whose cells are mostly not numbers."""
         cells = [cell for row in self.rows if (cell := row[column])]
         return column == 0 or 2 * sum(not isinstance(cell, str) or is_number(cell) for cell in cells) < len(cells)
 
 
 Part: TypeAlias = "str | PageTable | Drawing | bytes | Section | tuple[Part, ...] | Mapping[str, str] | None"
-"""A part of a section: a paragraph, a table, a figure, a picture (WebP), a section that opens on demand (on paper it is
-open), parts side by side where there is room, names with values; what is empty is left out."""
+"""A part of a section: a paragraph, a table, a figure, a picture (WebP), a section that opens on demand (and is open on
+paper), a tuple of parts side by side where there is room, or names with values. Empty parts are left out."""
 
 
 @dataclass(frozen=True)
@@ -95,8 +95,8 @@ class Section:
 
     Attributes:
         title: Heading.
-        parts: What it holds.
-        explain: How to read it, below the heading.
+        parts: The parts below the heading.
+        explain: How to read the section, below the heading.
     """
 
     title: str
@@ -105,7 +105,7 @@ class Section:
 
     @property
     def anchor(self) -> str:
-        """Its address on the page."""
+        """The section's address on the page."""
         return "-".join("".join(c if c.isalnum() else " " for c in self.title.lower()).split())
 
 
@@ -122,12 +122,12 @@ def html_of(
     """A report as HTML.
 
     Args:
-        title: Heading, and the browser's tab.
+        title: Heading, and title of the browser's tab.
         subtitle: What was run or measured, in a line.
-        verdict: Goes first.
-        sections: What it rests on; one that holds nothing is left out.
-        origin: How to make it again, by name.
-        tiles: Large figures in a row; keys say what they are.
+        verdict: The verdict, which goes first.
+        sections: The evidence; an empty section is left out.
+        origin: Facts needed to make the report again, by name.
+        tiles: Large numbers in a row, by what they are.
         contents: Whether links to the sections follow the tiles.
     """
     return (
@@ -174,8 +174,8 @@ def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
     """A figure for an HTML page: the inside of an SVG element in the page's colours, its width and height in points.
 
     Args:
-        figure: The figure, drawn in the house's style.
-        name: Goes before its ids, so that several figures share a page.
+        figure: The figure, drawn in pickenv's style.
+        name: Prefix of the figure's ids, so that several figures can share a page.
     """
     buffer = io.StringIO()
     undated = dict.fromkeys(("Date", "Creator", "Format", "Type"))
@@ -196,7 +196,7 @@ def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
 
 @cache
 def library() -> str:
-    """Plotly's library, packed, for pages with interactive figures."""
+    """Plotly's library as gzip in base64, for pages with interactive figures."""
     plotly = (files("plotly") / "package_data" / "plotly.min.js").read_bytes()
     return base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
 
@@ -210,9 +210,9 @@ def plain_report(
         run: The run.
         title: Heading.
         subtitle: What was run, in a line.
-        verdict: Goes first.
-        tables: Its numbers.
-        drawings: Figures; those left out are named with their reason.
+        verdict: The verdict, which goes first.
+        tables: The numbers.
+        drawings: Figures; those that cannot be drawn are named with the reason.
     """
     left_out = "; ".join(f"{d.name}: {d.caption}" for d in drawings if d.draw is None)
     sections = (
@@ -235,14 +235,14 @@ def page_of(run: Run, picture: TakePicture | None = None) -> str:
 
     Args:
         run: The run.
-        picture: Takes a picture of its recording, such as `viewer_picture`; none is shown when left out.
+        picture: Function that draws the run's recording, such as `viewer_picture`; no picture is shown when left out.
     """
     html: str = _pages(run).page(run, picture)
     return html
 
 
 def _pages(run: Run) -> Any:
-    """The module that draws and writes about this kind of run."""
+    """The module with the figures and the page of a run's kind."""
     return import_module(run_kind(run.kind).pages)
 
 
@@ -252,9 +252,9 @@ def axis_table(
     """Errors per degree of freedom, four columns for each stage.
 
     Args:
-        caption: What the errors are of.
-        stages: For each stage, by label, mean, standard deviation, RMS and maximum of its errors by axis.
-        say: How a number is written.
+        caption: Caption of the table.
+        stages: For each stage, by label, the mean, standard deviation, RMS and maximum of its errors, by axis.
+        say: Function that writes a number.
     """
     heads = ["axis", *(f"{label} {statistic}" for label in stages for statistic in ("mean", "std", "RMSE", "max"))]
     rows = [

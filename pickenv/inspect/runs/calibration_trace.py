@@ -16,14 +16,14 @@ from pickenv.calibration.pipeline.fitting import view_names
 
 @dataclass(frozen=True, eq=False)
 class ViewErrors:
-    """One view's corners.
+    """The board's corners in one view, and their reprojection errors.
 
     Attributes:
-        name: Of the view.
-        found: Where corners were found ``(C, 2)``, px.
-        errors: Found minus predicted ``(C, 2)``, px.
+        name: Name of the view.
+        found: Detected places of the corners ``(C, 2)``, px.
+        errors: Detected minus predicted places ``(C, 2)``, px.
         size: Width and height of the picture, px.
-        picture: Its file; None where there is none.
+        picture: File of the picture; None where there is none.
     """
 
     name: str
@@ -44,19 +44,19 @@ class CalibrationTrace:
 
     Attributes:
         nominal: Geometry that the controller believes in.
-        sets: Joints ``(N, n)`` of each set, rad or m: identification, network, test; once for each error.
-        errors: Held-out pose errors ``(M, 6)``, or misses ``(M, 1 to 3)``, m and rad, of each stage by label.
-        payload: Mass held at each held-out pose ``(M,)``, kg, where it was recorded.
-        temperature: Temperature rise at each ``(M,)``, K, where it was recorded.
+        sets: Joint values ``(N, n)``, rad or m, of each pose set: identification, network, test; a row per error.
+        errors: Held-out pose errors ``(M, 6)``, or misses ``(M, 1 to 3)``, m and rad, of each stage, by label.
+        payload: Payload at each held-out pose ``(M,)``, kg; None where it was not recorded.
+        temperature: Temperature rise at each held-out pose ``(M,)``, K; None where it was not recorded.
         position_rms: Position residual RMS before each least-squares iteration and after the last, m.
-        attitude_rms: The same for the attitude, rad; None where only positions were measured.
+        attitude_rms: Attitude residual RMS at the same times, rad; None where only positions were measured.
         loss: Training loss of the network per epoch, MSE of normalised targets; None without a network.
-        names: Parameters of the error model.
-        kept: Whether each was identified.
-        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter.
-        singular_values: Of the scaled stacked Jacobian of the kept parameters.
-        fingerprints: Hash of each data set, by its name.
-        views: Of pictures the views held out with their reprojection errors; none of other measurements.
+        names: Names of the error model's parameters.
+        kept: Whether each parameter was identified.
+        r_diagonal: |R_kk| of the scaled stacked Jacobian for each parameter.
+        singular_values: Singular values of the scaled stacked Jacobian of the kept parameters.
+        fingerprints: Hash of each data set, by the set's name.
+        views: Held-out views with their reprojection errors; empty where no pictures were taken.
     """
 
     nominal: Geometry
@@ -90,10 +90,10 @@ def trace_of(
     """The trace of a fit.
 
     Args:
-        fit: What `calibration.fit` found on the first set.
-        sets: The measurements by role: the first was identified on, "test" was held out.
+        fit: Result of `calibration.fit` on the first set.
+        sets: Measurements by role: the first set was used for identification, "test" was held out.
         errors: Held-out errors of each stage, by label.
-        views: Of pictures the views held out.
+        views: Held-out views; empty where no pictures were taken.
     """
     identification, calibration = fit.identification, fit.calibration
     identifiability, test = identification.identifiability, sets["test"]
@@ -128,7 +128,7 @@ def _rms(errors: Array) -> float:
 
 
 def views_of(result: Result) -> tuple[ViewErrors, ...]:
-    """The views held out with the errors of their corners; none where no pictures were taken."""
+    """The held-out views with the errors of their corners; empty where no pictures were taken."""
     views = result.test
     if not isinstance(views, PixelObservations) or result.pixels is None:
         return ()

@@ -1,7 +1,7 @@
-"""The numbers of a comparison, once: terminal, JSON, page, figures and recording all read them here.
+"""The numbers of a comparison, in one place for terminal, JSON, page, figures and recording.
 
-First the tables of its episodes, whose intervals are over fruit, of one arm with one calibration; then the statistics,
-colour scales and bins of its error fields. Millimetres and degrees, because these numbers are for people.
+First come the tables of the episodes, whose intervals are over fruit, for one arm with one calibration; then the
+statistics, colour scales and bins of the error fields. Units: mm and degrees, because these numbers are for people.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NO_INTERVAL = f"fewer than {LEAST} episodes, so no intervals of means"
 
 
 def episode_misses(policy: RecordedPolicy) -> Array:
-    """Mean distance between tool and fruit where the gripper closed ``(E,)``, mm; nan where it never did."""
+    """Mean miss of each episode ``(E,)``, mm: tool to fruit where the gripper closed; nan where it never closed."""
     closed = np.isfinite(policy.miss_mm)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.where(closed, policy.miss_mm, 0.0).sum(axis=1) / closed.sum(axis=1))
@@ -42,7 +42,7 @@ def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
 
 
 def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
-    """One row of numbers per policy; what is not known is None."""
+    """One row of numbers per policy; a number that is not known is None."""
     return [_policy_row(policy) for policy in episodes.policies]
 
 
@@ -100,7 +100,7 @@ def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]
 
 
 def policy_cells(episodes: RecordedEpisodes) -> list[list[str]]:
-    """Cells of `policy_rows`, under `HEADS`."""
+    """Table cells of `policy_rows`, in the columns of `HEADS`."""
     return [
         [
             row["policy"],
@@ -116,7 +116,7 @@ def policy_cells(episodes: RecordedEpisodes) -> list[list[str]]:
 
 
 def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
-    """Cells of `policy_differences`, under `DIFFERENCES`."""
+    """Table cells of `policy_differences`, in the columns of `DIFFERENCES`."""
     return [
         [
             line["from"],
@@ -131,10 +131,10 @@ def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
 
 
 def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, str, dict[str, Any] | None]:
-    """The row of the policy that ends nearest, its rival, and the difference of the two.
+    """The row of the best policy (least mean miss), the label of its rival, and the difference between the two.
 
-    The rival is the first of the others, or the nearest where the best is the first. Without a policy that closed the
-    gripper there is no row; without another one, no difference.
+    The rival is the first other policy with which the best one shares fruit. Without a policy that closed the gripper
+    the row is None; without a second such policy the difference is None.
     """
     closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
     if not closed:
@@ -148,7 +148,7 @@ def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, str, dict[
 
 
 def outcome_sentence(episodes: RecordedEpisodes) -> str:
-    """The verdict in a few words: the better policy."""
+    """The verdict in a few words: which policy is best, and its mean miss."""
     best, _, line = _best(episodes)
     if best is None:
         return "No policy closed the gripper"
@@ -163,7 +163,7 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
 
 
 def explanation(episodes: RecordedEpisodes) -> str:
-    """By how much it is better, whether that changes a pick for any gripper, and what this gripper picked here."""
+    """The verdict explained: the best policy's lead, whether any gripper's picks change, and the picks here."""
     best, rival, line = _best(episodes)
     if best is None:
         return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
@@ -186,9 +186,9 @@ def _picking(episodes: RecordedEpisodes) -> str:
 
 
 def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """The change in picks by the best policy instead of the other, for each gripper and perception error.
+    """The change in picks if the best policy replaces its rival, for each gripper and perception error.
 
-    What counts is the miss across the tool. Empty where no two policies closed the gripper for the same fruit.
+    Only the part of a miss across the tool counts. Empty where no two policies closed the gripper for the same fruit.
     """
     best, rival, line = _best(episodes)
     if best is None or line is None or line["difference_mm"] is None:
@@ -202,7 +202,7 @@ def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[Change]:
 
 
 def _across(policy: RecordedPolicy) -> Array:
-    """The part of each miss across the tool, mm; all of it where the tool's attitude to that fruit is not known."""
+    """The part of each miss across the tool, mm; the whole miss where the tool's attitude to the fruit is not known."""
     axis, across = policy.tool_rotation[..., 2], policy.miss_mm.copy()
     comparable = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
     apart = (policy.fruit_position - policy.tool_position)[comparable]
@@ -211,7 +211,7 @@ def _across(policy: RecordedPolicy) -> Array:
 
 
 def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """The whole comparison, for JSON."""
+    """The whole comparison as a dictionary for JSON."""
     return {
         "environment": episodes.env_id,
         "plant": episodes.plant_name,
@@ -229,7 +229,7 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
 
 
 def comparison_markdown(episodes: RecordedEpisodes) -> str:
-    """The verdict and both tables, for the recording."""
+    """The verdict and the tables of policies and of differences, in Markdown, for the recording."""
     lines = [f"## {outcome_sentence(episodes)}", "", explanation(episodes), ""]
     lines += _table(HEADS, policy_cells(episodes))
     if differences := difference_cells(episodes):
@@ -250,22 +250,22 @@ def _mean(values: Array) -> float | None:
 
 
 def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[float] | None:
-    """An interval for JSON, cut at the least that the number can be."""
+    """An interval as a list for JSON, with its ends raised to ``least``, the least value that the number can have."""
     return None if ends is None else [max(end, least) for end in ends]
 
 
 def stage_label(calibration: Calibration) -> str:
-    """The name of a calibration among policies: LS, or LS+BPNN after what it learnt of the rest."""
+    """The name of a calibration among policies: LS, or with its learnt residual model, such as LS+BPNN."""
     return "LS" if calibration.learnt is None else f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
 
 
 GAIN = 20.0
-"""Factor by which recordings draw errors longer than true size, and figures where their arrows then fit."""
+"""Factor by which recordings draw errors longer than true; figures use it too where the arrows then fit."""
 SCALE_PERCENTILE = 99.0
 """The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
 
 BINS = 24
-"""Of a histogram of reach errors, about."""
+"""Approximate number of bins of a histogram of reach errors."""
 
 
 def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
@@ -283,7 +283,7 @@ def field_mm(policy: RecordedPolicy) -> Array:
 
 
 def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
-    """Cells of a grid that hold points, ``(C, 3)`` in order, and the mean of their points' values ``(C,)``.
+    """The cells of a grid that hold points ``(C, 3)``, sorted, and the mean of the values in each cell ``(C,)``.
 
     Args:
         index: Cell of each point ``(F, 3)``.
@@ -295,12 +295,12 @@ def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int6
 
 
 def colour_scale_mm(comparison: Comparison) -> float:
-    """Upper end of the one colour scale that all fields share, mm."""
+    """Upper end of the colour scale that all error fields share, mm."""
     return scale_end(field_mm(comparison.policies[0]))
 
 
 def uncertainty_scale_mm(comparison: Comparison) -> float:
-    """Upper end of the colour scale that predicted uncertainty and the last policy's field share, mm."""
+    """Upper end of the colour scale shared by the predicted uncertainty and the last policy's error field, mm."""
     assert comparison.field_uncertainty is not None
     lengths = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
     return scale_end(lengths)
@@ -313,7 +313,7 @@ def scale_end(values: Array) -> float:
 
 
 def histogram_edges_mm(comparison: Comparison) -> Array:
-    """Edges ``(B + 1,)`` in mm of about `BINS` bins of round width, which hold every policy's reach errors."""
+    """Edges ``(B + 1,)``, mm, of about `BINS` bins of round width that hold every policy's reach errors."""
     errors = [policy.ends.position_error_mm for policy in comparison.policies]
     largest = float(np.max(errors, initial=0.0))
     width = round_step((largest or 1.0) / BINS)
@@ -321,7 +321,7 @@ def histogram_edges_mm(comparison: Comparison) -> Array:
 
 
 def round_step(at_least: float) -> float:
-    """The smallest of 1, 2, 2.5 and 5 times a power of ten that is not below ``at_least``."""
+    """Round up to 1, 2, 2.5 or 5 times a power of ten."""
     power = 10.0 ** math.floor(math.log10(at_least))
     return next(float(m * power) for m in (1.0, 2.0, 2.5, 5.0, 10.0) if m * power >= at_least * (1.0 - 1e-9))
 
@@ -333,7 +333,7 @@ def ticks(top: float) -> list[float]:
 
 
 def summary_markdown(comparison: Comparison) -> str:
-    """The summary as a Markdown table, with a short legend: what is drawn, and how large."""
+    """The summary as a Markdown table, with a short legend of what is drawn at which scale."""
     top, has_reaches = colour_scale_mm(comparison), len(comparison.fruit) > 0
     heads = ["field mean", "field RMS", "field p95", "field max"]
     if has_reaches:
@@ -365,7 +365,7 @@ def summary_markdown(comparison: Comparison) -> str:
 
 
 def _better(comparison: Comparison) -> str:
-    """At how many field points the last policy errs less than the one before it; nothing for one policy."""
+    """A sentence on the share of field points where the last policy beats the one before; empty for one policy."""
     if len(comparison.policies) < 2:
         return ""
     before, last = comparison.policies[-2:]

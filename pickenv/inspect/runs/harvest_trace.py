@@ -1,4 +1,4 @@
-"""The trace of a harvester's run, for its figures: trees as they were picked, funnels, throughput, reach. Metres, s."""
+"""The trace of a harvester's run, for its figures: picked trees, funnels, throughput, workspace. Units: m, s."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ class PickedTree:
     """One tree as it was picked: P picks in Z rounds, F fruit.
 
     Attributes:
-        seconds: Time spent on it.
-        fruit: Fruit ``(F, 3)``, m.
-        collected: Whether each came into a tube ``(F,)``.
-        by_arm: Arm that tried each last ``(F,)``; −1 where none did.
+        seconds: Time spent on the tree, s.
+        fruit: Places of the fruit ``(F, 3)``, m.
+        collected: Whether each fruit came into a tube ``(F,)``.
+        by_arm: Arm that last tried each fruit ``(F,)``; −1 where no arm did.
         zones: Left, right, bottom and top of each round's zone ``(Z, 4)``, m.
-        stands: When the master stands still in each round, from and to ``(Z, 2)``, s.
+        stands: Start and end of the time in each round when the master stands still ``(Z, 2)``, s.
         arm: Arm of each pick ``(P,)``.
-        start: When it leaves for the fruit ``(P,)``, s.
-        end: When it is back ``(P,)``, s.
-        held: How long it had to wait before ``(P,)``, s.
-        got: Whether the cup came back with the fruit ``(P,)``.
+        start: Time at which the arm leaves for the fruit, for each pick ``(P,)``, s.
+        end: Time at which the arm is back, for each pick ``(P,)``, s.
+        held: Time that the arm had to wait before each pick ``(P,)``, s.
+        got: Whether the cup came back with the fruit, for each pick ``(P,)``.
     """
 
     seconds: float
@@ -49,13 +49,13 @@ class HarvestTrace:
 
     Attributes:
         trees: One tree of each strategy, by name.
-        funnels: For each strategy, fruit at each stage over all trees.
+        funnels: For each strategy, number of fruit at each stage over all trees.
         measures: For each strategy, its measures with 95 % intervals over trees.
         throughput: For each density of fruit, picks per hour by number of arms.
-        cloud: Cups at joints drawn evenly within the limits ``(N, arms, 3)``, m.
+        cloud: Places of the cups ``(N, arms, 3)``, m, for joint values drawn evenly within the limits.
         curves: The motion of joints over one stop of the machine: times ``(T,)``, s, displacements of each joint by
-            name ``(T,)``, m or rad, and names of those that turn.
-        tree_count: Trees that funnels and measures are of.
+            name ``(T,)``, m or rad, and names of the joints that turn.
+        tree_count: Number of trees behind funnels and measures.
     """
 
     trees: Mapping[str, PickedTree]
@@ -68,7 +68,7 @@ class HarvestTrace:
 
 
 def picked_tree(harvest: Harvest) -> PickedTree:
-    """A harvest in plain arrays."""
+    """The tree of a harvest in plain arrays."""
     rounds = harvest.rounds
     return PickedTree(
         seconds=harvest.seconds,

@@ -1,7 +1,8 @@
-"""Does a calibration change picks? For which gripper, and how well the fruit must be seen for it to show.
+"""Whether a calibration changes picks: for which gripper, and at which error of perception.
 
-The tool ends beside the fruit by its own error and by the perception's: a normal error of so many mm per axis across
-the tool, independent of the arm's. Whether the gripper then takes the fruit is its curve's to say. Millimetres, shares.
+The tool misses the fruit by the arm's error and by the perception's. The latter is a normal error across the tool with
+a given standard deviation per axis, independent of the arm's error. The gripper's curve of success against misalignment
+gives the probability that the fruit is taken. Units: mm; picks as shares.
 """
 
 from __future__ import annotations
@@ -21,22 +22,22 @@ from pickenv.orchard import Gripper, capture_probability, load_gripper, misalign
 
 GRIPPERS = ("li_cup", "compliant_hand")
 CURVE_MM = np.linspace(0.0, 40.0, 401)
-"""Lateral misalignments at which a gripper's curve is drawn, mm."""
+"""Lateral misalignments at which the curve of a gripper's success is drawn, mm."""
 
 
 def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, Array]]:
-    """For each gripper, lateral misalignment ``(N,)``, mm, and its probability of success ``(N,)``."""
+    """For each gripper, lateral misalignments ``(N,)``, mm, and the probability of success at each ``(N,)``."""
     return {name: (CURVE_MM, capture_probability(load_gripper(name), CURVE_MM * 1e-3, 0.0, 0.0)) for name in names}
 
 
 def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]:
-    """The fruit of each reach as it lies in the true tool, by policy label.
+    """How far the fruit of each reach lies aside of the true tool, and how likely each gripper takes it.
 
-    The tool is as the true arm holds it; it should point as the nominal arm does at the first policy's command.
+    The tool's axis is the true arm's; the wanted axis is that of the nominal arm at the first policy's command.
 
     Returns:
-        For each policy, distances of the fruit across the tool's axis ``(R,)``, mm, and for each gripper the
-        probability that it takes each fruit ``(R,)``.
+        For each policy, by label: distances of the fruit across the tool's axis ``(R,)``, mm, and for each gripper the
+        probability that it takes the fruit ``(R,)``.
     """
     grippers: dict[str, Gripper] = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
@@ -51,23 +52,23 @@ def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]
 
 
 PERCEPTION_MM = (0.0, 1.0, 2.0, 3.0, 5.0)
-"""Standard deviations per axis at which fruit may be seen."""
+"""Standard deviations per axis of the fruit's seen position, mm, for which picks are worked out."""
 MATTERS = 0.05
-"""Share of picks below which a calibration is said to change none: five of a hundred."""
+"""Least change in the share of picks that is reported as a change: five of a hundred."""
 NONE = 0.005
-"""Share of picks below which the printed shares are equal, or nearly so."""
+"""Change in the share of picks below which the printed shares are equal, or nearly so."""
 RINGS, SPOKES = 24, 24
-"""Of the perception's errors: distances of equal probability, and directions."""
+"""Numbers of distances, equally probable, and of directions at which the perception's error is sampled."""
 
 
 Change: TypeAlias = Mapping[str, Any]
-"""The effect of a calibration on the picks of one gripper, as it stands in JSON: ``gripper``, its name;
-``perception_mm``, standard deviation of the fruit's seen position per axis, mm; ``before`` and ``after``, shares of
-fruit taken without calibration and with it."""
+"""The effect of a calibration on the picks of one gripper, as in JSON: ``gripper``, the gripper's name;
+``perception_mm``, the standard deviation of the fruit's seen position per axis, mm; ``before`` and ``after``, the
+shares of fruit taken without and with calibration."""
 
 
 def _gain(change: Change) -> float:
-    """Gain by calibration, as a share of fruit."""
+    """Gain in picks by calibration, as a share of fruit."""
     return float(change["after"] - change["before"])
 
 
@@ -75,9 +76,9 @@ def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) ->
     """Share of fruit that a gripper takes.
 
     Args:
-        gripper: The gripper; the tool points as it should.
-        lateral_mm: Distance of the fruit across the tool's axis that the arm's own error leaves ``(N,)``, mm.
-        perception_mm: Standard deviation per axis of where the fruit is seen, mm.
+        gripper: The gripper; the tool is taken to point as it should.
+        lateral_mm: Distances of the fruit across the tool's axis, from the arm's own error alone ``(N,)``, mm.
+        perception_mm: Standard deviation of the fruit's seen position per axis, mm.
     """
     error = np.asarray(lateral_mm, dtype=float)[:, None, None]
     ring = perception_mm * np.sqrt(-2.0 * np.log1p(-(np.arange(RINGS) + 0.5) / RINGS))[:, None]
@@ -91,7 +92,7 @@ def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[Change]:
 
     Args:
         before_mm: Lateral errors without calibration ``(N,)``, mm.
-        after_mm: The same with it.
+        after_mm: Lateral errors with calibration ``(N,)``, mm.
     """
     return [
         {
@@ -106,18 +107,18 @@ def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[Change]:
 
 
 def change_cells(change: Change) -> tuple[str, ...]:
-    """A change as cells of a table: gripper, perception error, shares without and with, points of % between."""
+    """A change as table cells: gripper, perception error, shares without and with calibration, gain in points of %."""
     shares = (f"{100.0 * share:.1f}" for share in (change["before"], change["after"]))
     return (change["gripper"], f"{change['perception_mm']:g}", *shares, f"{100.0 * _gain(change):+.1f}")
 
 
 def matters(plant: str, changes: Sequence[Change], between: tuple[str, str] = ("without", "with calibration")) -> str:
-    """In a few sentences: on which arm, for which gripper and perception error picks change.
+    """Say in a few sentences for which gripper and perception error picks change on an arm.
 
     Args:
         plant: The arm's name.
-        changes: From `pick_changes`.
-        between: What stands behind the shares before and after: "with raw" and "with LS" for two policies.
+        changes: The changes, from `pick_changes`.
+        between: Words behind the shares before and after, such as "with raw" and "with LS" for two policies.
     """
 
     def both(change: Change) -> str:

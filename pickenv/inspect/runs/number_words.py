@@ -1,4 +1,4 @@
-"""Numbers with their intervals in words, and the meanings of parameters for who does not know the notation."""
+"""Numbers with their intervals in words, and the meanings of parameters for readers who do not know the notation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EFFECT_WORDS = {
 
 
 def between(low: float | None, high: float | None, digits: int, sign: str = "") -> str:
-    """An interval: 0.12 to 0.34; with ``sign`` "+" both ends have one. An end that is not known (None) is open."""
+    """An interval in words: 0.12 to 0.34; ``sign`` "+" gives both ends a sign. An unknown end (None) is open."""
     ends = ["" if end is None else f"{_plain(end, digits):{sign}.{digits}f}" for end in (low, high)]
     if all(ends):
         return f"{ends[0]} to {ends[1]}"
@@ -34,7 +34,7 @@ def between(low: float | None, high: float | None, digits: int, sign: str = "") 
 
 
 def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "", sign: str = "") -> str:
-    """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); alone where there is no interval."""
+    """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); the number alone without an interval."""
     text = f"{_plain(value, digits):{sign}.{digits}f}{unit}"
     return text if low is None and high is None else f"{text} ({between(low, high, digits, sign)})"
 
@@ -42,7 +42,7 @@ def estimated(value: float, low: float | None, high: float | None, digits: int, 
 def said(
     value: float | None, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = ""
 ) -> str:
-    """`estimated` of a number and both ends of its interval, times ``scale``; a dash where it is not known."""
+    """A number and its interval, both times ``scale``, as `estimated` writes them; a dash for an unknown number."""
     if value is None:
         return "–"
     low, high = (None if end is None else scale * end for end in ends or (None, None))
@@ -50,18 +50,18 @@ def said(
 
 
 def _plain(value: float, digits: int) -> float:
-    """The number as it is written, without a minus before a zero."""
+    """The number rounded to ``digits``, without a minus before a zero."""
     return round(value, digits) + 0.0
 
 
 def percent(share: float, low: float | None, high: float | None, digits: int = 0) -> str:
-    """A share with its 95 % interval: 93 % (88 to 97); alone where there is no interval."""
+    """A share with its 95 % interval: 93 % (88 to 97); the share alone without an interval."""
     ends = [None if end is None else 100 * end for end in (low, high)]
     return estimated(100 * share, ends[0], ends[1], digits, " %")
 
 
 def named_values(values: Mapping[str, object]) -> str:
-    """Names and values in a line: numpy 2.0, scipy 1.15."""
+    """Names and values in one line: numpy 2.0, scipy 1.15."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
@@ -69,10 +69,10 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
     """The meaning of a parameter; an empty string for a name that is not known.
 
     Args:
-        name: Such as alpha0, theta1, base_x, compliance4.
+        name: Name of the parameter, such as alpha0, theta1, base_x, compliance4. Its number is that of a link, from 0
+            for alpha, a and beta, from 1 for theta and d.
         joint_names: Names of the joints.
-        link_names: Names of the links, where joints move several; they count from 0 for alpha, a and beta, from 1 for
-            theta and d.
+        link_names: Names of the links, where a joint moves several links; the joints' names when None.
     """
     links = link_names or joint_names
     match = re.fullmatch(r"(alpha|a|beta|theta|d)(\d+)", name)

@@ -1,7 +1,7 @@
-"""Episodes of policies on the same fruit, and their error fields: the start of tables, films, recordings and pages.
+"""Episodes of policies on the same fruit, and their error fields: the data behind tables, films, recordings and pages.
 
-`RecordedEpisodes` hold every moment, or only the ends. A `Comparison` is of a simulated arm and holds its error field
-as well. Metres, radians; mm and degrees where the name says so.
+`RecordedEpisodes` hold every moment of the episodes, or only their ends. A `Comparison` is of a simulated arm and holds
+error fields as well. Units: m, rad; mm and degrees where the name says so.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class Reaches:
 
     Attributes:
         seeds: Seed of each episode.
-        pose_error: True tool against fruit ``(R, 6)``, m and rad.
-        noncompensable: The part of it that no joint motion removes ``(R, 6)``.
-        success: Whether the fruit was inside the capture region.
-        joint_command: What the drives got at the end ``(R, n)``.
+        pose_error: Pose error of the true tool against the fruit ``(R, 6)``, m and rad.
+        noncompensable: The part of the pose error that no joint motion removes ``(R, 6)``, m and rad.
+        success: Whether the fruit was inside the capture region ``(R,)``.
+        joint_command: Joint command that the drives got at the end ``(R, n)``, rad or m.
         tool_position: True tool positions ``(R, 3)``, m.
-        fruit_position: Fruit ``(R, 3)``, m.
+        fruit_position: Fruit positions ``(R, 3)``, m.
     """
 
     seeds: tuple[int, ...]
@@ -43,12 +43,12 @@ class Reaches:
 
     @property
     def position_error_mm(self) -> Array:
-        """Final distances ``(R,)``."""
+        """Final distances between tool and fruit ``(R,)``, mm."""
         return np.asarray(np.linalg.norm(self.pose_error[:, :3], axis=1) * 1e3)
 
     @property
     def attitude_error_deg(self) -> Array:
-        """Final attitude errors ``(R,)``."""
+        """Final attitude errors ``(R,)``, degrees."""
         return np.asarray(np.degrees(np.linalg.norm(self.pose_error[:, 3:], axis=1)))
 
 
@@ -73,30 +73,30 @@ MOMENTS = (
 
 @dataclass(frozen=True, eq=False)
 class RecordedPolicy:
-    """One policy's E episodes of at most T moments, the reset being the first; a shorter one stays at its last moment.
+    """One policy's E episodes of at most T moments, of which the reset is the first.
 
-    Where only the ends of episodes are kept (`ended`), each has one moment.
+    A shorter episode repeats its last moment. Where only the ends of episodes are kept (`ended`), each has one moment.
 
     Attributes:
         label: Name for people: raw, LS, LS+BPNN.
         key: Short name as in entity paths and JSON; `pickenv.inspect.colours.policy_colours` gives its colour.
-        moments: Moments of each episode ``(E,)``, T at most.
-        joint_target: Joints at which the controller believes the arm to be ``(E, T, n)``, rad or m: the nominal arm
-            stands there. What the drives got where an environment tells nothing else, and n is 0 where it has no arm.
-        joint_command: What the drives got ``(E, T, n)``: a calibration stands between the two.
-        tool_position: True tool ``(E, T, 3)``, m.
-        tool_rotation: Its attitude ``(E, T, 3, 3)``; nan where it is not known.
-        fruit_position: Fruit ``(E, T, 3)``, m; where there are several, the one that the tool goes for.
+        moments: Number of moments of each episode ``(E,)``, T at most.
+        joint_target: Joint values at which the controller believes the arm to be ``(E, T, n)``, rad or m; the nominal
+            arm is drawn there. Equal to ``joint_command`` where an environment does not tell; n is 0 without an arm.
+        joint_command: Joint command that the drives got ``(E, T, n)``, rad or m: ``joint_target`` after compensation.
+        tool_position: True tool positions ``(E, T, 3)``, m.
+        tool_rotation: True tool attitudes ``(E, T, 3, 3)``; nan where they are not known.
+        fruit_position: Fruit positions ``(E, T, 3)``, m; among several fruit, the one that the tool goes for.
         position_error_mm: Distance between true tool and fruit ``(E, T)``.
         attitude_error_deg: Angle between true and wanted attitude ``(E, T)``; nan where it is not known.
-        success: Whether the environment calls it a success ``(E, T)``.
-        picked: Fruit that the gripper has taken in this episode so far ``(E, T)``; a reach picks at its last moment.
-        miss_mm: Distance between tool and fruit where the gripper closes ``(E, T)``; nan at all other moments. A reach
-            closes at its last moment.
+        success: Whether the environment reports success ``(E, T)``.
+        picked: Number of fruit taken in the episode so far ``(E, T)``; a reach picks at its last moment.
+        miss_mm: Distance between tool and fruit at moments when the gripper closes ``(E, T)``; nan at all others. In a
+            reach the gripper closes at the last moment.
         reward: Reward of each step ``(E, T)``; 0 at the reset and after the end.
         field_errors: True minus wanted tool position at the points of a comparison's grid ``(F, 3)``, m, world axes.
-        field_attitude: True against wanted attitude there ``(F, 3)``, rotation vectors in world axes, rad; None where
-            only positions are known.
+        field_attitude: True against wanted attitude at these points ``(F, 3)``, rotation vectors in world axes, rad;
+            None where only positions are known.
     """
 
     label: str
@@ -118,22 +118,22 @@ class RecordedPolicy:
 
     @property
     def ends(self) -> RecordedPolicy:
-        """The last moment of each episode alone: `MOMENTS` are ``(E, ...)`` instead of ``(E, T, ...)``."""
+        """The policy with only each episode's last moment: `MOMENTS` are ``(E, ...)`` instead of ``(E, T, ...)``."""
         rows = np.arange(len(self.moments)), self.moments - 1
         return replace(self, **{name: getattr(self, name)[rows] for name in MOMENTS})
 
     def with_field(self, errors: Array) -> RecordedPolicy:
-        """The policy with its error field: true against wanted pose ``(F, 6)``, or positions alone ``(F, 3)``."""
+        """The policy with an error field: true against wanted poses ``(F, 6)``, or positions alone ``(F, 3)``."""
         return replace(self, field_errors=errors[:, :3], field_attitude=errors[:, 3:] if errors.shape[1] == 6 else None)
 
 
 def ended(label: str, reaches: Reaches, key: str | None = None) -> RecordedPolicy:
-    """A policy of whose episodes only the ends are known.
+    """A recorded policy made from the ends of its episodes alone.
 
     Args:
-        label: Its name for people.
-        reaches: The ends.
-        key: Its short name; made from the label when left out.
+        label: Name of the policy for people.
+        reaches: The ends of its episodes.
+        key: Short name of the policy; made from the label when left out.
     """
     count = len(reaches.success)
     ends: dict[str, Any] = {
@@ -157,19 +157,19 @@ def ended(label: str, reaches: Reaches, key: str | None = None) -> RecordedPolic
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordedEpisodes:
-    """The same episodes with several policies.
+    """Several policies in the same episodes.
 
     Attributes:
         policies: One entry per policy: raw, LS, LS+BPNN, then others.
-        plant: The true arm that was simulated; with `joint_command` and `tool_position` it is drawn
-            (`pickenv.arm.true_points`). None where the environment has none.
-        tolerance_mm: How far aside of the tool a fruit may lie so that the gripper takes it one time in two, or always
-            for a cup.
+        plant: The true arm that was simulated; it is drawn from `joint_command` and `tool_position`
+            (`pickenv.arm.true_points`). None where the environment has no plant.
+        tolerance_mm: Tolerance of the gripper: how far aside of the tool a fruit may lie for a cup to take it always,
+            or another gripper one time in two.
         seed: Seed of the comparison.
-        seeds: Seed of each episode; no two policies' differ.
-        env_id: The environment, as `gymnasium.make` knows it; like the next two empty where only ends are kept.
-        gripper: Name of the gripper that picks are judged by.
-        period: Time between two moments, s.
+        seeds: Seed of each episode, the same for all policies.
+        env_id: The environment's id for `gymnasium.make`; empty where only ends are kept.
+        gripper: Name of the gripper by which picks are judged; empty where only ends are kept.
+        period: Time between two moments, s; 0 where only ends are kept.
     """
 
     policies: tuple[RecordedPolicy, ...]
@@ -193,7 +193,7 @@ class RecordedEpisodes:
 
     @property
     def colours(self) -> list[Rgb]:
-        """One colour per policy."""
+        """The colour of each policy, in their order."""
         return policy_colours([policy.key for policy in self.policies])
 
     @property
@@ -203,26 +203,26 @@ class RecordedEpisodes:
 
     @property
     def fruit(self) -> Array:
-        """Fruit of the episodes' ends ``(E, 3)``, m."""
+        """Fruit positions at the episodes' ends ``(E, 3)``, m."""
         return self.policies[0].ends.fruit_position
 
 
 UPRIGHT = np.radians(30.0)
-"""Tool poses this near to the vertical tell how large a grid is, rad."""
+"""Only tool poses within this angle of the vertical set the extent of a grid, rad."""
 PROBES = 4000
 
 
 @dataclass(frozen=True, eq=False)
 class FieldGrid:
-    """A regular grid of upright tool poses, and its cells that the nominal arm reaches.
+    """A regular grid of upright tool poses, and the cells of it that the nominal arm reaches.
 
     Attributes:
         shape: Number of cells (nx, ny, nz).
         origin: Centre of the first cell, m, ``(3,)``.
         step: Cell size, m.
         index: Integer index of each reached cell ``(F, 3)``.
-        points: Their centres ``(F, 3)``, m.
-        joints: Joints that bring the nominal arm's tool there, upright ``(F, n)``, rad or m.
+        points: Centres of the reached cells ``(F, 3)``, m.
+        joints: Joint values that bring the nominal arm's tool upright to each centre ``(F, n)``, rad or m.
     """
 
     shape: tuple[int, int, int]
@@ -249,9 +249,9 @@ class Comparison(RecordedEpisodes):
 
     Attributes:
         plant: The true arm that was simulated.
-        grid: The field's points.
-        field_uncertainty: Standard uncertainty of the calibrated tool position that the calibration itself predicts
-            ``(F,)``, m; None where the calibration carries none.
+        grid: The grid of the field's points.
+        field_uncertainty: Standard uncertainty of the calibrated tool position ``(F,)``, m, as the calibration predicts
+            it; None where the calibration predicts none.
     """
 
     plant: Plant
@@ -270,7 +270,7 @@ def field_grid(nominal: Geometry, step: float, seed: int) -> FieldGrid:
     Args:
         nominal: The arm as its controller believes it to be.
         step: Cell size, m.
-        seed: Seed of the joints that find the workspace's extent.
+        seed: Seed of the random joint values from which the workspace's extent is estimated.
     """
     probe = forward(nominal, random_joints(nominal, PROBES, np.random.default_rng(seed)))
     upright = probe.rotation[:, 2, 2] > np.cos(UPRIGHT)
@@ -292,14 +292,14 @@ def field_grid(nominal: Geometry, step: float, seed: int) -> FieldGrid:
 
 
 POSITIONS = ("tool_position", "fruit_position")
-"""Entries of `info` that drawing and comparing an environment need: three finite numbers each, m, in one frame."""
+"""Entries of `info` needed to draw and compare an environment: three finite numbers each, m, in one frame."""
 
 
 def missing_positions(info: Mapping[str, Any]) -> str:
-    """The `POSITIONS` that `info` lacks, in a sentence that says what to do; empty where nothing is missing.
+    """Say which `POSITIONS` `info` lacks and what to do; an empty string where none is missing.
 
     Raises:
-        InputError: If one of them is there, but no position.
+        InputError: If an entry is there but is not three finite numbers.
     """
     for name in POSITIONS:
         if name in info:
@@ -313,6 +313,6 @@ def missing_positions(info: Mapping[str, Any]) -> str:
 
 
 def believed_joints(env: Any) -> Array | None:
-    """Joints at which an environment's controller believes the arm to be, copied; None where it does not tell."""
+    """A copy of the joint values where an environment's controller believes the arm to be; None if it has none."""
     target = getattr(env.unwrapped, "joint_target", None)
     return None if target is None else np.array(target, dtype=float)

@@ -1,7 +1,7 @@
 """Run folders: what kind of run a folder holds, how it was made, and the numbers behind its figures and its report.
 
-`run.json` is taken away when a run begins to write and written last, so where it stands the run is complete. It lists
-every file that the run wrote with its SHA-256, and carries its own.
+`run.json` is deleted when a run begins to write and written last, so a folder that holds it holds a complete run. It
+lists every file that the run wrote with the file's SHA-256, and carries a hash of its own content.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from pickenv.inspect.runs.saved import load_numbers, save_numbers
 
 RECORD = "run.json"
 LIST = "files.json"
-"""The list of files of a folder of many runs, tables and calibrations that is no run itself."""
+"""File that lists a folder's files where the folder holds many runs, tables and calibrations but is no run itself."""
 
 PARTS: Mapping[type, str] = {
     Comparison: "comparison.npz",
@@ -44,7 +44,7 @@ PARTS: Mapping[type, str] = {
     HarvestTrace: "harvest.npz",
     RecordedEpisodes: "episodes.npz",
 }
-"""The files of the numbers behind figures."""
+"""Names of the files with the numbers behind figures, by class."""
 
 Part = TypeVar("Part", Comparison, CalibrationTrace, HarvestTrace, RecordedEpisodes)
 ISO9283 = "iso9283.json"
@@ -62,8 +62,8 @@ class RunKind:
     """A kind of run.
 
     Attributes:
-        made_by: The command that makes such a folder.
-        pages: The module with its ``drawings(run)`` and its ``page(run, picture)``.
+        made_by: The command that makes a run folder of this kind.
+        pages: The module with the kind's ``drawings(run)`` and ``page(run, picture)``.
     """
 
     made_by: str
@@ -89,17 +89,17 @@ for _name, _run_kind in _KINDS.items():
 
 
 def run_kind(name: str, **source: str) -> RunKind:
-    """A registered kind of run; ``source`` is the package that a run's record names, as `registry.get` has it.
+    """The registered kind of run of a name; ``source`` is the package that a run's record names, as for `registry.get`.
 
     Raises:
-        InputError: If there is none of that name.
+        InputError: If no kind of that name is registered.
     """
     kind: RunKind = get("report", name, **source)()
     return kind
 
 
 TakePicture: TypeAlias = Callable[[Path], bytes | None]
-"""Gives a recording as its viewer draws it, WebP, such as `viewer_picture`; None where it cannot be drawn."""
+"""Function that draws a recording as its viewer does, such as `viewer_picture`: WebP, or None where it cannot."""
 
 
 @dataclass(frozen=True)
@@ -107,14 +107,14 @@ class Run:
     """A complete run folder.
 
     Attributes:
-        folder: Where it is.
-        kind: A registered one.
+        folder: The folder.
+        kind: Name of a registered kind of run.
         command: Command line that makes the same numbers again.
-        seed: Seed of everything random; None where there is none, or several.
-        versions: Versions of what computed it, by package.
-        code: Fingerprint of the code that computed it (`pickenv.base.provenance.code_fingerprint`).
-        files: SHA-256 of each file that the run wrote, by its path inside the folder; None while it writes, and for a
-            study, whose chunks carry their own.
+        seed: Seed of everything random; None where there is no seed, or several.
+        versions: Versions of the packages that computed the run, by package.
+        code: Fingerprint of the code that computed the run (`pickenv.base.provenance.code_fingerprint`).
+        files: SHA-256 of each file that the run wrote, by its path inside the folder; None while the run writes, and
+            for a study, whose chunks carry hashes of their own.
     """
 
     folder: Path
@@ -127,22 +127,22 @@ class Run:
 
     @property
     def made_by(self) -> str:
-        """The command that makes such a folder, for error messages."""
+        """The command that makes this run folder, for error messages."""
         return run_kind(self.kind).made_by.replace("RUN", shlex.quote(str(self.folder)))
 
 
 @contextmanager
 def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Iterator[Run]:
-    """Write a run's files inside this context; `run.json` is written when all of them stand.
+    """Write a run's files inside this context; `run.json` is written after all of them.
 
     Args:
         folder: The run folder; made where it is missing.
-        kind: A registered one.
+        kind: Name of a registered kind of run.
         command: Command line that makes the same numbers again.
         seed: Seed of everything random.
 
     Raises:
-        InputError: If another process is writing into the folder, or it cannot be written.
+        InputError: If another process is writing into the folder, or the folder cannot be written.
     """
     run_kind(kind)
     run = Run(folder, kind, command, seed, versions(), code_fingerprint())
@@ -166,7 +166,7 @@ def added_to(run: Run) -> Iterator[None]:
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """Inode, time and size of every file of a folder, which tell whether it was written again; no hidden ones."""
+    """Inode, time and size of every file in a folder but hidden ones; they change when a file is written again."""
     stamps = {}
     for root, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
@@ -178,13 +178,13 @@ def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
 
 
 def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]:
-    """SHA-256 of the files that were written since."""
+    """SHA-256 of the files that were written since the stamps ``before`` were taken."""
     now = _stamps(folder)
     return {name: file_sha256(folder / name) for name in sorted(now) if now[name] != before.get(name)}
 
 
 def _record_text(run: Run) -> str:
-    """The only text that `run.json` may hold for this run: its own hash stands in it."""
+    """The only text that `run.json` may hold for this run: it includes a hash of the rest."""
     content = {
         "format": FORMAT,
         "kind": run.kind,
@@ -236,7 +236,7 @@ def read_run(folder: str | Path) -> Run:
 
 
 def faults_of(run: Run) -> list[tuple[Path, str | None]]:
-    """Every file that ``run`` lists or that lies in its folder, and what is wrong with it; None where nothing is.
+    """Every file that ``run`` lists or that lies in its folder, with the file's fault, or None for a sound file.
 
     A file may be missing, edited, or stray: in the folder, but not written by this run.
     """
@@ -260,7 +260,7 @@ def _faults(folder: Path, listed: Mapping[str, str], own: str) -> list[tuple[Pat
 
 @contextmanager
 def listed_files(folder: Path) -> Iterator[None]:
-    """Write into a folder that goes on from what it holds; `LIST` is taken away first, and written when all stands."""
+    """Write more files into a folder; `LIST` is deleted first, and written after all of them."""
     (folder / LIST).unlink(missing_ok=True)
     yield
     files = {name: file_sha256(folder / name) for name in sorted(_stamps(folder))}
@@ -268,13 +268,13 @@ def listed_files(folder: Path) -> Iterator[None]:
 
 
 def _list_text(files: Mapping[str, str]) -> str:
-    """The only text that `LIST` may hold for these files: its own hash stands in it."""
+    """The only text that `LIST` may hold for these files: it includes a hash of the rest."""
     digest = hashlib.sha256(json.dumps(dict(files)).encode()).hexdigest()
     return json.dumps({"files": dict(files), "sha256": digest}, indent=2) + "\n"
 
 
 def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
-    """Every file that `LIST` names or that lies in the folder, and what is wrong with it; None where nothing is.
+    """Every file that `LIST` names or that lies in the folder, with the file's fault, or None for a sound file.
 
     Raises:
         InputError: If the list is damaged or was edited.
@@ -289,7 +289,7 @@ def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
 
 
 def unedited(run: Run, name: str) -> Path:
-    """The path of one of the run's files; refused where it is missing or not what the run wrote."""
+    """The path of one of the run's files; raises `InputError` if the file is missing or not as the run wrote it."""
     path = run.folder / name
     if not path.is_file():
         raise InputError(f"{path} does not exist; `{run.made_by}` makes it anew")
@@ -299,17 +299,17 @@ def unedited(run: Run, name: str) -> Path:
 
 
 def save_part(folder: Path, part: Part, seed: int | None, kind: type | None = None) -> Path:
-    """Write numbers behind figures into a run folder, as their own class or as ``kind``, which it is derived from."""
+    """Write numbers behind figures into a run folder, as their own class or as its base class ``kind``."""
     kind = kind or type(part)
     return save_numbers(folder / PARTS[kind], part, seed=seed, kind=kind)
 
 
 def load_part(run: Run, kind: type[Part]) -> Part:
-    """Numbers behind figures of a run, to the bit; raises `InputError` as `load_numbers`, or if they were exchanged."""
+    """Read numbers behind a run's figures, to the bit; raises `InputError` as `load_numbers` and `unedited` do."""
     return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
 
 
 def load_result(run: Run, name: str) -> dict[str, Any]:
-    """A file of a run's results in JSON, such as `ISO9283`, as it was written; raises `InputError` as `unedited`."""
+    """Read a file of a run's results in JSON, such as `ISO9283`; raises `InputError` as `unedited` does."""
     result: dict[str, Any] = json.loads(unedited(run, name).read_text(encoding="utf-8"))
     return result

@@ -1,7 +1,7 @@
 """Frozen dataclasses of numbers and arrays as one file each, read back to the bit; nothing in a file is executed.
 
-A container (`pickenv.base`): a header in JSON, in which arrays are named, and the arrays. What may be rebuilt is
-what the type hints of the asked-for class lead to, and nothing else.
+A file is a container (`pickenv.base`): a header in JSON, which names arrays, and the arrays. Reading builds only the
+class asked for, its subclasses, registered effects, and the classes to which their type hints lead.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def capsules(points: Array, parts: list[int]) -> tuple[Array, Array, Array]:
     """Capsules (rods with round ends) along the ``parts`` of polylines ``points`` ``(..., K, 3)``, from `drawn_parts`.
 
     Returns:
-        Centres of their first ends ``(..., P, 3)``, m; distances between the ends' centres ``(..., P)``, m; quaternions
-        that turn the z axis into the rods' directions ``(..., P, 4)``, order x, y, z, w.
+        Centres of the capsules' first ends ``(..., P, 3)``, m; distances between the centres of their two ends
+        ``(..., P)``, m; quaternions that turn the z axis into their directions ``(..., P, 4)``, order x, y, z, w.
     """
     start, end = points[..., parts, :], points[..., [i + 1 for i in parts], :]
     along = end - start
@@ -46,11 +46,11 @@ def capsules(points: Array, parts: list[int]) -> tuple[Array, Array, Array]:
 
 
 EYE_TURN, EYE_LIFT = 0.5, 0.45
-"""rad; how far the eye stands beside and above the normal of the field's widest upright face."""
+"""Angles by which the eye stands beside and above the normal of the field's widest upright face, rad."""
 
 
 def shown_box(comparison: Comparison) -> tuple[Array, float]:
-    """Centre ``(3,)`` and radius of the field's grid, m: what the eye looks at."""
+    """Centre ``(3,)`` and radius of the box of the field's grid, m, at which the eye looks."""
     size = comparison.grid.size
     return comparison.grid.corner + size / 2.0, float(np.linalg.norm(size) / 2.0)
 
@@ -58,7 +58,7 @@ def shown_box(comparison: Comparison) -> tuple[Array, float]:
 def eye_direction(comparison: Comparison) -> Array:
     """Unit vector ``(3,)`` from the field to the eye, which looks from outside at the widest upright face, obliquely.
 
-    Outside is where the arm's base is not; oblique, so that cells behind each other do not hide each other.
+    Outside is the side away from the arm's base. An oblique view keeps cells from hiding those behind them.
     """
     width_x, width_y, _ = comparison.grid.shape
     x, y, _ = shown_box(comparison)[0] - comparison.nominal.base.position
@@ -77,7 +77,7 @@ def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
 
 
 FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4, "HarvestTrace": 4}
-"""Version of the files' content; of some kinds another."""
+"""Version of the files' content, and the versions of kinds that have another."""
 
 Saved = TypeVar("Saved")
 
@@ -88,8 +88,8 @@ def save_numbers(path: str | Path, value: Any, *, seed: int | None = None, kind:
     Args:
         path: The file.
         value: The object: dataclasses, named tuples, tuples, mappings, arrays, numbers, text and None, nested.
-        seed: Seed of the run that found it, for the record.
-        kind: What the file is called by; the object's own class when left out, or one that it is derived from.
+        seed: Seed of the run that made the object, for the record.
+        kind: Class that the file names: the object's own when left out, or one that it is derived from.
 
     Raises:
         InputError: If the file cannot be written.
@@ -102,16 +102,16 @@ def save_numbers(path: str | Path, value: Any, *, seed: int | None = None, kind:
 
 
 def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
-    """Read what `save_numbers` wrote.
+    """Read the object in a file that `save_numbers` wrote.
 
     Args:
         path: The file.
-        kind: The class that it must hold.
-        made_by: The command that makes such a file, for error messages.
+        kind: The class that the file must hold.
+        made_by: The command that makes the file, for error messages.
 
     Raises:
         InputError: If the file is missing, damaged in any byte, of another kind, or of another version, or needs the
-            effect of a package that is not here; the message names the package.
+            effect of a package that is not installed; the message names the package.
     """
     remake = f"`{made_by}` makes it anew"
     version = FORMATS.get(kind.__name__, FORMAT)
@@ -167,7 +167,7 @@ def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str,
 
 
 def _classes(*roots: Any) -> dict[str, Any]:
-    """The dataclasses and named tuples that type hints lead to from ``roots``, these included, by name."""
+    """The dataclasses and named tuples to which type hints lead from ``roots``, including ``roots``, by name."""
     classes: dict[str, Any] = {}
     hints = [*roots]
     while hints:
