@@ -115,7 +115,8 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             env: The environment.
             nominal: The environment's arm as its model has it (`geometry_in_mujoco`), with the model's joint names.
             true: The true arm: a plant without memory, or a geometry.
-            compensator: Turns joint targets into commands for the true arm, as a calibration does; None to send targets as they are.
+            compensator: Turns joint targets into commands for the true arm, as a calibration does; None to send targets
+                as they are.
 
         Raises:
             InputError: If ``env`` is no goal environment on MuJoCo, or the arms differ in their number of joints, or

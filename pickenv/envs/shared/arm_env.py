@@ -226,5 +226,5 @@ def across(axis: Array, offset: Array) -> Array:
 
 
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
-    """A dial of where the true tool stands, seen from the fruit along the tool's axis; ``offset`` is tool minus fruit."""
+    """A dial of the true tool's offset from the fruit (tool minus fruit, m), seen along the tool's axis."""
     return Dial(across(axis, offset)[None], tolerance_mm, MARK)

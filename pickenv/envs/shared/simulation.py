@@ -286,7 +286,7 @@ def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Sca
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[Scalar]) -> Scalar:
-    """Size of the part of a small turn that is perpendicular to all revolute axes, so that no joint motion removes it."""
+    """Size of the part of a small turn that is perpendicular to all revolute axes: no joint motion removes it."""
     if task.lost_axes is None:
         return 0.0 * sum(turn)
     ax, ay, az = inexact(links[task.lost_axes[0] + 1][6:9])
