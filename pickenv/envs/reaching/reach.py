@@ -26,15 +26,15 @@ from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
 
 FRUIT = 0.06
-"""Diameter that is drawn; a reach knows of a place alone."""
+"""Diameter with which fruit is drawn, m; the reach task itself has only the fruit's position."""
 
 
 def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) -> Stage:
-    """The arm, its ghost and the fruit.
+    """The scene of a reach: the arm, its ghost and the fruit.
 
     Args:
         nominal: The arm as its controller believes it to be.
-        scene: What is to be seen, on floats.
+        scene: The view of the environment, on floats.
         tolerance_mm: Radius of the capture region.
         dark: Whether the background is dark.
     """
@@ -59,7 +59,7 @@ def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) 
 
 
 def reach_eye(geometry: Geometry) -> Eye:
-    """The eye that sees an arm's whole room."""
+    """An eye that sees the whole space in which an arm moves."""
     look = arm_look(geometry)
     low, high = np.minimum(look.low, geometry.base.position), np.maximum(look.high, geometry.base.position)
     corners = np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T
@@ -67,7 +67,7 @@ def reach_eye(geometry: Geometry) -> Eye:
 
 
 VIEW: Array = np.array([0.8, 1.0, 0.45])
-"""From the arm to the eye."""
+"""Direction from the arm to the eye, base frame."""
 
 
 class ReachEnv(ArmEnv):
@@ -284,12 +284,12 @@ class ReachEnv(ArmEnv):
         return draw_reach(self.task.plant.arm.nominal, scene, self.task.tolerance_mm, self.dark)
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
-        """Observation and reward; variants with other observations override it."""
+        """The observation and the reward of a view; variants with other observations override this method."""
         reward: Scalar = simulation.true_reward(self._x, self.task, scene)
         return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 
     def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
-        """Let time pass at the present joint target, then observation, reward and information."""
+        """Let ``dt`` seconds pass at the present joint target, and return observation, reward and information."""
         state, plain = self._state, self._plain
         assert state is not None
         command = self._command(state.target)
@@ -308,7 +308,7 @@ class ReachEnv(ArmEnv):
         return observation, reward, information
 
     def _take_arm(self, number: int | None) -> None:
-        """Choose the true arm of this episode."""
+        """Make arm ``number`` the true arm of this episode, or draw one if it is None and arms are not fixed."""
         x, task = self._x, self.task
         if task.arms == "fixed" and number is None:
             return
@@ -318,7 +318,7 @@ class ReachEnv(ArmEnv):
         self._use_arm(task.given_arm(number))
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
-        """Frame of the wanted pose: as it is asked for, or of the first pose drawn that is wanted."""
+        """Frame of the wanted pose: the one that options ask for, or the first drawn pose that fits the task."""
         x, task = self._x, self.task
         joints, frame = given_goals(task, options)
         if frame is not None:
@@ -485,7 +485,7 @@ class ReachGoalEnv(ReachEnv):
         self.observation_space = goal_space(self.task)
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
-        """Reward of achieved against desired goals, ``(9,)`` or ``(N, 9)``; a number, or an array ``(N,)``."""
+        """Reward for achieved against desired goals: a number for ``(9,)``, an array ``(N,)`` for ``(N, 9)``."""
         return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
     def _observe(self, scene: View) -> tuple[Any, float]:
@@ -495,7 +495,10 @@ class ReachGoalEnv(ReachEnv):
 
 
 def rewards_of_goals(task: Task, achieved: ArrayLike, desired: ArrayLike) -> Any:
-    """Rewards of goals ``(..., 9)`` as they were returned, in float64; every batch gives each row the same bits."""
+    """Rewards, in float64, for achieved and desired goals ``(..., 9)`` from observations.
+
+    A row's reward has the same bits whatever batch the row is in.
+    """
     first, second = np.asarray(achieved, dtype=np.float64), np.asarray(desired, dtype=np.float64)
     shape = np.broadcast_shapes(first.shape, second.shape)
     have, want = (np.broadcast_to(goals, shape).reshape(-1, GOAL_NUMBERS).T.copy() for goals in (first, second))

@@ -147,13 +147,13 @@ def stream_key(x: Executor, key: Scalar, stream: int) -> Scalar:
 
 
 def uniform(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
-    """The uniform number in [0, 1) that has the number ``draw``, an int or words like ``key``, in the stream ``key``."""
+    """The uniform number in [0, 1) at place ``draw``, an int or words like ``key``, of the stream ``key``."""
     step = x.word(draw * GOLDEN) if isinstance(draw, int) else x.times(draw, GOLDEN)
     return x.unit(mixed(x, x.plus(key, step)))
 
 
 def normal(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
-    """The standard normal number that has the number ``draw`` in the stream ``key`` (Box and Muller 1958).
+    """The standard normal number at place ``draw`` of the stream ``key`` (Box and Muller 1958).
 
     It uses up the stream's uniform numbers 2 ``draw`` and 2 ``draw`` + 1.
     """

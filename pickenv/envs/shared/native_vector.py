@@ -146,7 +146,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         return flags.copy()
 
     def _seed(self, row: int, seed: int | None) -> None:
-        """Give environment ``row`` a new stream of random numbers, from ``seed``, or from a fresh seed if it is None."""
+        """Give environment ``row`` a new stream of random numbers, from ``seed`` or, if it is None, a fresh seed."""
         self._rngs[row] = seeding.np_random(seed)[0]
 
     @abstractmethod

@@ -82,7 +82,7 @@ class Situation:
         return not (self.drawn or self.spread or self.joint_noise.high)
 
     def widths(self, joints: int, sensed: int) -> tuple[int, int, int]:
-        """How many numbers a state stores: those drawn for the episode, those of late actions, those of late readings."""
+        """Counts of the numbers that a state stores: drawn for the episode, of late actions, of late readings."""
         return len(self.drawn), int(self.delay.high) * joints, int(self.latency.high) * sensed
 
     def value(self, name: str, drawn: Components) -> Scalar:

@@ -323,7 +323,7 @@ def checked_region(given: Any) -> tuple[Components, Components]:
 
 
 def load_true_arm(plant: str, without: Sequence[str] = (), seed: int = 0) -> Plant:
-    """The plant of `pickenv.arm.load_plant`; for a tolerance class, as in "coarse:ur5e", the first arm drawn by ``seed``."""
+    """The plant of `pickenv.arm.load_plant`; for a tolerance class ("coarse:ur5e"), the first arm drawn by ``seed``."""
     check_name("plant", plant, 'a plant preset or a path to a plant file (.toml), "ideal:ARM" or "CLASS:ARM"')
     if isinstance(without, str) or not isinstance(without, Sequence) or not all(isinstance(e, str) for e in without):
         raise InputError(f"without is {without!r}; give a list of names of effects")
@@ -370,7 +370,7 @@ def check_count(name: str, value: int, least: int = 1) -> None:
 
 
 def check_name(name: str, value: str | Path, wanted: str) -> None:
-    """Raise an `InputError` unless ``value`` is a text or a path; ``wanted`` says in it what to name."""
+    """Raise an `InputError` that asks for the name of ``wanted``, unless ``value`` is a text or a path."""
     if not isinstance(value, str | Path):
         raise InputError(f"{name} is {value!r}; give the name of {wanted}")
 
