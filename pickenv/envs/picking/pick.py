@@ -233,7 +233,7 @@ class PickEnv(ArmEnv):
         return None if self.canopies is None else draw_pick(self.canopies, dark=self.dark)
 
     def _look(self, canopies: Canopies, state: ArmState, dt: Scalar) -> None:
-        """Let time pass at the joint target of ``state``."""
+        """Let ``dt`` seconds pass at the joint target of ``state``, and store in ``canopies`` how the arm is seen."""
         command, moment = self._command(state.target), self._word(int(canopies.moments[0]))
         self._state, sight = look_at_arm(self._x, self.task, self.plant, state, command, self._key, moment, dt)
         canopies.sight[:, 0] = self._plain([*sight, *command])
