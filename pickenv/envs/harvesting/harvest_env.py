@@ -23,7 +23,7 @@ from pickenv.pictures import arm_shapes, tree_shapes
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Rods, Stage, Words, rgba, spheres
 
 LONGEST = 600
-"""Periods of an episode: a minute."""
+"""Default number of periods in an episode: a minute."""
 
 
 class HarvestEnv(DrawnEnv):
@@ -164,14 +164,14 @@ class HarvestEnv(DrawnEnv):
 
 
 class HarvestVectorEnv(NativeVectorEnv):
-    """Many harvesters at once; environment i is seeded with ``seed + i`` and does not depend on how many there are.
+    """Many `pickenv/Harvest-v0` in one; the i-th is seeded with ``seed + i`` and does not depend on how many there are.
 
     Args:
         num_envs: Number of harvesters.
         max_episode_steps: Periods after which an episode is truncated, or None for never.
         autoreset_mode: "NextStep", "SameStep" or "Disabled", or an `AutoresetMode`.
         render_mode: None or "rgb_array".
-        arguments: As for `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
+        arguments: Arguments of `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
     """
 
     options = batch.OPTIONS
@@ -234,11 +234,11 @@ UP = np.array([0.0, 0.0, 1.0])
 def draw_harvest(
     task: batch.HarvestTask, states: batch.HarvestState, compensate: Compensate | None, row: int = 0, dark: bool = False
 ) -> Stage:
-    """One machine before its zone.
+    """The scene of one machine before its zone.
 
     Args:
-        task: What stays the same.
-        states: One machine or more.
+        task: The task.
+        states: State of one machine or more.
         compensate: Maps nominal joints of whole machines to commands.
         row: The machine's number.
         dark: Whether the background is dark.
@@ -271,7 +271,7 @@ def draw_harvest(
 
 
 def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids:
-    """Column, boom and the rail that the slaves hang on."""
+    """The solids of the column, the boom and the rail that the slaves hang on."""
     frame, foot = machine.frame3(joints[:3]), -machine.base_height
     axis, shoulder = np.array([0.0, 0.0, foot]), np.array([0.0, 0.0, frame[2]])
     ends = pivots[[0, -1]].copy()
@@ -287,7 +287,7 @@ def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids
 
 
 def slave_solids(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
-    """Slave arms from their pivots to below their cups, each a tube with a rod in it."""
+    """The solids of the slave arms from their pivots to below their cups, each a tube with a rod in it."""
     ends = tips - 0.06 * UP
     half = pivots + 0.5 * (ends - pivots)
     count = len(tips)
@@ -304,7 +304,7 @@ def _ghosts(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
 
 
 def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
-    """Fruit that hangs: ripe where it is in reach; lost fruit in another colour where it hung."""
+    """The solids of the fruit that is not collected: green if out of reach, lost fruit in another colour."""
     hanging = state.status[0] != batch.COLLECTED
     colours = tree_shapes.fruit_colours(state.fruit.shape[1])
     colours[~state.reachable[0]] = tree_shapes.GREEN
@@ -314,14 +314,14 @@ def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
 
 
 def _cameras(task: batch.HarvestTask, joints: Array) -> arm_shapes.Solids:
-    """The stereo pair that looked at the zone from the aisle, before the machine came."""
+    """The solids of the stereo pair that looked at the zone from the aisle before the machine came."""
     frame = task.machine.frame3(joints[:3])
     eye = np.array([frame[0], 0.0, frame[2]])
     return arm_shapes.frustum_solids(eye, np.array([0.0, -1.0, 0.0]), (0.6, 0.45), 0.3, (110, 96, 160))
 
 
 def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool) -> tuple[Mesh, ...]:
-    """Ground, and the trees of the zone."""
+    """The meshes of the ground and of the zone's trees."""
     canopy, height = task.orchard.canopy, -task.machine.base_height
     middle = np.round(state.fruit[0].mean(axis=0), 1)
     low = (float(middle[0]) - 0.6, -canopy.standoff - canopy.depth, max(float(middle[2]) - 0.5, height + 0.3))
@@ -331,7 +331,7 @@ def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool
 
 
 def _eye(state: batch.HarvestState) -> Eye:
-    """From behind the machine, to its side and above it; it stays where it is during a zone."""
+    """An eye behind the machine, to its side and above it; it stays in place during a zone."""
     fruit = state.fruit[0].mean(axis=0)
     target = np.array([0.45 * fruit[0], 0.62 * fruit[1], 0.95 * fruit[2]])
     return Eye(target + np.array([1.75, 1.9, 0.75]), target, 34.0)

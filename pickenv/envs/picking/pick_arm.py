@@ -33,7 +33,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class Reach:
-    """Test of whether the nominal arm reaches points with its tool upright, at the point and ``approach`` m below it."""
+    """Test of whether the nominal arm, its tool upright, reaches both a point and the place ``approach`` m below it."""
 
     def __init__(self, geometry: Geometry, approach: float) -> None:
         """Sample the arm's upright poses once; the test of each point then starts from the nearest pose."""

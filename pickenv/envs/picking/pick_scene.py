@@ -242,7 +242,7 @@ class PickScene:
         self._push(self.positions[i], self.orchard.station.knock * away / max(float(np.linalg.norm(away)), 1e-9))
 
     def twist(self, share: float) -> None:
-        """Twist the fruit in the gripper by a share of the largest torque; if pulled or twisted enough, it comes off."""
+        """Twist the fruit in the gripper by a share of the largest torque; pulled or twisted enough, it comes off."""
         i, branch = self.held, self.orchard.branch
         assert i is not None
         spring = np.array([branch.stiffness_sideways] * 2 + [branch.stiffness_upright])
@@ -265,7 +265,7 @@ class PickScene:
         self.held = None
 
     def _push(self, contact: Array, push: Array) -> None:
-        """Displace the fruit around the point ``contact`` by ``push`` there, each at most to the largest displacement."""
+        """Displace the fruit around the point ``contact`` by ``push``, each at most to the largest displacement."""
         displacement = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
         far = np.linalg.norm(displacement, axis=1, keepdims=True)
         self.displacement[:] = displacement * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
