@@ -26,7 +26,7 @@ from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
 
 FRUIT = 0.06
-"""Diameter with which fruit is drawn, m; the reach task itself has only the fruit's position."""
+"""Diameter with which fruit is drawn; the reach task itself has only the fruit's position."""
 
 
 def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) -> Stage:

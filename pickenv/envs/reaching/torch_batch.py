@@ -80,7 +80,7 @@ class TorchBatch(Batch):
         self._pack = self._fused(_packed)
 
     def _fused(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """``function``, compiled if asked for; on a processor into one loop that keeps intermediate results off memory."""
+        """``function``, compiled if asked for; on a processor into one loop that stores no intermediate results."""
         if not self._compiled:
             return function
         options: Any = {"max_fusion_size": MOST_FUSED} if self.device.type == "cpu" else {}
