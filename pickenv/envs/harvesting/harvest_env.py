@@ -33,10 +33,10 @@ class HarvestEnv(DrawnEnv):
 
     A master arm (turn, lift, reach) carries one to six slave arms (lift, swing, stretch), each with a cup that takes a
     fruit from below, cuts its stalk and keeps it. One policy moves all joints. What moves is the machine as built,
-    whose cups are 6 to 9 mm off while they forgive 5 to 11 mm; a cup that goes in pushes its neighbours' fruit away.
-    Arms never collide: a guard holds those that would come nearer than two arm radii and a margin. What becomes of an
-    attempt is what `pickenv.harvester.picking` says, as in the reproduction of Li's experiment: how far off the cup is,
-    fruit in its way, blade and damage; pushed fruit swings on its branch, and a part of the push stays.
+    whose cups are 6 to 9 mm off while they forgive 5 to 11 mm; a cup that goes in pushes neighbouring fruit away. Arms
+    never collide: a guard holds arms that would come nearer to each other than two arm radii and a margin. As in the
+    reproduction of Li's experiment, `pickenv.harvester.picking` decides what becomes of an attempt, by how far off the
+    cup is, fruit in its way, blade and damage; pushed fruit swings on its branch, and a part of the push stays.
 
     ## Action Space
 
@@ -56,24 +56,25 @@ class HarvestEnv(DrawnEnv):
 
     ## Observation Space
 
-    `Box(float32)`: joints scaled to their limits (3 + 3 arms, -1 to 1); the share of sensing and cutting left of each
-    slave (arms, 0 to 1); then for each fruit slot its place as the camera saw it, right of, ahead of and above frame 3
-    (-2 to 2 m), and 1 while it hangs in reach (else all four are 0; so they are where the camera does not find it).
+    `Box(float32)`: joints scaled to their limits (3 + 3 arms, -1 to 1); for each slave the share of sensing and cutting
+    that it still has to do (arms, 0 to 1); then four numbers for each fruit: its place as the camera saw it, right of,
+    ahead of and above frame 3 (-2 to 2 m), and 1 while it hangs in reach. All four are 0 for fruit that does not hang
+    in reach or that the camera did not find.
 
     ## Rewards
 
     Per period: 1 x (fruit collected whole) - 1 x (fruit damaged) + (progress in m) - 0.05 x (arms that the guard holds)
-    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is by how much less is left than
-    before: the distances from the fruit in reach that hangs, as the camera saw it, to the believed cup nearest to each,
-    summed and divided by the fruit of the zone. Eight fruit give at most about 8; doing nothing for a minute gives -3.
+    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is the decrease of the distance left:
+    the distances from hanging fruit in reach, as the camera saw it, to the nearest believed cup, summed and divided by
+    the number of fruit in the zone. Eight fruit give at most about 8; doing nothing for a minute gives -3.
 
     ## Starting State
 
-    Fruit evenly in 0.7 x 0.4 x 0.55 m somewhere on the tree's side, some of it found by the cameras 1 m before the
-    tree; the master at the pick point that reaches most of what was found, the slaves at rest. A cup that comes back
-    empty looks again: at where the fruit hangs by then, past the same leaves, so with the same error.
-    `reset(options=...)` takes `"fruit"`, positions (fruit, 3) in m in the base frame, where the cameras look at their
-    middle, and `"start_joints"` of the whole machine (rad and m).
+    Fruit is spread evenly in 0.7 x 0.4 x 0.55 m somewhere on the tree's side, and the cameras 1 m before the tree find
+    some of it. The master stands at the pick point that reaches most of the fruit found, the slaves are at rest. After
+    an attempt that leaves its fruit hanging, the fruit is seen again where it hangs by then, past the same leaves and
+    so with the same error. `reset(options=...)` takes `"fruit"`, positions (fruit, 3) in m in the base frame, at whose
+    middle the cameras look, and `"start_joints"` of the whole machine (rad and m).
 
     ## Episode End
 
@@ -100,7 +101,7 @@ class HarvestEnv(DrawnEnv):
     ```
 
     - `slaves` (1 to 6, default 3), `spacing_mm` (default 350), `fruit` (1 to 40, default 8).
-    - `ideal` (bool, default False): whether the machine is as drawn.
+    - `ideal` (bool, default False): whether the machine is built exactly as designed.
     - `vision`: "measured_errors" (default) draws recall and errors from the table made by reading rendered pictures of
       this canopy; "rendered" draws and reads a stereo pair of each zone (a tenth of a second, needs the extra
       `harvest`); "ideal" shows all fruit where it is. `detector`: "li2016" (default; R-G, Otsu, centroids) or

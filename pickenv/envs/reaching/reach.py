@@ -116,9 +116,10 @@ class ReachEnv(ArmEnv):
 
     With e the distance between true tool and fruit in mm and t the angle between true and wanted attitude in degrees:
 
-    - dense (default): -log10(1 + e) - 0.5 log10(1 + t), and outside the capture region once more what that is at the
-      region's farthest corner (1.30 with the usual tolerances), so that no failure scores as high as a success; from
-      about -5.7 (far away) to 0 (perfect). One more decimal of accuracy is worth as much at a millimetre as at a metre.
+    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region, the cost at the region's farthest
+      corner (1.30 with the usual tolerances) is subtracted as well, so that no failure scores as high as a success. The
+      reward goes from about -5.7 (far away) to 0 (perfect). One more decimal of accuracy is worth as much at a
+      millimetre as at a metre.
     - sparse: 0 while the fruit is inside the capture region, else -1.
 
     ## Starting State
@@ -179,8 +180,8 @@ class ReachEnv(ArmEnv):
     - `without` (sequence of str): effects of the plant to switch off.
     - `feedback` ("encoders" or "camera"): whether the camera's tool-to-fruit offset is part of the observation.
     - `camera_noise_mm` (float, 0 to 100, default 0): standard deviation per axis of all that the camera sees.
-    - `fruit_noise_mm` (float, 0 to 100, default None): the same for the fruit's position, seen once per episode, where
-      it is not as noisy as the camera's view of the gap.
+    - `fruit_noise_mm` (float, 0 to 100, default None): standard deviation per axis of the fruit's position, seen once
+      per episode, if it differs from that of the camera's view of the gap.
     - `tolerance_mm` (float, default 5): radius of the gripper's capture region; 5 mm is the clearance of Li's cup.
     - `angle_tolerance_deg` (float, default 10): attitude tolerance of the capture region.
     - `reward` ("dense" or "sparse").
@@ -192,7 +193,7 @@ class ReachEnv(ArmEnv):
       goes before), `population` (int, default 256) and `population_seed` (int, default 0) say which; judge a policy on
       a population that it never saw.
     - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1, as networks without bounds give them, are cut
-      to it or are an error; numbers that are not finite are always one.
+      to this range or are an error; numbers that are not finite are always an error.
     - `goal_region` (two corners [[x, y, z], [x, y, z]] of a box, m, base frame, default None): where goals are drawn.
     - `control_period_s` (s, 0.001 to 10, default 0.1): time between two actions, and with it the largest increment.
     - `latency` (whole periods, 0 to 20, default 0): how late readings of joints and camera arrive.
@@ -401,10 +402,10 @@ class ReachGoalEnv(ReachEnv):
 
     ## Description
 
-    The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is made
-    of what a controller can measure, so that a goal can be exchanged afterwards: position and attitude of the tool as
-    the chosen feedback measures it, against the fruit as the camera saw it and the attitude that it is to be picked in.
-    The truth stays in `info`.
+    The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is
+    computed from what a controller can measure, so that a goal can be exchanged afterwards: position and attitude of
+    the tool as the chosen feedback measures them, against the fruit as the camera saw it and the wanted attitude. The
+    truth is in `info`.
 
     ## Action Space
 
@@ -412,8 +413,8 @@ class ReachGoalEnv(ReachEnv):
 
     ## Observation Space
 
-    `Dict` of three float32 boxes; positions and axes in the base frame, R as in `pickenv/Reach-v0`. Whatever depends on
-    the goal stands in the goals alone, so that hindsight may exchange them.
+    `Dict` of three float32 boxes; positions and axes are in the base frame, R is as in `pickenv/Reach-v0`. Only the
+    goals depend on the goal, so that hindsight may exchange them.
 
     `observation`:
 
