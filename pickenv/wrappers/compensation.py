@@ -1,4 +1,4 @@
-"""A calibration between policy and arm: the joint target goes through a compensator before it reaches the drives."""
+"""Wrappers that put a calibration between policy and arm: a compensator corrects joint targets before the drives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Action = TypeVar("Action")
 
 
 Compensate: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Maps joint targets ``(..., n)`` for the nominal arm to joint commands ``(..., n)`` for the real one (rad, m)."""
+"""A function from the nominal arm's joint targets to the real arm's joint commands, ``(..., n)`` each (rad, m)."""
 
 
 class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):

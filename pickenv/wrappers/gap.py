@@ -106,7 +106,7 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
         return self.scaling.shown(self.raw), info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Act in the policy's scale."""
+        """Step with actions in the policy's scale, and return rescaled observations."""
         before = self.raw
         self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(before, action, self._most))
         if self._shaping is not None:
@@ -146,7 +146,7 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
         return self.scaling.shown(self.raw), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Act in the policy's scale."""
+        """Step with actions in the policy's scale, and return rescaled observations."""
         before = self.raw
         commands = self.scaling.act(before, actions, self._most)
         self.raw, rewards, terminations, truncations, infos = self.env.step(commands)

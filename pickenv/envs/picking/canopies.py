@@ -67,7 +67,7 @@ class Canopies:
         self.still, self.moments = np.full(count, pick_scene.STILL), np.zeros(count, dtype=np.uint64)
 
     def adopt(self, row: int, scene: pick_scene.PickScene) -> None:
-        """Put a canopy before arm ``row``."""
+        """Put the canopy of ``scene`` before arm ``row``, and make its fruit a part of the array."""
         n = len(scene.rest)
         if n > self.fruit.shape[1]:
             before, self.fruit = self.fruit, np.full((self.count, n), ABSENT)

@@ -448,7 +448,7 @@ def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
 
 
 PICK_OPTIONS = ("fruit", "start_joints", "arm")
-"""Options of `reset`."""
+"""Names of the options of `reset`."""
 
 
 PickStart = tuple[PickScene, int | None, int]

@@ -214,7 +214,7 @@ def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
 
 
 def ground_below(look: arm_shapes.ArmLook, geometry: Geometry) -> float:
-    """Height of a ground that an arm does not reach, m."""
+    """Height of a ground that is low enough for an arm never to reach it, m."""
     return float(min(look.low[2] - 0.1, geometry.base.position[2] - 0.35))
 
 

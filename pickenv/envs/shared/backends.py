@@ -24,7 +24,7 @@ Flags = NDArray[np.bool_]
 """Truth values, one for each environment, or one for each fruit, and so on."""
 
 Rows = NDArray[np.intp]
-"""Numbers of environments."""
+"""Array of environments' numbers, counted from 0."""
 
 MASK = 2**64 - 1
 

@@ -99,8 +99,7 @@ MOST_ACTION = {"clip": float(np.finfo(np.float32).max), "refuse": 1.0 + 1e-6}
 1 with a margin for rounding to single precision."""
 
 MOST_CAMERA_NOISE_MM = 100.0
-"""Largest camera noise: ten standard deviations stay within the metre that the observation's bounds leave for errors.
-"""
+"""Largest camera noise: ten standard deviations stay within the metre that observation bounds leave for errors."""
 
 MOST_NUMBER = 1e6
 """Largest number of millimetres, degrees or other units among an environment's arguments."""
@@ -109,7 +108,7 @@ FEEDBACK = ("encoders", "camera")
 REWARDS = ("dense", "sparse")
 ARMS = ("fixed", "per_env", "per_episode")
 GOAL_MARGIN = 0.05
-"""Goals keep this share of each joint's range away from its limits."""
+"""Share of each joint's range that goals keep away from its limits."""
 
 GOAL_ATTEMPTS = 10_000
 
@@ -120,7 +119,7 @@ UPRIGHT, TILTED_POSES = 0.01, 2**10
 """The share of an arm's poses that must keep within the largest tilt, and the number of poses to judge that by."""
 
 Compensate = Callable[[Array], Array]
-"""Turns joint targets into joint commands."""
+"""A function that turns joint targets into joint commands."""
 
 
 @dataclass(frozen=True, eq=False)
