@@ -1,4 +1,4 @@
-"""A calibration between policy and arm: the joint target goes through a compensator before it reaches the drives."""
+"""Wrappers that put a calibration between policy and arm: a compensator corrects joint targets before the drives."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ Action = TypeVar("Action")
 
 
 Compensate: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Maps joint targets ``(..., n)`` for the nominal arm to joint commands ``(..., n)`` for the real one (rad, m)."""
+"""A function from the nominal arm's joint targets to the real arm's joint commands, ``(..., n)`` each (rad, m)."""
 
 
 class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
     """Correct the joint target on its way to the drives, invisibly to the policy.
 
     Spaces, seeds, episode flow and observations stay as they are: joint readings are mapped back to nominal joints, so
-    a policy that servoes on its believed tool position does not cancel the compensation. Where a plant's motors have
-    whole counts and follow late (`plant="orchard"`), readings differ by what counts and lag are of other commands: less
-    than a count, and a few thousandths of the difference in step. The compensator sits at the
-    environment's one seam, so the wrapper's place in a stack of wrappers does not matter; closing removes it.
+    a policy that servoes on its believed tool position does not cancel the compensation. If the plant's motors move in
+    whole counts and lag behind their commands (`plant="orchard"`), the readings still change slightly, because counts
+    and lag depend on the command: by less than a count, and by a few thousandths of the difference in step. The
+    compensator sits at the environment's one seam, so the wrapper's place in a stack of wrappers does not matter;
+    closing the wrapper removes the compensator.
 
     Example:
         >>> import gymnasium as gym
@@ -60,10 +61,10 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
         self._compensator = compensator
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step, and say at an episode's end how far such commands end from where they should.
+        """Step the environment; at an episode's end, add the calibrated arm's expected error to `info`.
 
-        `info` then holds `within95_mm` and `within95_deg`, where the calibration knows them: 95 of 100 reaches of the
-        calibrated arm end nearer, as counted on rows that it never saw.
+        The entries are `within95_mm` and `within95_deg`, if the calibration knows them: 95 of 100 reaches of the
+        calibrated arm end nearer to their target than that, as counted on rows that the calibration never saw.
         """
         observation, reward, terminated, truncated, info = self.env.step(action)
         if (terminated or truncated) and "joint_command" in info:
@@ -110,9 +111,9 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
         self._compensator = compensator
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step, and say of the environments whose episodes end what `CompensationWrapper.step` says of one.
+        """Step the environments; where episodes end, add to `infos` what `CompensationWrapper.step` adds to `info`.
 
-        Where environments start anew within the step, it stands in `final_info`, like all else of the ended episode.
+        If environments start anew within the step, the entries are in `final_info`, like all else of the ended episode.
         """
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         ended = np.flatnonzero(_numpy(terminations) | _numpy(truncations))
@@ -130,7 +131,7 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
 
 
 def _within95(compensator: Compensate, commands: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Within what 95 of 100 reaches at commands ``(..., n)`` end, by its name in `info`; empty where nobody knows."""
+    """Errors that 95 of 100 reaches at commands ``(..., n)`` keep within, by name in `info`; empty if unknown."""
     quantile = getattr(compensator, "within95", None)
     position, attitude = (None, None) if quantile is None else quantile(commands.astype(float))
     within = {} if position is None else {"within95_mm": np.asarray(position) * 1e3}
@@ -138,12 +139,12 @@ def _within95(compensator: Compensate, commands: NDArray[Any]) -> dict[str, NDAr
 
 
 def _numpy(values: Any) -> NDArray[Any]:
-    """A tensor of any device, or an array, as an array."""
+    """A NumPy array of the values of an array, or of a tensor on any device."""
     return np.asarray(values.cpu() if hasattr(values, "cpu") else values)
 
 
 def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
-    """The places of a vector environment's compensators: in itself, or in each of its environments."""
+    """The objects that hold a vector environment's compensators: itself, or each of its single environments."""
     inner: Any = env.unwrapped
     return [single.unwrapped for single in inner.envs] if hasattr(inner, "envs") else [inner]
 

@@ -1,9 +1,9 @@
-"""Observations and actions for learning to the last millimetre: the gap by direction and logarithm, actions to match.
+"""Observations and actions scaled so that a policy learns to the last millimetre.
 
-A network that reads a gap in metres is blind to millimetres, and its noise hides them. Here the gap to the fruit enters
-as a direction of about unit length and the logarithm of its size, and near the fruit an action is a share of what is
-left: what a policy learns about decimetres then holds for micrometres. The formulas run on NumPy and on torch; the
-wrappers put them around environments.
+A network that reads a gap in metres is blind to millimetres, and the noise of its actions hides them. Here the network
+sees the gap to the fruit as a direction of about unit length and the logarithm of its size, and near the fruit an
+action is a share of the gap that remains: what a policy learns about decimetres then holds for micrometres. The
+formulas run on NumPy and on torch; the wrappers put them around environments.
 """
 
 from __future__ import annotations
@@ -28,20 +28,20 @@ from pickenv.envs.shared.simulation import GOAL_NUMBERS, goal_gap
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 
 SMALLEST = 1e-6
-"""Share of the near gap below which the gap shrinks no further: 0.1 um."""
+"""Smallest size of a gap, as a share of the near gap: smaller gaps count as this, 0.1 um in position."""
 
 ROUNDING = 1e-3
-"""Largest amount that rounding adds to a number that is at most one."""
+"""Margin for rounding in the bounds of numbers that are at most one."""
 
 
 class Rescaling(ABC):
-    """Formulas on observations ``(..., inputs)`` of an environment: what a policy sees of them, and what it answers.
+    """Formulas from an environment's observations ``(..., inputs)`` to a policy's, and from its actions to commands.
 
     Attributes:
-        inputs: Numbers in the environment's observation.
-        space: Space of what the policy sees.
-        answers: Space of what it answers, where that differs from the environment's; else None.
-        home: What a policy is to be used with, as the end of a sentence.
+        inputs: Count of numbers in the environment's observation.
+        space: Space of the observations that the policy sees.
+        answers: Space of the policy's actions, if it differs from the environment's action space; else None.
+        home: Words for an error message: what the policy has to be used with ("use ... of its training").
     """
 
     inputs: Any
@@ -50,7 +50,7 @@ class Rescaling(ABC):
     home: ClassVar[str]
 
     def check(self, width: int) -> None:
-        """Refuse observations of another length.
+        """Refuse observations that are not `inputs` numbers long.
 
         Raises:
             InputError: If ``width`` is not `inputs`.
@@ -62,29 +62,33 @@ class Rescaling(ABC):
             )
 
     def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:
-        """`observe` as an environment shows it."""
+        """The result of `observe` as an environment returns it: a float32 array of NumPy."""
         return np.asarray(self.observe(values, np), dtype=np.float32)
 
     @abstractmethod
     def observe(self, values: Any, xp: Any) -> Any:
-        """Numbers that the policy sees ``(..., features)``; ``xp`` is numpy or torch."""
+        """The numbers ``(..., features)`` that the policy sees; ``xp`` is numpy or torch."""
 
     @abstractmethod
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
-        """Commands to the environment for a policy's ``actions``; what it refuses is handed on for it to refuse."""
+        """Commands to the environment for a policy's ``actions``.
+
+        Actions that the environment refuses stay as they are, for the environment to refuse.
+        """
 
     @abstractmethod
     def potential(self, values: NDArray[Any]) -> Any:
-        """The nearness of an observation to the goal of the task, for shaping."""
+        """A number that grows as an observation gets nearer to the task's goal, for reward shaping."""
 
 
 class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
-    """An environment in another scale.
+    """An environment whose observations and actions are rescaled.
 
     Args:
         env: The environment.
         scaling: The formulas.
-        shaping: Discount of the learner, to whose rewards differences of the potential are added, or None.
+        shaping: The learner's discount, with which differences of the potential are added to the rewards; None for
+            rewards as they are.
     """
 
     def __init__(self, env: gym.Env[Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
@@ -94,15 +98,15 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
         self.observation_space = scaling.space
         self.action_space = scaling.answers or env.action_space
         self.raw: Any = np.zeros(scaling.inputs, dtype=np.float32)
-        """The observation as the environment gave it."""
+        """The latest observation, as the environment gave it."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode."""
+        """Begin an episode; the observation is the rescaled one."""
         self.raw, info = self.env.reset(seed=seed, options=options)
         return self.scaling.shown(self.raw), info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Act in the policy's scale."""
+        """Step with actions in the policy's scale, and return rescaled observations."""
         before = self.raw
         self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(before, action, self._most))
         if self._shaping is not None:
@@ -112,7 +116,7 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
-    """Native vector environments in another scale; arguments as for `ScaledEnv`."""
+    """Native vector environments whose observations and actions are rescaled; arguments as for `ScaledEnv`."""
 
     def __init__(self, env: VectorEnv[Any, Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
         VectorWrapper.__init__(self, env)
@@ -124,25 +128,25 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
             self.single_action_space = scaling.answers
             self.action_space = batch_space(scaling.answers, self.num_envs)
         self.raw: Any = np.zeros((self.num_envs, scaling.inputs), dtype=np.float32)
-        """The observations as the environments gave them."""
+        """The latest observations, as the environments gave them."""
         self._idle = np.zeros(self.num_envs, dtype=np.bool_)
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
-        """The environments' mode, which torchrl asks the outermost wrapper for."""
+        """The environments' autoreset mode; torchrl asks the outermost wrapper for it."""
         mode: AutoresetMode = self.metadata["autoreset_mode"]
         return mode
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes."""
+        """Begin episodes; the observations are the rescaled ones."""
         self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._idle[:] = False
         return self.scaling.shown(self.raw), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Act in the policy's scale."""
+        """Step with actions in the policy's scale, and return rescaled observations."""
         before = self.raw
         commands = self.scaling.act(before, actions, self._most)
         self.raw, rewards, terminations, truncations, infos = self.env.step(commands)
@@ -164,15 +168,15 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
 
 @dataclass(frozen=True)
 class Scaling(Rescaling):
-    """The layout of an observation, and the gap that counts as near.
+    """The scaling of the gap in a reach task: the layout of its observations, and which gap counts as near.
 
     Attributes:
         joints: Number of joints n.
         camera: Whether the flat observation ends with the camera's gap.
-        goal: Whether it is a goal observation: observation, achieved and desired goal, one after the other.
+        goal: Whether observations are goal observations: observation, achieved and desired goal, one after the other.
         actions: Whether actions shrink with the gap; if not, only the observation changes.
-        near: Gap below which actions shrink with it, m.
-        near_turn: The same for the attitude, rad.
+        near: Position gap below which actions shrink in proportion to it, m.
+        near_turn: Attitude gap below which actions shrink in proportion to it, rad.
     """
 
     joints: int
@@ -185,29 +189,29 @@ class Scaling(Rescaling):
 
     @property
     def inputs(self) -> int:
-        """Numbers in the observation."""
+        """Count of numbers in the environment's observation."""
         if self.goal:
             return self.joints + 3 + 2 * GOAL_NUMBERS
         return self.joints + (15 if self.camera else 12)
 
     @property
     def features(self) -> int:
-        """Numbers that the networks see."""
+        """Count of numbers that the networks see."""
         return self.joints + 7
 
     @property
     def space(self) -> spaces.Box:
-        """Space of what the networks see."""
+        """Space of the observations that the networks see."""
         high = [1.0] * self.joints + [1.0 + ROUNDING] * 6 + [-math.log10(SMALLEST) / 2.0]
         return spaces.Box(-np.array(high, np.float32), np.array(high, np.float32), dtype=np.float32)
 
     @property
     def outputs(self) -> int:
-        """Numbers that they answer."""
+        """Count of numbers in a network's action: one per joint."""
         return self.joints
 
     def gap(self, values: Any, xp: Any) -> tuple[Any, Any]:
-        """Gap between tool and fruit (m) and between attitudes (rad), ``(..., 3)`` each."""
+        """The position gap between tool and fruit (m) and the gap between their attitudes (rad), ``(..., 3)`` each."""
         n = self.joints
         if self.goal:
             numbers = [values[..., i] for i in range(n + 3, self.inputs)]
@@ -216,7 +220,7 @@ class Scaling(Rescaling):
         return values[..., n + 12 :] if self.camera else values[..., n + 6 : n + 9], values[..., n + 9 : n + 12]
 
     def size(self, values: Any, xp: Any) -> Any:
-        """Size of the gap ``(..., 1)``; 1 is near."""
+        """Size of the gap ``(..., 1)``: the larger of position over `near` and attitude over `near_turn`."""
         gap, turn = self.gap(values, xp)
         far, turned = (
             ((part * part).sum(-1)[..., None]) ** 0.5 / near
@@ -225,29 +229,30 @@ class Scaling(Rescaling):
         return xp.clip(xp.maximum(far, turned), SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
-        """The factor of the network's actions ``(..., 1)``."""
+        """The factor ``(..., 1)`` by which a network's actions are multiplied."""
         size = self.size(values, xp)
         return xp.clip(size, None, 1.0) if self.actions else 0.0 * size + 1.0
 
     def observe(self, values: Any, xp: Any) -> Any:
-        """Numbers that the networks see ``(..., features)``; ``xp`` is numpy or torch."""
+        """The numbers ``(..., features)`` that the networks see; ``xp`` is numpy or torch."""
         gap, turn = self.gap(values, xp)
         size = self.size(values, xp)
         parts = (values[..., : self.joints], gap / (self.near * size), turn / (self.near_turn * size))
         return xp.concatenate((*parts, xp.log10(size) / 2.0), -1)
 
     def commands(self, values: Any, actions: Any) -> Any:
-        """Commands to the environment for a network's ``actions``, from -1 to 1."""
+        """Commands to the environment for a network's ``actions``, which lie between -1 and 1."""
         return actions * self.share(values, np)
 
     def potential(self, values: NDArray[Any]) -> Any:
-        """The gap's size as a logarithm, turned round; rewards of reaching are as dense already."""
+        """The negative decimal logarithm of the gap's size; rewards of reaching are as dense already."""
         return -np.log10(self.size(values, np))[..., 0]
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Commands to the environment for a policy's ``actions`` at the observations ``values``.
 
-        Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are: it refuses them.
+        Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are, for the environment
+        to refuse.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.joints):
@@ -257,14 +262,14 @@ class Scaling(Rescaling):
 
 
 def joined_observation(observation: Any, xp: Any = np) -> Any:
-    """A goal observation as one array; a flat one as it is."""
+    """A goal observation joined into one array; a flat observation stays as it is."""
     if not isinstance(observation, dict):
         return observation
     return xp.concatenate([observation[key] for key in ("observation", "achieved_goal", "desired_goal")], -1)
 
 
 class GapScaling(ScaledEnv, RecordConstructorArgs):
-    """See the gap to the fruit by direction and logarithm, and act in shares of it: what lets plain PPO learn.
+    """Show the gap to the fruit by direction and logarithm, and take actions as shares of it, so that plain PPO learns.
 
     `pickenv/ReachScaled-v0` is `pickenv/Reach-v0` in this wrapper, single and native. With n joints the observation is
     `Box(float32)` of n + 7 numbers, and the size of the gap is the larger of position over 100 mm and attitude over
@@ -277,8 +282,8 @@ class GapScaling(ScaledEnv, RecordConstructorArgs):
     | n+3 to n+5   | attitude gap (rotation vector), divided by the size          | -1  | 1   | 0.2 rad      |
     | n+6          | half the size's logarithm                                    | -3  | 3   | two decimals |
 
-    The gap is fruit against believed tool, or with ``feedback="camera"`` as the camera measures it. Actions are cut to
-    -1 to 1 and, where the size is below one, multiplied by it.
+    The gap is that between fruit and believed tool, or with ``feedback="camera"`` the one that the camera measures.
+    Actions are cut to -1 to 1 and, if the size is below one, multiplied by it.
 
     Args:
         env: A `pickenv/Reach-v0` or `pickenv/ReachIdeal-v0`.
@@ -300,7 +305,7 @@ class GapScaling(ScaledEnv, RecordConstructorArgs):
         """Wrap ``env``.
 
         Raises:
-            InputError: If its observations are not those of a reach task, flat.
+            InputError: If the environment's observations are not the flat ones of a reach task.
         """
         RecordConstructorArgs.__init__(self, actions=actions)
         ScaledEnv.__init__(self, env, _scaling_of(env, env.observation_space, actions))
@@ -325,7 +330,7 @@ class GapScalingVector(ScaledVector, RecordConstructorArgs):
         """Wrap ``env``; ``actions`` as in `GapScaling`.
 
         Raises:
-            InputError: If its observations are not those of a reach task, flat, in NumPy's arrays.
+            InputError: If the environments' observations are not the flat ones of a reach task, in NumPy's arrays.
         """
         RecordConstructorArgs.__init__(self, actions=actions)
         if env.metadata.get("torch"):
@@ -395,12 +400,12 @@ def scaled_reach(**arguments: Any) -> GapScaling:
 
 
 def scaled_reach_vector(**arguments: Any) -> GapScalingVector:
-    """N environments `pickenv/ReachScaled-v0` in one: `pickenv.envs.ReachVectorEnv` in `GapScalingVector`."""
+    """N `pickenv/ReachScaled-v0` in one vector environment: `pickenv.envs.ReachVectorEnv` in `GapScalingVector`."""
     return GapScalingVector(ReachVectorEnv(**arguments))
 
 
 def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> Scaling:
-    """The scaling that suits an environment."""
+    """The scaling for an environment's observations; an `InputError` if they are not the flat ones of a reach task."""
     task = getattr(env.unwrapped, "task", None)
     if task is None or space.shape != (Scaling(task.joints, task.camera).inputs,):
         raise InputError("GapScaling reads flat observations; wrap a pickenv/Reach-v0 environment")

@@ -1,4 +1,4 @@
-"""The arm inside a MuJoCo model, as this project knows arms: its nominal geometry, and its joints at the moment."""
+"""The arm inside a MuJoCo model: its nominal geometry, its present joints, and a wrapper that gives it an error."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from pickenv.base import InputError
 from pickenv.wrappers.compensation import Compensate
 
 SLIDE, HINGE = 2, 3
-"""MuJoCo's numbers of the joint types of an arm."""
+"""MuJoCo's numbers for sliding and hinged joints, the types that an arm may have."""
 
 
 def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = None, data: Any = None) -> Geometry:
-    """The nominal chain that moves a site, in the model's world.
+    """The nominal geometry of the arm that moves a site, in the model's world frame.
 
     Args:
         model: `mujoco.MjModel`.
         site: Name of the site at the tool.
         joints: The arm's joints from base to tool; all that move the site when left out.
-        data: `mujoco.MjData` that says where all other joints stand; where the model has them when left out.
+        data: `mujoco.MjData` with the positions of all other joints; the model's own positions when left out.
 
     Raises:
         InputError: If MuJoCo, the site or a joint is missing, a joint does not move the site, or is a ball.
@@ -74,7 +74,7 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
 
 
 def joints_in_mujoco(model: Any, data: Any, geometry: Geometry) -> Array:
-    """Present displacements ``(n,)`` of an arm that `geometry_in_mujoco` found, rad or m."""
+    """Present joint displacements ``(n,)``, rad or m, of an arm whose ``geometry`` came from `geometry_in_mujoco`."""
     return np.array([data.qpos[model.joint(name).qposadr[0]] for name in geometry.joint_names])
 
 
@@ -85,16 +85,16 @@ def joints_in_mujoco(model: Any, data: Any, geometry: Geometry) -> Array:
 
 
 FAR = 1e-3
-"""The goal that is achieved must be the tool's position within this, m."""
+"""Largest distance allowed between the achieved goal and the nominal arm's tool, m."""
 
 
 class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Let a foreign reaching environment on MuJoCo have an arm that errs.
+    """Give the arm of another package's reaching environment on MuJoCo the errors of a real arm.
 
-    For environments of Gymnasium-Robotics' goal interface (`achieved_goal`, `desired_goal`, `compute_reward`) whose
-    goal is a position of the tool, commanded by joint or by tool targets. The observation stays what the controller
-    believes; reward and `info["is_success"]` are of the true tool. `info` gets `tool_error_mm`, how far it is from
-    where it is believed, and `true_distance_mm`, how far from the goal.
+    The wrapper works on environments with Gymnasium-Robotics' goal interface (`achieved_goal`, `desired_goal`,
+    `compute_reward`) whose goal is a position of the tool, commanded by joint or by tool targets. The observation stays
+    what the controller believes; reward and `info["is_success"]` judge the true tool. `info` gets `tool_error_mm`, how
+    far the true tool is from the believed one, and `true_distance_mm`, how far it is from the goal.
 
     Example:
         >>> import gymnasium as gym
@@ -113,13 +113,14 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         Args:
             env: The environment.
-            nominal: Its arm as its model has it (`geometry_in_mujoco`), joints by the model's names.
-            true: The arm as it is: a plant without memory, or a geometry.
-            compensator: Turns joint targets into commands for the true arm, as a calibration does; None for raw.
+            nominal: The environment's arm as its model has it (`geometry_in_mujoco`), with the model's joint names.
+            true: The true arm: a plant without memory, or a geometry.
+            compensator: Turns joint targets into commands for the true arm, as a calibration does; None to send targets
+                as they are.
 
         Raises:
-            InputError: If it is no goal environment on MuJoCo, or the arms differ in their joints, or the plant has
-                effects with a memory.
+            InputError: If ``env`` is no goal environment on MuJoCo, or the arms differ in their number of joints, or
+                the plant has effects with a memory.
         """
         RecordConstructorArgs.__init__(self, nominal=nominal, true=true, compensator=compensator)
         gym.Wrapper.__init__(self, env)
@@ -136,12 +137,12 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._nominal, self._true, self._compensator = nominal, true, compensator
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset, and say how far the true tool is from where it is believed."""
+        """Reset the environment; `info` gets the entries that the class names."""
         observation, info = self.env.reset(seed=seed, options=options)
         return observation, self._judged(observation, info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step; reward and success are the true tool's."""
+        """Step the environment; reward and success judge the true tool."""
         observation, _, terminated, truncated, info = self.env.step(action)
         info = self._judged(observation, info)
         inner: Any = self.env.unwrapped
@@ -149,7 +150,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, float(reward), terminated, truncated, info
 
     def tool_error(self) -> Array:
-        """True less believed tool position at the present joints ``(3,)``, m, in the model's world."""
+        """True minus believed tool position ``(3,)`` at the present joints, m, in the model's world frame."""
         inner: Any = self.env.unwrapped
         joints = joints_in_mujoco(inner.model, inner.data, self._nominal)
         pose = forward(self._nominal, joints)

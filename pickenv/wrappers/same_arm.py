@@ -1,8 +1,9 @@
-"""Many fruit on one arm, one action a fruit: where a policy can learn to calibrate its arm while it picks.
+"""Wrappers in which a policy picks many fruit with one arm, one action a fruit, and learns to calibrate as it picks.
 
-An episode is a run of picks on one true arm, which the policy is not told; the next episode may have another. Before
-each pick it says how far to aim beside the fruit. The nominal arm is put where that leads, stands there, and the camera
-says by how much arm and belief differ. What was seen at past picks is all that tells one arm from another. m and rad.
+An episode is a run of picks on one true arm, which the policy does not know; the next episode may have another arm.
+Before each pick the policy says how far to aim beside the fruit. The nominal arm is put at that aim and stands there,
+and the camera measures how far true and believed tool differ. These measurements at past picks are all that tells one
+arm from another. Units: m and rad.
 """
 
 from __future__ import annotations
@@ -29,22 +30,22 @@ from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_count, check_number
 
 SEEN_MM = 5.0
-"""An error of the arm of this size is shown as 1."""
+"""The arm's error that an observation shows as 1, mm."""
 
 MOST_SEEN = 20.0
-"""Largest number that is shown of an error."""
+"""Largest number by which an observation shows an error, in units of `SEEN_MM`."""
 
 LONGEST_LOOK = 59
-"""Steps that the arm may stand: an environment's own time limit is 60."""
+"""Most steps that the arm may stand at a fruit: an environment's own time limit is 60."""
 
 
 @dataclass(frozen=True)
 class PickMemory:
-    """A policy's observation before a pick: the joints to go to, and what was seen at the last picks.
+    """The layout of a policy's observation before a pick: the joints to go to, and the arm's errors at past picks.
 
     Attributes:
         joints: Number of joints n.
-        window: Past picks in an observation.
+        window: Number of past picks in an observation.
         reach_mm: Largest shift of an aim, per axis.
     """
 
@@ -54,12 +55,12 @@ class PickMemory:
 
     @property
     def token(self) -> int:
-        """Numbers for one past pick: joints, the arm's error there in `SEEN_MM`, and 1 where there was such a pick."""
+        """Count of the numbers for one past pick: its joints, the arm's error in `SEEN_MM`, and 1 if it took place."""
         return self.joints + 4
 
     @property
     def inputs(self) -> int:
-        """Numbers in the observation."""
+        """Count of numbers in the observation."""
         return self.joints + self.window * self.token
 
     def space(self) -> spaces.Box:
@@ -73,30 +74,30 @@ class PickMemory:
         return np.zeros((rows, self.window, self.token), dtype=np.float32)
 
     def after(self, tokens: NDArray[np.float32], joints: Array, error: Array) -> NDArray[np.float32]:
-        """Tokens after a pick at scaled ``joints (N, n)`` where the arm was off by ``error (N, 3)``, in m."""
+        """Tokens ``(N, window, token)`` after a pick at scaled ``joints (N, n)`` with the arm's ``error (N, 3)``, m."""
         errors = (error / (SEEN_MM * 1e-3)).clip(-MOST_SEEN, MOST_SEEN)
         new = np.concatenate([joints, errors, np.ones((len(joints), 1))], axis=1)[:, None].astype(np.float32)
         return np.concatenate([new, tokens[:, :-1]], axis=1)
 
     def shown(self, joints: Array, tokens: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Observations ``(N, inputs)`` before a pick that the nominal arm would do at scaled ``joints (N, n)``."""
+        """Observations ``(N, inputs)`` before a pick for which the nominal arm goes to scaled ``joints (N, n)``."""
         return np.concatenate([joints, tokens.reshape(len(tokens), -1)], axis=1, dtype=np.float32)
 
     def aim(self, geometry: Geometry, joints: Array, actions: Any) -> Array:
-        """Joints ``(N, n)`` that aim beside the fruit at nominal ``joints`` by ``actions (N, 3)``, base frame."""
+        """Joints ``(N, n)`` that aim ``actions (N, 3)``, in the base frame, beside the fruit at nominal ``joints``."""
         shift = np.clip(actions, -1.0, 1.0) * (self.reach_mm * 1e-3)
         back = truncated_inverse(joint_jacobian(geometry, joints))[..., :3]
         return np.asarray((joints + np.einsum("...ij,...j->...i", back, shift)).clip(geometry.lower, geometry.upper))
 
 
 def scaled_joints(geometry: Geometry, joints: Array) -> Array:
-    """Joints ``(..., n)``, -1 to 1 between their limits."""
+    """Joints ``(..., n)`` scaled to -1 to 1 between their limits."""
     low, high = geometry.lower, geometry.upper
     return np.asarray(2.0 * (joints - low) / (high - low) - 1.0)
 
 
 class _Run:
-    """The arms' present picks, row by row; every pose is looked up by the row's seed and the pick's number."""
+    """The present run of each arm, one per row; every pose follows from the row's seed and the pick's number."""
 
     def __init__(self, task: Task, rows: int, picks: int, memory: PickMemory, looks: int) -> None:
         check_count("picks", picks)
@@ -116,12 +117,12 @@ class _Run:
         self.joints: Array = np.zeros((rows, task.joints))
 
     def begin(self) -> None:
-        """Forget the last arm."""
+        """Begin new runs: forget the picks of the last arms, and draw the first poses."""
         self.pick, self.tokens = 0, self.memory.empty(len(self.seeds))
         self.draw()
 
     def draw(self) -> None:
-        """The next poses: the first of each stream that is wanted, as the environment itself would draw them."""
+        """Draw the next poses: the first that fits in each row's stream, as the environment itself would draw them."""
         streams = stream_key(NUMPY, episode_key(NUMPY, self.seeds, self.count), GOAL)
         self.count = self.count + np.uint64(1)
         rows = np.arange(len(streams))
@@ -135,7 +136,7 @@ class _Run:
 
     @property
     def scaled(self) -> Array:
-        """The present joints, -1 to 1 between their limits."""
+        """The present joints, scaled to -1 to 1 between their limits."""
         return scaled_joints(self.geometry, self.joints)
 
     def shown(self) -> NDArray[np.float32]:
@@ -143,7 +144,7 @@ class _Run:
         return self.memory.shown(self.scaled, self.tokens)
 
     def options(self, actions: Any, arms: Any) -> dict[str, Any]:
-        """Options that reset the inner environments: standing where the actions aim."""
+        """Options of a reset that puts the arms where the actions aim, before the present fruit."""
         shifts = as_numbers("actions", actions)
         if shifts.shape != (len(self.joints), 3) or not np.isfinite(shifts).all():
             raise InputError(f"actions have shape {shifts.shape}; give {len(self.joints)} times 3 finite numbers")
@@ -152,7 +153,7 @@ class _Run:
         return options if self.task.arms == "fixed" else options | {"arm": arms}
 
     def seed(self, seeds: Sequence[int | None], generator: np.random.Generator) -> None:
-        """Begin the streams of poses of rows that are given a seed, or had none."""
+        """Begin the stream of poses in each row that is given a seed, or that has drawn no pose yet."""
         for i, seed in enumerate(seeds):
             if seed is not None or not self.count[i]:
                 self.seeds[i] = seed_word(fresh_seed(generator) if seed is None else int(seed))
@@ -162,7 +163,7 @@ class _Run:
         """Let the arms stand, remember by how much believed and true tool differ, and go on to the next poses.
 
         Returns:
-            Rewards and infos of the last step.
+            The rewards and the infos of the last step.
         """
         n, error = self.task.joints, np.zeros((len(self.joints), 3))
         for _ in range(self.looks):
@@ -176,7 +177,7 @@ class _Run:
 
 
 class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
-    """`SameArm` for the native vector environments: all rows pick in step, and a step that ends runs begins others.
+    """`SameArm` for the native vector environments: all arms pick at once, and the step that ends runs begins new ones.
 
     Example:
         >>> import gymnasium as gym
@@ -197,7 +198,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         """Wrap ``env``; arguments as in `SameArm`.
 
         Raises:
-            InputError: If it is no native reach environment on NumPy with a camera, or an argument is impossible.
+            InputError: If ``env`` is no native reach environment on NumPy with a camera, or an argument is impossible.
         """
         RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
         VectorWrapper.__init__(self, env)
@@ -217,7 +218,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin runs on arms that are drawn anew; options: "arm", their numbers."""
+        """Begin runs on newly drawn arms, or on those whose numbers ``options["arm"]`` gives."""
         options = given_options(options, ("arm",))
         self.run.seed(checked_seeds(seed, self.num_envs), self.env.unwrapped.np_random)
         _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
@@ -240,7 +241,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         return observations, rewards, np.zeros_like(done), done, infos
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything that the next step depends on, for a checkpoint."""
+        """The arrays of everything that the next step depends on, for a checkpoint."""
         run, inner = self.run, cast(Any, self.env.unwrapped)
         parts = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
         arrays: dict[str, NDArray[Any]] = {f"run/{key}": np.array(value) for key, value in parts.items()}
@@ -248,7 +249,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         return arrays | {"run/pick": np.array(run.pick)} | below
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """The inverse of `state_arrays`, around environments made with the same arguments."""
+        """Take over the arrays that `state_arrays` of environments with the same arguments returned."""
         run, parts = self.run, {key[4:]: value.copy() for key, value in state.items() if key.startswith("run/")}
         run.seeds, run.count, run.tokens, run.joints = (parts[key] for key in ("seeds", "count", "tokens", "joints"))
         run.pick, self._arms = int(parts["pick"]), parts["arms"]
@@ -268,11 +269,11 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
 
 
 class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Pick fruit after fruit with one arm that is not told, one action a fruit: calibrating while picking, as a task.
+    """Pick fruit after fruit with one unknown arm, one action a fruit: a task of calibrating while picking.
 
-    An episode is a run of ``picks`` fruit of `pickenv/Reach-v0` on one true arm. The way to a fruit is the nominal
-    arm's, and known; the action is by how much to aim beside it, x, y, z of the base frame in shares of ``reach_mm``.
-    The arm is put there, stands ``looks`` steps, and the camera's pictures are averaged. With n joints the observation
+    An episode is a run of ``picks`` fruit of `pickenv/Reach-v0` on one true arm. The nominal arm's joints at a fruit
+    are known; the action says how far to aim beside it: x, y, z of the base frame in shares of ``reach_mm``. The arm is
+    put at that aim, stands ``looks`` steps, and the camera's measurements are averaged. With n joints the observation
     is `Box(float32)` of n + window (n + 4) numbers:
 
     | Num       | Observation                                                        | Min | Max | Unit |
@@ -282,9 +283,10 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     | then 3    | true minus believed tool there, as the camera saw it               | -20 | 20  | 5 mm |
     | then 1    | whether there was such a pick                                      | 0   | 1   | 1    |
 
-    The reward is that of the fruit, of the truth. A run is truncated after its last pick. `info` has the errors of
-    `pickenv/Reach-v0`, `pick`, the number of picks so far, and `arm`. Make the environment with
-    `arms="per_episode"`, else every run has the same arm; `reset(options={"arm": number})` chooses one.
+    The reward of a pick is that of `pickenv/Reach-v0` for the true tool at the fruit. A run is truncated after its last
+    pick. `info` has the errors of `pickenv/Reach-v0`, the number of picks so far as `pick`, and the arm's number as
+    `arm`. Make the environment with `arms="per_episode"`, else every run has the same arm;
+    `reset(options={"arm": number})` chooses one.
 
     Example:
         >>> import gymnasium as gym
@@ -306,13 +308,13 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         Args:
             env: A `pickenv/Reach-v0` with a camera.
-            picks: Fruit of a run.
-            window: Past picks in the observation; a recurrent policy needs but one.
+            picks: Number of fruit in a run.
+            window: Number of past picks in the observation; a recurrent policy needs only one.
             looks: Steps that the arm stands before each fruit.
             reach_mm: Largest shift of an aim, per axis.
 
         Raises:
-            InputError: If the environment has no camera or is none of these, or an argument is impossible.
+            InputError: If ``env`` is no flat `pickenv/Reach-v0` with a camera, or an argument is impossible.
         """
         RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
         gym.Wrapper.__init__(self, env)
@@ -329,7 +331,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._arm = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a run on an arm that is drawn anew; options: "arm", its number."""
+        """Begin a run on a newly drawn arm, or on the one whose number ``options["arm"]`` gives."""
         options = given_options(options, ("arm",))
         _, info = self.env.reset(seed=seed, options=options)
         inner: Any = self.env.unwrapped

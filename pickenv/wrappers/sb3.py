@@ -18,13 +18,13 @@ from pickenv.wrappers.gap import ScaledVector
 
 
 def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = None, **arguments: Any) -> Sb3Vec:
-    """A registered environment, N at once, as a Stable-Baselines3 `VecEnv`.
+    """N copies of a registered environment as one Stable-Baselines3 `VecEnv`.
 
     Args:
-        id: For example "pickenv/Reach-v0".
+        id: Name of the environment, for example "pickenv/Reach-v0".
         num_envs: N.
-        compensator: Put between policy and arms, if given.
-        arguments: Those of the environment.
+        compensator: A compensator to put between policy and arms, or None.
+        arguments: Arguments of the environment.
 
     Example:
         >>> from pickenv.wrappers.sb3 import make_sb3_vec
@@ -39,18 +39,18 @@ def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = Non
 
 
 class Sb3Vec(VecEnv):
-    """A vector environment that begins episodes in the step that ends them, or when told to, as a `VecEnv`.
+    """A `VecEnv` around a vector environment whose autoreset mode is "SameStep" or "Disabled".
 
     `infos` of an episode's last step hold `terminal_observation`, `TimeLimit.truncated`, all numbers of the last `info`
     (`is_success`, errors in mm and degrees, or what became of the fruit), and `episode` with the sum of rewards "r" and
-    the length "l", so that no monitor is needed; those of other steps are empty.
+    the length "l", so that no monitor is needed; the `infos` of other steps are empty.
 
     Args:
         envs: The environments.
 
     Raises:
-        InputError: If the environment's autoreset mode is "NextStep": Stable-Baselines3 would learn from the step that
-            never was.
+        InputError: If the environment's autoreset mode is "NextStep": Stable-Baselines3 would learn from steps in which
+            the environment ignores the action and only resets.
     """
 
     def __init__(self, envs: VectorEnv[Any, Any, Any]) -> None:
@@ -77,7 +77,7 @@ class Sb3Vec(VecEnv):
         return self.seen
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Give each environment a seed of its own for the next reset; no two trainings' environments share one."""
+        """Give each environment a seed of its own for the next reset; trainings with different seeds share none."""
         sequence = np.random.SeedSequence(seed) if seed is None else stream(seed, "training")
         self._seeds = list(seed_words(sequence, self.num_envs))
         return self._seeds
@@ -87,7 +87,7 @@ class Sb3Vec(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Act in all environments."""
+        """Act in all environments with the actions that `step_async` kept."""
         self.seen, rewards, terminations, truncations, batch = self.envs.step(self._actions)
         self._returns += rewards
         self._lengths += 1
@@ -124,7 +124,7 @@ class Sb3Vec(VecEnv):
         return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Everything that the next step depends on, as arrays, for a checkpoint; of native environments on NumPy."""
+        """Arrays of everything that the next step depends on, for a checkpoint; only native environments on NumPy."""
         scaled = self._scaled()
         observations = self.seen if scaled is None else scaled.raw
         observations = observations if isinstance(observations, dict) else {"flat": observations}
@@ -134,7 +134,7 @@ class Sb3Vec(VecEnv):
         return {key: np.array(value) for key, value in arrays.items()}
 
     def take_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """The inverse of `state`, around environments made with the same arguments."""
+        """Take over the arrays that `state` of environments with the same arguments returned."""
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
         observations = {key[4:]: value.copy() for key, value in state.items() if key.startswith("raw/")}
         self.seen = observations.get("flat", observations)
@@ -145,7 +145,7 @@ class Sb3Vec(VecEnv):
         self._remembering().take_state_arrays(below)
 
     def _layers(self) -> Iterator[Any]:
-        """The wrappers, from the outermost on, and the environments within."""
+        """The wrappers, from the outermost inwards, and then the wrapped environments."""
         env: Any = self.envs
         while isinstance(env, VectorWrapper):
             yield env
@@ -153,11 +153,11 @@ class Sb3Vec(VecEnv):
         yield env
 
     def _remembering(self) -> Any:
-        """The outermost of wrappers and environments that gives its state as arrays, and that of all within."""
+        """The outermost layer that can give its own state, and that of all layers inside it, as arrays."""
         return next(env for env in self._layers() if hasattr(env, "state_arrays"))
 
     def _scaled(self) -> ScaledVector | None:
-        """The scaling around the environments."""
+        """The wrapper that scales the environments, or None."""
         return next((env for env in self._layers() if isinstance(env, ScaledVector)), None)
 
     def close(self) -> None:
@@ -173,7 +173,7 @@ class Sb3Vec(VecEnv):
         """Set an attribute of all environments.
 
         Raises:
-            InputError: If it is meant for some of them only.
+            InputError: If ``indices`` names only some of the environments.
         """
         if len(list(self._get_indices(indices))) != self.num_envs:
             raise InputError(f"{attr_name} belongs to all environments at once; set it for all of them")
@@ -187,7 +187,7 @@ class Sb3Vec(VecEnv):
         return [method(*arguments, **named) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
-        """Whether a wrapper is around the environments; single-environment wrappers never are."""
+        """Whether a wrapper of this class is around the environments, once per index; False for `gym.Wrapper`s."""
         wrapped = any(isinstance(env, wrapper_class) for env in self._layers())
         return [wrapped] * len(list(self._get_indices(indices)))
 

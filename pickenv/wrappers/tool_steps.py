@@ -1,8 +1,8 @@
-"""Picking with the tool: steps of the believed tool in place of joint increments, and the gap by size and direction.
+"""Wrappers for picking with steps of the tool in place of joint increments, and the gap shown by size and direction.
 
 A policy that moves joints must learn the arm's kinematics before it can learn to pick. Here the nominal Jacobian turns
-a step of the tool, kept upright, into joint increments; near the fruit a step is a share of what is left, as in
-`pickenv.wrappers.GapScaling`. Nothing is used but what the controller knows. Units: m, rad.
+a step of the believed tool, kept upright, into joint increments; near the fruit a step is a share of the gap that
+remains, as in `pickenv.wrappers.GapScaling`. Only what the controller knows is used. Units: m, rad.
 """
 
 from __future__ import annotations
@@ -24,43 +24,43 @@ from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 from pickenv.wrappers.gap import Rescaling, ScaledEnv, ScaledVector
 
 LARGEST = 0.03
-"""Step of the tool in one period that an action of 1 adds, m; at 10 Hz 0.3 m/s."""
+"""Length that an action of 1 adds to the tool's step in one period, m; at 10 Hz this is 0.3 m/s."""
 
 NEAR = 0.05
-"""Gap below which steps shrink with it, m."""
+"""Gap below which steps shrink in proportion to the gap, m."""
 
 SERVO = 0.5
-"""Share of the largest step by which the tool goes straight to the fruit where an action is zero."""
+"""Share of the largest step by which the tool goes straight to the fruit if the action is zero."""
 
 ARRIVED = 2e-4
-"""Gap below which the arm is left to stand still, m."""
+"""Gap below which the arm stands still, m."""
 
 CLOSING = 0.015
-"""Gap above which the gripper is not closed, m: about where it begins to take fruit at all."""
+"""Gap above which the gripper does not close, m: about the largest from which it can take a fruit."""
 
 UPRIGHT = 0.1
-"""Weight of a radian of tilt, m."""
+"""Length that weighs as much as a radian of tilt, m."""
 
 DAMPING = 1e-4
-"""Damping of the Jacobian's inverse, in shares of its mean square."""
+"""Damping of the Jacobian's inverse, as a share of the mean square of the Jacobian's rows."""
 
 CENTRING = 0.1
-"""Share of a joint's way to mid-range that a largest step goes where the tool does not mind."""
+"""Share of a joint's way to mid-range that a full step adds, as far as the tool's motion does not change."""
 
 COLLECTING = 0.08
-"""Way down after which a fruit off its stem is collected, m."""
+"""Distance that the tool goes down until a fruit off its stem is collected, m."""
 
 MOVES = 2
-"""Numbers of an action before the gripper's."""
+"""Count of the numbers before the gripper's in a policy's action."""
 
 
 @dataclass(frozen=True, eq=False)
 class ToolSteps(Rescaling):
-    """Formulas on the observations of `pickenv/Pick-v0`.
+    """Formulas from the observations of `pickenv/Pick-v0` to a policy's, and from steps of the tool to its actions.
 
     Attributes:
         geometry: The nominal arm.
-        increment: Largest increments of its joints, rad or m.
+        increment: Largest increments of the arm's joints, rad or m.
     """
 
     geometry: Geometry
@@ -69,27 +69,27 @@ class ToolSteps(Rescaling):
 
     @property
     def joints(self) -> int:
-        """Numbers of the environment's actions before the gripper's."""
+        """Number of joints: the numbers of an environment's action before the gripper's."""
         return self.geometry.joints
 
     @property
     def header(self) -> dict[str, list[float]]:
-        """The part of a policy's file about it; the arm has a name."""
+        """The entries that a policy's file has about these formulas; the arm is stored by its name."""
         return {"increment": self.increment.tolist()}
 
     @property
     def inputs(self) -> int:
-        """Numbers in the environment's observation."""
+        """Count of numbers in the environment's observation."""
         return self.joints + 17
 
     @property
     def features(self) -> int:
-        """Numbers that the policy sees."""
+        """Count of numbers that the policy sees."""
         return self.joints + 12
 
     @property
     def space(self) -> spaces.Box:
-        """Space of what the policy sees."""
+        """Space of the observations that the policy sees."""
         n = self.joints
         high = np.array([1.0] * n + [1.001] * 4 + [2.0] * 2 + [1.0] * 6, dtype=np.float32)
         low = np.array([-1.0] * n + [-1.001] * 4 + [-2.0] * 2 + [0.0] * 6, dtype=np.float32)
@@ -97,16 +97,16 @@ class ToolSteps(Rescaling):
 
     @property
     def outputs(self) -> int:
-        """Numbers that it answers."""
+        """Count of numbers in the policy's action: its steps and the gripper."""
         return MOVES + 1
 
     @property
     def answers(self) -> spaces.Box:
-        """Space of what it answers."""
+        """Space of the policy's actions."""
         return spaces.Box(-1.0, 1.0, (self.outputs,), dtype=np.float32)
 
     def observe(self, values: Any, xp: Any = np) -> Any:
-        """Numbers that the policy sees, ``(..., features)``."""
+        """The numbers ``(..., features)`` that the policy sees; ``xp`` is numpy or torch."""
         n = self.joints
         gap, turn, others = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
         far, aside, up = _length(gap), _length(gap[..., :2]), gap[..., 2:]
@@ -129,7 +129,7 @@ class ToolSteps(Rescaling):
         return np.where(wrong, np.inf if most == MOST_ACTION["clip"] else 2.0, commands).astype(np.float32)
 
     def commands(self, values: NDArray[Any], actions: Any) -> Any:
-        """Joint increments and gripper for a policy's ``actions``, from -1 to 1."""
+        """Joint increments and gripper ``(..., n + 1)`` for a policy's ``actions``, which lie between -1 and 1."""
         n = self.joints
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         away = ~holding & (_length(values[..., n + 6 : n + 9]) > CLOSING)
@@ -138,7 +138,10 @@ class ToolSteps(Rescaling):
         return np.concatenate([steps, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
 
     def joint_steps(self, values: Array, steps: Array) -> Array:
-        """Shares of the joints' increments ``(..., n)`` for ``steps`` of the tool, towards the fruit's plumb and up."""
+        """Shares of the joints' largest increments ``(..., n)`` for ``steps`` of the tool.
+
+        Of a step's two numbers the first goes sideways, towards the vertical line through the fruit, the second up.
+        """
         n, low, high = self.joints, self.geometry.lower, self.geometry.upper
         q = low + (values[..., :n] + 1.0) / 2.0 * (high - low)
         gap = values[..., n + 6 : n + 9]
@@ -162,7 +165,11 @@ class ToolSteps(Rescaling):
         return np.asarray(joint_step / np.maximum(1.0, np.abs(joint_step).max(axis=-1, keepdims=True)))
 
     def potential(self, values: NDArray[Any]) -> Any:
-        """Nearness of a collected fruit, from 0 to 0.8 ``(...)``: the gap's decades, then in hand, off, and down."""
+        """How far the pick has got, ``(...)`` from 0 to 0.8.
+
+        The value grows with the gap's decades up to 0.35, then is 0.5 with the fruit in hand, 0.6 once it is off its
+        stem, and up to 0.8 on its way down.
+        """
         n = self.joints
         gap = np.asarray(values[..., n + 6 : n + 9], dtype=float)
         seeking = 0.35 * np.clip(1.0 - np.log10(1.0 + 1e3 * _length(gap)[..., 0]) / 3.0, 0.0, 1.0)
@@ -172,15 +179,16 @@ class ToolSteps(Rescaling):
 
 
 class ToolStepping(ScaledEnv, RecordConstructorArgs):
-    """Pick with steps of the tool: what lets plain PPO learn to pick.
+    """Pick with steps of the tool, so that plain PPO learns to pick.
 
-    An action of zero brings the believed tool straight to the fruit, and that is all: how to come from below, how fast,
-    when to grasp, twist and retreat is to be learnt (a residual policy; Silver et al. 2018). An action has three
-    numbers from -1 to 1. The first adds to the way sideways, the second to the way up, in steps of 30 mm where zero
-    goes 15, below 50 mm in shares of what is left; with a fruit in the gripper there is nothing but the second, in
-    steps of 30 mm. The third is the gripper: it closes above zero, but not more than 15 mm from the fruit, and twists
-    by 0.25 N m more than it says; it never lets go. The tool is kept upright, and where 0.2 mm are left the arm stands
-    still. With n joints the observation is `Box(float32)` of n + 12 numbers:
+    An action of zero only brings the believed tool straight to the fruit; the policy has to learn how to come from
+    below, how fast, and when to grasp, twist and retreat (a residual policy; Silver et al. 2018). An action has three
+    numbers from -1 to 1. The first adds to the step sideways, the second to the step up: 1 adds 30 mm where zero alone
+    goes 15, and below 50 mm both shrink in proportion to the gap. With a fruit in the gripper the first has no effect,
+    and the second moves the tool up or down by up to 30 mm. The third is the gripper: it closes above zero, but not
+    more than 15 mm from the fruit, and twists by 0.25 N m more than the number says; it never lets go. The tool is kept
+    upright, and the arm stands still once the gap is below 0.2 mm. With n joints the observation is `Box(float32)` of
+    n + 12 numbers:
 
     | Num          | Observation                                                        | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------------|-----|-----|--------------|
@@ -193,10 +201,11 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
 
     Args:
         env: A `pickenv/Pick-v0`.
-        shaping: A discount g: each step is rewarded with g P' - P besides, where P is 0.35 (1 - log10(1 + gap in mm) /
-            3) before the grasp, at least 0, then 0.5 with the fruit in hand, 0.6 off its stem and up to 0.8 on its way
-            down, and 0 once no fruit is left. Which policy gets most, by rewards discounted with g, does not change
-            (Ng, Harada and Russell 1999); 1 is for the sum of rewards. None, the default, leaves the reward as it is.
+        shaping: A discount g: each step's reward gets g P' - P added, where P before and P' after the step are
+            0.35 (1 - log10(1 + gap in mm) / 3), at least 0, before the grasp, 0.5 with the fruit in hand, 0.6 once it
+            is off its stem, up to 0.8 on its way down, and 0 once no fruit is left. This does not change which policy
+            gets most by rewards discounted with g (Ng, Harada and Russell 1999); 1 is for the sum of rewards. None, the
+            default, leaves the reward as it is.
 
     Example:
         >>> import gymnasium as gym
@@ -246,10 +255,10 @@ class ToolSteppingVector(ScaledVector, RecordConstructorArgs):
 
 
 def tool_steps_of(env: Any) -> ToolSteps:
-    """The formulas that suit an environment, single or native.
+    """The formulas for a picking environment's arm; the environment may be single or a native vector.
 
     Raises:
-        InputError: If it is no picking environment.
+        InputError: If ``env`` is no picking environment.
     """
     inner = env.unwrapped
     task = getattr(inner, "task", None)
@@ -267,5 +276,5 @@ def _steps_of(env: Any, space: spaces.Space[Any], shaping: float | None) -> Tool
 
 
 def _length(vector: Any) -> Any:
-    """Length of vectors ``(..., k)``, ``(..., 1)``."""
+    """The lengths ``(..., 1)`` of vectors ``(..., k)``."""
     return ((vector * vector).sum(-1)[..., None]) ** 0.5

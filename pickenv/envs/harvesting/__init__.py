@@ -1,1 +1,1 @@
-"""Harvest: the machine of Li 2016 as an environment."""
+"""The Harvest environment: the machine of Li 2016."""

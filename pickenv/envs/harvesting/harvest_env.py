@@ -23,7 +23,7 @@ from pickenv.pictures import arm_shapes, tree_shapes
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Rods, Stage, Words, rgba, spheres
 
 LONGEST = 600
-"""Periods of an episode: a minute."""
+"""Default number of periods in an episode: a minute."""
 
 
 class HarvestEnv(DrawnEnv):
@@ -33,10 +33,10 @@ class HarvestEnv(DrawnEnv):
 
     A master arm (turn, lift, reach) carries one to six slave arms (lift, swing, stretch), each with a cup that takes a
     fruit from below, cuts its stalk and keeps it. One policy moves all joints. What moves is the machine as built,
-    whose cups are 6 to 9 mm off while they forgive 5 to 11 mm; a cup that goes in pushes its neighbours' fruit away.
-    Arms never collide: a guard holds those that would come nearer than two arm radii and a margin. What becomes of an
-    attempt is what `pickenv.harvester.picking` says, as in the reproduction of Li's experiment: how far off the cup is,
-    fruit in its way, blade and damage; pushed fruit swings on its branch, and a part of the push stays.
+    whose cups are 6 to 9 mm off while they forgive 5 to 11 mm; a cup that goes in pushes neighbouring fruit away. Arms
+    never collide: a guard holds arms that would come nearer to each other than two arm radii and a margin. As in the
+    reproduction of Li's experiment, `pickenv.harvester.picking` decides what becomes of an attempt, by how far off the
+    cup is, fruit in its way, blade and damage; pushed fruit swings on its branch, and a part of the push stays.
 
     ## Action Space
 
@@ -56,24 +56,25 @@ class HarvestEnv(DrawnEnv):
 
     ## Observation Space
 
-    `Box(float32)`: joints scaled to their limits (3 + 3 arms, -1 to 1); the share of sensing and cutting left of each
-    slave (arms, 0 to 1); then for each fruit slot its place as the camera saw it, right of, ahead of and above frame 3
-    (-2 to 2 m), and 1 while it hangs in reach (else all four are 0; so they are where the camera does not find it).
+    `Box(float32)`: joints scaled to their limits (3 + 3 arms, -1 to 1); for each slave the share of sensing and cutting
+    that it still has to do (arms, 0 to 1); then four numbers for each fruit: its place as the camera saw it, right of,
+    ahead of and above frame 3 (-2 to 2 m), and 1 while it hangs in reach. All four are 0 for fruit that does not hang
+    in reach or that the camera did not find.
 
     ## Rewards
 
     Per period: 1 x (fruit collected whole) - 1 x (fruit damaged) + (progress in m) - 0.05 x (arms that the guard holds)
-    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is by how much less is left than
-    before: the distances from the fruit in reach that hangs, as the camera saw it, to the believed cup nearest to each,
-    summed and divided by the fruit of the zone. Eight fruit give at most about 8; doing nothing for a minute gives -3.
+    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is the decrease of the distance left:
+    the distances from hanging fruit in reach, as the camera saw it, to the nearest believed cup, summed and divided by
+    the number of fruit in the zone. Eight fruit give at most about 8; doing nothing for a minute gives -3.
 
     ## Starting State
 
-    Fruit evenly in 0.7 x 0.4 x 0.55 m somewhere on the tree's side, some of it found by the cameras 1 m before the
-    tree; the master at the pick point that reaches most of what was found, the slaves at rest. A cup that comes back
-    empty looks again: at where the fruit hangs by then, past the same leaves, so with the same error.
-    `reset(options=...)` takes `"fruit"`, positions (fruit, 3) in m in the base frame, where the cameras look at their
-    middle, and `"start_joints"` of the whole machine (rad and m).
+    Fruit is spread evenly in 0.7 x 0.4 x 0.55 m somewhere on the tree's side, and the cameras 1 m before the tree find
+    some of it. The master stands at the pick point that reaches most of the fruit found, the slaves are at rest. After
+    an attempt that leaves its fruit hanging, the fruit is seen again where it hangs by then, past the same leaves and
+    so with the same error. `reset(options=...)` takes `"fruit"`, positions (fruit, 3) in m in the base frame, at whose
+    middle the cameras look, and `"start_joints"` of the whole machine (rad and m).
 
     ## Episode End
 
@@ -100,7 +101,7 @@ class HarvestEnv(DrawnEnv):
     ```
 
     - `slaves` (1 to 6, default 3), `spacing_mm` (default 350), `fruit` (1 to 40, default 8).
-    - `ideal` (bool, default False): whether the machine is as drawn.
+    - `ideal` (bool, default False): whether the machine is built exactly as designed.
     - `vision`: "measured_errors" (default) draws recall and errors from the table made by reading rendered pictures of
       this canopy; "rendered" draws and reads a stereo pair of each zone (a tenth of a second, needs the extra
       `harvest`); "ideal" shows all fruit where it is. `detector`: "li2016" (default; R-G, Otsu, centroids) or
@@ -164,14 +165,14 @@ class HarvestEnv(DrawnEnv):
 
 
 class HarvestVectorEnv(NativeVectorEnv):
-    """Many harvesters at once; environment i is seeded with ``seed + i`` and does not depend on how many there are.
+    """Many `pickenv/Harvest-v0` in one; the i-th is seeded with ``seed + i`` and does not depend on how many there are.
 
     Args:
         num_envs: Number of harvesters.
         max_episode_steps: Periods after which an episode is truncated, or None for never.
         autoreset_mode: "NextStep", "SameStep" or "Disabled", or an `AutoresetMode`.
         render_mode: None or "rgb_array".
-        arguments: As for `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
+        arguments: Arguments of `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
     """
 
     options = batch.OPTIONS
@@ -234,11 +235,11 @@ UP = np.array([0.0, 0.0, 1.0])
 def draw_harvest(
     task: batch.HarvestTask, states: batch.HarvestState, compensate: Compensate | None, row: int = 0, dark: bool = False
 ) -> Stage:
-    """One machine before its zone.
+    """The scene of one machine before its zone.
 
     Args:
-        task: What stays the same.
-        states: One machine or more.
+        task: The task.
+        states: State of one machine or more.
         compensate: Maps nominal joints of whole machines to commands.
         row: The machine's number.
         dark: Whether the background is dark.
@@ -271,7 +272,7 @@ def draw_harvest(
 
 
 def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids:
-    """Column, boom and the rail that the slaves hang on."""
+    """The solids of the column, the boom and the rail that the slaves hang on."""
     frame, foot = machine.frame3(joints[:3]), -machine.base_height
     axis, shoulder = np.array([0.0, 0.0, foot]), np.array([0.0, 0.0, frame[2]])
     ends = pivots[[0, -1]].copy()
@@ -287,7 +288,7 @@ def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids
 
 
 def slave_solids(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
-    """Slave arms from their pivots to below their cups, each a tube with a rod in it."""
+    """The solids of the slave arms from their pivots to below their cups, each a tube with a rod in it."""
     ends = tips - 0.06 * UP
     half = pivots + 0.5 * (ends - pivots)
     count = len(tips)
@@ -304,7 +305,7 @@ def _ghosts(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
 
 
 def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
-    """Fruit that hangs: ripe where it is in reach; lost fruit in another colour where it hung."""
+    """The solids of the fruit that is not collected: green if out of reach, lost fruit in another colour."""
     hanging = state.status[0] != batch.COLLECTED
     colours = tree_shapes.fruit_colours(state.fruit.shape[1])
     colours[~state.reachable[0]] = tree_shapes.GREEN
@@ -314,14 +315,14 @@ def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
 
 
 def _cameras(task: batch.HarvestTask, joints: Array) -> arm_shapes.Solids:
-    """The stereo pair that looked at the zone from the aisle, before the machine came."""
+    """The solids of the stereo pair that looked at the zone from the aisle before the machine came."""
     frame = task.machine.frame3(joints[:3])
     eye = np.array([frame[0], 0.0, frame[2]])
     return arm_shapes.frustum_solids(eye, np.array([0.0, -1.0, 0.0]), (0.6, 0.45), 0.3, (110, 96, 160))
 
 
 def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool) -> tuple[Mesh, ...]:
-    """Ground, and the trees of the zone."""
+    """The meshes of the ground and of the zone's trees."""
     canopy, height = task.orchard.canopy, -task.machine.base_height
     middle = np.round(state.fruit[0].mean(axis=0), 1)
     low = (float(middle[0]) - 0.6, -canopy.standoff - canopy.depth, max(float(middle[2]) - 0.5, height + 0.3))
@@ -331,7 +332,7 @@ def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool
 
 
 def _eye(state: batch.HarvestState) -> Eye:
-    """From behind the machine, to its side and above it; it stays where it is during a zone."""
+    """An eye behind the machine, to its side and above it; it stays in place during a zone."""
     fruit = state.fruit[0].mean(axis=0)
     target = np.array([0.45 * fruit[0], 0.62 * fruit[1], 0.95 * fruit[2]])
     return Eye(target + np.array([1.75, 1.9, 0.75]), target, 34.0)

@@ -1,7 +1,7 @@
 """`pickenv/Harvest-v0` for PettingZoo: the master and each slave arm are agents of their own (extra ``marl``).
 
-The same simulator as the Gymnasium environment; an agent moves its three joints, sees all there is to see and who it
-is, and shares the team's reward.
+The simulator is that of the Gymnasium environment. An agent moves its three joints, gets the whole machine's
+observation and its own place among the agents, and shares the team's reward.
 """
 
 from __future__ import annotations
@@ -25,12 +25,14 @@ Observations = dict[str, NDArray[np.float32]]
 
 
 class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArray[np.float32]]):  # type: ignore[misc]
-    """Agents ``master`` and ``slave_0`` to ``slave_5``, from left to right; each a `Box(-1, 1, (3,))` of increments.
+    """`pickenv/Harvest-v0` with several agents: ``master``, and ``slave_0`` to ``slave_5`` from left to right.
+
+    Each agent's action space is a `Box(-1, 1, (3,))` of joint increments.
 
     Args:
         max_cycles: Periods after which an episode is truncated.
         render_mode: None or "rgb_array".
-        arguments: As for `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
+        arguments: Arguments of `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
     """
 
     metadata = {"name": "harvest_v0", "render_modes": ["rgb_array"], "is_parallelizable": True}  # noqa: RUF012
@@ -49,11 +51,11 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         self._shared: NDArray[np.float32] | None = None
 
     def observation_space(self, agent: str) -> gym.spaces.Box:
-        """The same object for each call."""
+        """The observation space of an agent, the same object in each call."""
         return self._observations[agent]
 
     def action_space(self, agent: str) -> gym.spaces.Box:
-        """The same object for each call."""
+        """The action space of an agent, the same object in each call."""
         return self._actions[agent]
 
     def reset(
@@ -94,13 +96,13 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         return self._shared.copy()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The whole machine, as in `pickenv/Harvest-v0`."""
+        """A picture of the whole machine, as in `pickenv/Harvest-v0`; None without a render mode."""
         self._env.compensator = self.compensator
         picture: NDArray[np.uint8] | None = None if self.render_mode is None else self._env.render()
         return picture
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing: there is nothing to close."""
 
     def _seen(self) -> Observations:
         shared = self.state()

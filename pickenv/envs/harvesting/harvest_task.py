@@ -30,20 +30,21 @@ from pickenv.orchard import Eyes, Sight, fruit_masses, load_eyes, sample_diamete
 
 OPTIONS = ("fruit", "start_joints")
 DRAWS = 100
-"""Draws of a zone until some of its fruit is located."""
+"""Most draws of a zone until some of its fruit is located."""
 
 
 def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows: Any = slice(None)) -> dict[str, Array]:
-    """Fruit ``(machines, fruit, 3)`` and joints to start from ``(machines, joints)`` that options of `reset` ask for.
+    """The fruit and the start joints that options of `reset` ask for.
 
     Args:
         task: The task.
-        options: The options; each is given once, or for each of the machines.
+        options: The options; each is given once for all machines, or once for each.
         count: Number of machines.
-        rows: Of them those that are asked for.
+        rows: The machines whose values to return; all by default.
 
     Returns:
-        "fruit" and "joints", as far as they are given, as `begin_zones` takes them.
+        "fruit", positions ``(machines, fruit, 3)``, and "joints" ``(machines, joints)``, each only if it is given, as
+        `begin_zones` takes them.
 
     Raises:
         InputError: If a shape is wrong or a number impossible.
@@ -66,7 +67,7 @@ def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows:
 
 
 def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None = None) -> tuple[Array, Array, Sight]:
-    """Fruit ``(fruit, 3)`` and diameters of a zone in which some of it is located, and how it is seen.
+    """Draw a zone in which the cameras locate some fruit: fruit positions ``(fruit, 3)``, diameters, and the sight.
 
     Args:
         task: The task.
@@ -97,11 +98,11 @@ def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None 
 
 @toml_table
 class Rules:
-    """When a cup tries a fruit, what is shown, and what costs; see [task] of picking.toml.
+    """Rules of the task: when a cup tries a fruit, what observations show, and costs; see [task] of picking.toml.
 
     Attributes:
         sensor: Height within which the position sensor finds a fruit in the cup, m.
-        rearm: A cup that tried a fruit tries again only after going this far away from it, m.
+        rearm: Distance that a cup must go away from a fruit that it tried before it tries again, m.
         shown: Largest offset that an observation shows, m.
         guard_cost: Reward lost for each arm that the guard holds.
         period_cost: Reward lost in each period.
@@ -117,7 +118,7 @@ class Rules:
 
 
 load_rules = cache(partial(read_toml, Rules, SHIPPED, section="task"))
-"""Reads the rules of the task."""
+"""Read the rules of the task from its file, once."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,14 +126,14 @@ class HarvestTask:
     """Constants of a harvester's episodes.
 
     Attributes:
-        machine: The machine as drawn.
-        true: The machine as built.
-        model: What becomes of attempts.
-        rules: When a cup tries a fruit, what is shown, and what costs.
+        machine: The machine as designed, in which the controller believes.
+        true: The machine as built, with its errors.
+        model: Model of what becomes of attempts.
+        rules: When a cup tries a fruit, what observations show, and what costs.
         orchard: Where fruit hangs and how big it is.
-        eyes: How it is seen.
-        fruit: Fruit in a zone.
-        most_action: Largest size of an action's numbers that is taken.
+        eyes: How the cameras see fruit.
+        fruit: Number of fruit in a zone.
+        most_action: Largest size of an action's numbers that is accepted.
     """
 
     machine: harvester.Machine
@@ -146,17 +147,17 @@ class HarvestTask:
 
     @cached_property
     def increment(self) -> Array:
-        """Largest increment of each joint in one period."""
+        """Largest increment of each joint in one period, rad or m."""
         return self.machine.speed * CONTROL_PERIOD
 
     @cached_property
     def lead(self) -> int:
-        """Periods that sensing and cutting take."""
+        """Number of periods that sensing and cutting take together."""
         return int(np.ceil((self.machine.cycle.sense + self.machine.cycle.cut) / CONTROL_PERIOD - 1e-9))
 
     @cached_property
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Smallest and largest observation."""
+        """Lower and upper bounds of the observation's numbers."""
         box = harvest_spaces(self)[0]
         return box.low, box.high
 
@@ -171,10 +172,10 @@ def make_harvest_task(
     canopy: str | None = None,
     out_of_range: str = "clip",
 ) -> HarvestTask:
-    """Check the arguments of an environment and read its files.
+    """Check the arguments of an environment, read its files, and make its task.
 
     Raises:
-        InputError: If one of them is impossible.
+        InputError: If an argument is impossible.
     """
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
@@ -192,7 +193,7 @@ def make_harvest_task(
 
 
 def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
-    """Observation space, with room for some numbers from 0 to 1 at its end, and action space."""
+    """The observation space, with room for ``extra`` numbers from 0 to 1 at its end, and the action space."""
     joints, arms, most = task.machine.joints, task.machine.arms, task.rules.shown
     high = [1.0] * (joints + arms) + [most, most, most, 1.0] * task.fruit + [1.0] * extra
     low = [-1.0] * joints + [0.0] * arms + [-most, -most, -most, 0.0] * task.fruit + [0.0] * extra
@@ -207,33 +208,33 @@ def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], 
 HANGING, COLLECTED, LOST = 0, 1, 2
 
 HALF_AND_WHOLE = np.array([0.5, 1.0]).reshape(2, 1, 1, 1)
-"""Shares of a move at which arms must be clear of each other."""
+"""Shares of a move after which arms must be clear of each other."""
 
 
 @dataclass(eq=False)
 class HarvestState:
-    """Many machines in the middle of their zones; leading axis (machines,).
+    """The state of many machines at work in their zones; every array has a leading axis (machines,).
 
     Attributes:
-        joints: Nominal joint targets, (machines, joints).
-        fruit: True fruit where it hung at first, (machines, fruit, 3).
-        shift: How far pushes have moved it for good, m.
-        swing: How far it swings from there, m.
-        velocity: How fast, m/s.
-        diameters: m, (machines, fruit).
-        masses: kg.
-        believed: Fruit as the camera saw it, (machines, fruit, 3).
-        error: How far off that was, m.
-        located: Fruit that the camera found.
-        reachable: Located fruit that some arm reaches from the pick point.
-        status: `HANGING`, `COLLECTED` or `LOST`.
-        busy: Periods that each arm still senses and cuts, (machines, arms).
-        tried: Fruit that each arm tried last and has not left yet, or -1.
+        joints: Nominal joint targets, rad or m, (machines, joints).
+        fruit: True positions of the fruit at the start, m, (machines, fruit, 3).
+        shift: Displacement of the fruit that pushes have left for good, m, (machines, fruit, 3).
+        swing: Displacement of the swinging fruit from there, m, (machines, fruit, 3).
+        velocity: Velocity of the swinging fruit, m/s, (machines, fruit, 3).
+        diameters: Diameters of the fruit, m, (machines, fruit).
+        masses: Masses of the fruit, kg, (machines, fruit).
+        believed: Positions of the fruit as the camera saw it, m, (machines, fruit, 3).
+        error: Error of the camera: seen minus true position at the start, m, (machines, fruit, 3).
+        located: Whether the camera found the fruit, (machines, fruit).
+        reachable: Whether the fruit is located and some arm reaches it from the pick point, (machines, fruit).
+        status: `HANGING`, `COLLECTED` or `LOST`, (machines, fruit).
+        busy: Periods that each arm still has to sense and cut, (machines, arms).
+        tried: Number of the fruit that each arm tried last and has not left yet, or -1, (machines, arms).
         periods: Periods since the start.
-        held: Arms that the guard held in the last period.
+        held: Number of arms that the guard held in the last period.
         closest: Least distance between two arms' centre lines so far, m.
-        attempts: Attempts so far.
-        left: `work_left` as it stands, m.
+        attempts: Number of attempts so far.
+        left: Present value of `work_left`, m.
     """
 
     joints: Array
@@ -258,11 +259,11 @@ class HarvestState:
 
     @property
     def moved(self) -> Array:
-        """Displacement of the fruit by pushes, m, (machines, fruit, 3)."""
+        """Displacement of the fruit from where it hung at the start, m, (machines, fruit, 3)."""
         return self.shift + self.swing
 
     def put(self, rows: NDArray[np.intp], other: HarvestState) -> None:
-        """Overwrite some machines."""
+        """Overwrite the machines ``rows`` with those of the state ``other``."""
         for mine, theirs in zip(leaves(self), leaves(other), strict=True):
             mine[rows] = theirs
 
@@ -270,16 +271,18 @@ class HarvestState:
 def begin_zones(
     task: HarvestTask, rngs: Sequence[np.random.Generator], fruit: Array | None = None, joints: Array | None = None
 ) -> HarvestState:
-    """Draw a zone for each generator; the master stands at its pick point, the slaves rest, or as is asked for.
+    """Draw a zone for each generator, with the machine at its start in it.
+
+    Unless ``joints`` are given, the master stands at its pick point and the slaves at rest.
 
     Args:
-        task: What stays the same.
-        rngs: One per machine.
+        task: The task.
+        rngs: Random generators, one per machine.
         fruit: Positions in place of drawn ones ``(machines, fruit, 3)``, base frame, or None.
         joints: Joints of whole machines to start from ``(machines, joints)``, or None.
 
     Raises:
-        InputError: If the cameras find no fruit in many zones, or arms stand too near each other.
+        InputError: If the cameras find no fruit in many zones, or given joints bring arms too near each other.
     """
     machine, n = task.machine, len(rngs)
     positions, sightings, zeros = np.zeros((3, n, task.fruit, 3))
@@ -322,7 +325,7 @@ def begin_zones(
 
 
 def distances(task: HarvestTask, joints: Array) -> Array:
-    """Least distance between the centre lines of two arms, (machines,); one arm alone is as clear as can be shown."""
+    """Least distance between two arms' centre lines, m, (machines,); for a single arm, the largest offset shown."""
     machine = task.machine
     if machine.arms < 2:
         return np.full(len(joints), task.rules.shown)
@@ -336,13 +339,13 @@ def step(
     rngs: Sequence[np.random.Generator],
     compensator: Compensate | None = None,
 ) -> Array:
-    """Let one period pass; changes ``state`` and gives the rewards, (machines,).
+    """Let one period pass: change ``state`` and return the rewards, (machines,).
 
     Args:
-        task: What stays the same.
-        state: Changed in place.
+        task: The task.
+        state: State of the machines, changed in place.
         actions: Joint increments as shares of the largest, (machines, joints).
-        rngs: One per machine; a machine draws six numbers for each of its attempts.
+        rngs: Random generators, one per machine; a machine draws six numbers for each of its attempts.
         compensator: Maps nominal joints of whole machines to commands.
     """
     machine = task.machine
@@ -374,7 +377,7 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
     """Hold every arm whose move would bring it too near another; changes ``target``.
 
     Returns:
-        Arms held, and the least distance between two arms' centre lines afterwards, (machines,) each.
+        The number of arms held, and the least distance between two arms' centre lines afterwards, m, (machines,) each.
     """
     machine, n = task.machine, len(start)
     arms = machine.arms
@@ -401,13 +404,16 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
 def attempts(
     task: HarvestTask, state: HarvestState, tips: Array, rngs: Sequence[np.random.Generator]
 ) -> tuple[Array, Array]:
-    """Cups whose sensor finds a fruit close their blade; counts fruit collected and lost by each machine.
+    """Let the cups whose sensor finds a fruit close their blade.
 
     Args:
-        task: What stays the same.
-        state: Changed in place.
-        tips: True cups, (machines, arms, 3).
-        rngs: One per machine.
+        task: The task.
+        state: State of the machines, changed in place.
+        tips: True positions of the cups, m, (machines, arms, 3).
+        rngs: Random generators, one per machine.
+
+    Returns:
+        The numbers of fruit collected and of fruit lost by each machine in this period, (machines,) each.
     """
     model, rules = task.model, task.rules
     offset = (state.fruit + state.moved)[:, None] - tips[:, :, None]  # (machines, arms, fruit, 3)
@@ -443,7 +449,10 @@ def attempts(
 
 
 def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Cups and the fruit that each tries, (picks,): the nearest, but no two the same; (arms, fruit) gives distances."""
+    """Numbers of the cups that try a fruit, and of the fruit that each tries, (picks,) each.
+
+    A cup tries the nearest fruit that no earlier cup tries; ``lateral`` has the distances, (arms, fruit).
+    """
     lateral, pairs = lateral.copy(), []
     for arm in range(len(lateral)):
         fruit = int(lateral[arm].argmin())
@@ -455,7 +464,10 @@ def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def work_left(task: HarvestTask, state: HarvestState) -> Array:
-    """Mean distance from reachable hanging fruit to the nearest believed cup, m; what shaping is made of."""
+    """Distances from reachable hanging fruit to the nearest believed cup, summed, over all fruit of the zone, m.
+
+    The reward for progress is the decrease of this number, (machines,).
+    """
     tips = task.machine.tips(*task.machine.parted(state.joints))
     away = state.believed[:, None] - tips[:, :, None]
     distance = np.sqrt((away * away).sum(axis=-1)).min(axis=1)
@@ -463,17 +475,17 @@ def work_left(task: HarvestTask, state: HarvestState) -> Array:
 
 
 def pickable(state: HarvestState) -> Flags:
-    """Fruit that hangs and that an arm reaches from the pick point, (machines, fruit)."""
+    """Flags of the fruit that hangs and that an arm reaches from the pick point, (machines, fruit)."""
     return np.asarray((state.status == HANGING) & state.reachable)
 
 
 def finished(state: HarvestState) -> Flags:
-    """Machines with nothing left to pick and no blade at work."""
+    """Flags of the machines with nothing left to pick and no blade at work, (machines,)."""
     return np.asarray(~pickable(state).any(axis=1) & (state.busy == 0).all(axis=1))
 
 
 def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
-    """Observations of the controllers, (machines, observation_size)."""
+    """The controllers' observations, (machines, observation_size)."""
     machine = task.machine
     scaled = 2 * (state.joints - machine.lower) / (machine.upper - machine.lower) - 1
     heading = state.joints[:, 0]
@@ -491,7 +503,7 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
 
 
 def information(state: HarvestState) -> dict[str, NDArray[np.generic]]:
-    """The truth about each machine; the same keys always."""
+    """The infos of all machines: arrays (machines,) by keys that are always the same."""
     collected = (state.status == COLLECTED).sum(axis=1)
     done = (state.status == COLLECTED) | ~state.reachable
     hours = np.maximum(state.periods, 1) * CONTROL_PERIOD / 3600

@@ -1,1 +1,1 @@
-"""Pick: reaching among fruit, with a gripper."""
+"""The Pick environment: reaching among fruit, with a gripper."""

@@ -1,7 +1,7 @@
-"""Picking arms before their canopies, one or many: all fruit in one array, each `PickScene` holds its part.
+"""One or many picking arms before their canopies, with all fruit in one array of which each `PickScene` has a part.
 
-What happens to all fruit in every period goes through the array at once; what happens to one canopy now and then, a
-grasp or a push, goes through its scene. Both write the same numbers. Units: m, rad, s.
+What happens to all fruit in every period is computed on the whole array; what happens to one canopy now and then, such
+as a grasp or a push, is computed by its scene. Both change the same numbers. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
 ABSENT = np.zeros((), pick_scene.FRUIT)
-"""Fruit that is not there, far away: an array has room for the fullest canopy."""
+"""A placeholder for absent fruit, far away: every row of the array has room for the fullest canopy."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
 FUNNEL = ("visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
-"""What is counted of each canopy's fruit; of the collected what is undamaged."""
+"""Stages at which each canopy's fruit is counted; "collected" counts only undamaged fruit."""
 REACHABLE, ATTEMPTED, COLLECTED = (FUNNEL.index(stage) for stage in ("reachable", "attempted", "collected"))
 
 OWN = ("sight", "number", "still", "moments")
 
 
 class Canopies:
-    """N picking arms, as they were seen last, and the fruit before them.
+    """The latest views of N picking arms, and the fruit before them.
 
     Attributes:
-        scenes: The canopies one by one; what changes in them are parts of the array.
+        scenes: The scenes of the canopies, one by one; each works on its part of `fruit`.
         fruit: All fruit, (N, most fruit of a canopy).
-        present: Fruit of each canopy.
+        present: Number of fruit in each canopy.
         held: Number of the fruit in each gripper, or -1.
-        off: Whether the fruit in the gripper is off its stem.
-        miss: How far each last grasp was from its fruit, across and along the tool's axis, (N, 2).
-        counts: Fruit of each canopy at the stages of `FUNNEL`, (7, N).
-        sight: What was seen of the arms last, as `pickenv.envs.picking.pick_arm.look_at_arm` gives it, then the joint
+        off: Whether the fruit in each gripper is off its stem.
+        miss: How far each arm's last grasp was from its fruit, across and along the tool's axis, m, (N, 2).
+        counts: Number of fruit of each canopy at the stages of `FUNNEL`, (7, N).
+        sight: The arms as last seen, as `pickenv.envs.picking.pick_arm.look_at_arm` gives them, and then their joint
             commands, (numbers, N).
-        number: Of the fruit that each is after.
+        number: Number of the fruit that each arm is after.
         still: Time since each joint target moved, s.
-        moments: Steps of each episode.
+        moments: Number of steps in each episode so far.
     """
 
     def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
@@ -67,7 +67,7 @@ class Canopies:
         self.still, self.moments = np.full(count, pick_scene.STILL), np.zeros(count, dtype=np.uint64)
 
     def adopt(self, row: int, scene: pick_scene.PickScene) -> None:
-        """Put a canopy before arm ``row``."""
+        """Put the canopy of ``scene`` before arm ``row``, and make its fruit a part of the array."""
         n = len(scene.rest)
         if n > self.fruit.shape[1]:
             before, self.fruit = self.fruit, np.full((self.count, n), ABSENT)
@@ -82,17 +82,17 @@ class Canopies:
         self._note(row)
 
     def choose(self, row: int) -> None:
-        """Go after the waiting fruit that comes next, or stay with the last one."""
+        """Set the fruit that arm ``row`` is after: the next waiting one, or the last one if none is waiting."""
         number = self.scenes[row].following(self.sight[BELIEVED][9:, row])
         self.number[row] = self.number[row] if number is None else number
 
     def meet(self, going: Flags, before: Array, period: Array) -> None:
-        """Let the fruit swing for ``period`` seconds, and the tools push what is in their way or carry what they hold.
+        """Let the fruit swing, the tools push fruit in their way, and the grippers carry the fruit that they hold.
 
         Args:
-            going: Arms that are at work, (N,).
-            before: True tool positions at the beginning, m, (N, 3).
-            period: (N,).
+            going: Flags of the arms that are at work, (N,).
+            before: True tool positions at the beginning of the period, m, (N, 3).
+            period: Time that passes, s, (N,).
         """
         fruit, station = self.fruit, self.orchard.station
         swinging = fruit["displacement"].any(axis=(1, 2)) | fruit["velocity"].any(axis=(1, 2))
@@ -115,10 +115,10 @@ class Canopies:
             self._note(row)
 
     def happen(self, going: Flags, before: Array, gripper: Array, stirred: Flags, period: Array) -> Array:
-        """Let all happen that follows from the arms' moves, and work the grippers.
+        """Let the arms' moves have their effects on the fruit, and work the grippers.
 
         Args:
-            going: Arms that are at work; nothing happens before the others, (N,).
+            going: Flags of the arms that are at work; the fruit before the others stay as they are, (N,).
             before: True tool positions at the beginning of the period, m, (N, 3).
             gripper: The grippers' commands, (N,).
             stirred: Whether each joint target moved, (N,).
@@ -141,11 +141,11 @@ class Canopies:
         return np.where(going, pick_scene.pick_reward(collected, damaged), 0.0)
 
     def finished(self) -> Flags:
-        """Arms with no fruit left to try and an empty gripper."""
+        """Flags of the arms with no fruit left to try and an empty gripper."""
         return np.asarray((self.held < 0) & (self._waiting() == 0))
 
     def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
-        """Observations of the controllers, ``(N, n + 17)``."""
+        """The controllers' observations, ``(N, n + 17)``, cut to the bounds ``low`` and ``high``."""
         n = self.task.joints
         sight, tools = self.sight, self.sight[BELIEVED][9:]
         positions = self.fruit["seen"][np.arange(self.count), self.number].T
@@ -160,7 +160,7 @@ class Canopies:
         return np.concatenate(parts).T.clip(low, high).astype(np.float32, order="C")
 
     def information(self) -> dict[str, NDArray[Any]]:
-        """The truth, as `pickenv/Pick-v0` explains it."""
+        """The infos of all arms, by the keys that `pickenv/Pick-v0` explains."""
         n, tool = self.task.joints, self.sight[TOOL][9:]
         mine = self.fruit[np.arange(self.count), self.number]
         positions = mine["rest"] + mine["displacement"]
@@ -180,7 +180,7 @@ class Canopies:
         }
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything that the next step depends on: of the arms, all fruit of all canopies, and the grippers."""
+        """Arrays of everything that the next step depends on: arms as seen, all fruit of all canopies, and grippers."""
         grips = [
             [-1.0 if scene.held is None else scene.held, *scene.miss, *scene.grip, scene.detached_at]
             for scene in self.scenes
@@ -190,7 +190,7 @@ class Canopies:
         return own | {"present": self.present, "each": each, "grips": np.array(grips)}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """The inverse of `state_arrays`."""
+        """Take over the arrays that `state_arrays` returned."""
         for name in OWN:
             getattr(self, name)[:] = state[name]
         fruit = np.split(unstructured_to_structured(state["each"], pick_scene.FRUIT), np.cumsum(state["present"])[:-1])
@@ -202,11 +202,11 @@ class Canopies:
             self.adopt(row, scene)
 
     def _waiting(self) -> NDArray[np.int64]:
-        """How much fruit of each canopy can still be tried, (N,)."""
+        """Number of fruit of each canopy that can still be tried, (N,)."""
         return np.asarray(self.counts[REACHABLE] - self.counts[ATTEMPTED])
 
     def _note(self, row: int) -> None:
-        """Write down what a grasp, a push or a twist has changed in a scene."""
+        """Copy into the arrays what a grasp, a push or a twist has changed in the scene of arm ``row``."""
         scene = self.scenes[row]
         self.counts[:, row] = [np.count_nonzero(scene.fruit[stage]) for stage in FUNNEL]
         self.counts[COLLECTED, row] = np.count_nonzero(scene.collected & ~scene.damaged)
@@ -221,10 +221,10 @@ CAMERA = (110, 96, 160)
 
 
 def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
-    """The arm, its ghost, its gripper, the camera and the trees.
+    """The scene of a picking arm: the arm, its ghost, its gripper, the camera, the fruit and the trees.
 
     Args:
-        canopies: One arm before its canopy, or more.
+        canopies: One arm or more before their canopies.
         row: The arm's number.
         dark: Whether the background is dark.
     """
@@ -253,14 +253,17 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
 
 
 def gripper_solids(orchard: pick_scene.PickSetting, point: Array, axis: Array, closed: bool) -> Solids:
-    """The cup, as wide as its opening; or the hand, around a usual fruit."""
+    """The solids of the gripper: a cup as wide as its opening, or a hand around a usual fruit."""
     if orchard.gripper.kind == "cup":
         return cup_solids(point, axis, orchard.station.tool_radius)
     return hand_solids(point, axis, orchard.station.tool_radius, closed)
 
 
 def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
-    """Fruit that hangs or is in the gripper: ripe where it can still be tried, another colour where it was missed."""
+    """The solids of the fruit that hangs or is in the gripper.
+
+    Reachable fruit has the colours of ripe fruit, other fruit is green, and missed fruit has a colour of its own.
+    """
     present = ~scene.collected & ~(scene.damaged & scene.detached)
     if scene.held is not None:
         present[scene.held] = True
@@ -277,7 +280,7 @@ def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
 
 
 def camera_solids(orchard: pick_scene.PickSetting) -> Solids:
-    """The camera that looks at the canopy, and what it sees."""
+    """The solids of the camera that looks at the canopy, and of the view that it has."""
     canopy, camera = orchard.canopy, orchard.camera
     middle = (canopy.bottom + canopy.top) / 2
     eye = pick_scene.to_base(orchard, np.array([0.0, -canopy.standoff, middle]))
@@ -287,7 +290,7 @@ def camera_solids(orchard: pick_scene.PickSetting) -> Solids:
 
 
 def trees_of(orchard: pick_scene.PickSetting) -> tuple[Mesh, ...]:
-    """The section of canopy before the arm."""
+    """The meshes of the section of canopy before the arm."""
     canopy = orchard.canopy
     ends = np.array([[-canopy.width / 2, 0.0, canopy.bottom], [canopy.width / 2, canopy.depth, canopy.top]])
     corners = pick_scene.to_base(orchard, ends)
@@ -301,7 +304,7 @@ def ground_of(orchard: pick_scene.PickSetting) -> float:
 
 
 def pick_eye(orchard: pick_scene.PickSetting) -> Eye:
-    """From behind the arm, to its side and above it."""
+    """An eye behind the arm, to its side and above it."""
     canopy = orchard.canopy
     face = pick_scene.to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
     target = face * [0.62, 0.62, 0.62]

@@ -47,9 +47,9 @@ class PickEnv(ArmEnv):
     | 6   | gripper           | -1          | 1           | see below         | 1    |
 
     Above 0.5 an empty gripper closes at the end of the period, if the fruit is believed to be within 60 mm: that is the
-    fruit's one attempt. Around a fruit, a positive command twists, by up to 0.5 N m at 1. Below -0.5 it opens: what
-    hangs swings back, what is off falls and is damaged. A detached fruit is collected once the believed tool has gone
-    80 mm down.
+    fruit's one attempt. With a fruit in the gripper, a positive command twists, by up to 0.5 N m at 1. Below -0.5 the
+    gripper opens: a fruit on its stem swings back, a detached fruit falls and is damaged. A detached fruit is collected
+    once the believed tool has gone 80 mm down.
 
     ## Observation Space
 
@@ -77,9 +77,9 @@ class PickEnv(ArmEnv):
     hits it faster than 0.4 m/s, by being pulled off instead of twisted, and by falling. The reward is never part of an
     observation.
 
-    So haste costs more than the time it saves. Of the scripted policy with a calibrated arm on 60 canopies of some
-    seven fruit in reach, relative to the same policy with gentle moves and half a second of waiting (simulated; mean
-    and 95 % interval per canopy, tests/envs/picking/test_pick.py):
+    So haste costs more than the time it saves. The table shows what the scripted policy loses, with a calibrated arm on
+    60 canopies of some seven fruit in reach, compared with the same policy with gentle moves and half a second of
+    waiting (simulated; mean and 95 % interval per canopy, tests/envs/picking/test_pick.py):
 
     | What is left out                 | Fruit collected        | Reward                 |
     |----------------------------------|------------------------|------------------------|
@@ -102,8 +102,8 @@ class PickEnv(ArmEnv):
 
     ## Information
 
-    `info` has the same keys after `reset` and `step`. The first seven are the funnel so far, each at most the one
-    before. Where all fruit has been tried, those of the present fruit are of the last one.
+    `info` has the same keys after `reset` and `step`. The first seven count the fruit that has got so far, each at most
+    as many as the key before. Once all fruit has been tried, the present fruit is the last one that was tried.
 
     | Key                 | Meaning                                                             | Unit |
     |---------------------|---------------------------------------------------------------------|------|
@@ -233,7 +233,7 @@ class PickEnv(ArmEnv):
         return None if self.canopies is None else draw_pick(self.canopies, dark=self.dark)
 
     def _look(self, canopies: Canopies, state: ArmState, dt: Scalar) -> None:
-        """Let time pass at the joint target of ``state``."""
+        """Let ``dt`` seconds pass at the joint target of ``state``, and store in ``canopies`` how the arm is seen."""
         command, moment = self._command(state.target), self._word(int(canopies.moments[0]))
         self._state, sight = look_at_arm(self._x, self.task, self.plant, state, command, self._key, moment, dt)
         canopies.sight[:, 0] = self._plain([*sight, *command])

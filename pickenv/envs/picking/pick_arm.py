@@ -26,17 +26,17 @@ from pickenv.envs.shared.task import Task, inexact
 
 
 ITERATIONS = 8
-"""Steps of the inverse that tells whether a point is in reach; 15 answer no other of 4000 points differently."""
+"""Steps of the inverse kinematics that judge whether a point is in reach; 15 steps judge none of 4000 differently."""
 
 UP = np.array([0.0, 0.0, 1.0])
-"""The way that the tool takes to a fruit, and how it stands there."""
+"""Direction in which the tool comes to a fruit, and in which it points there."""
 
 
 class Reach:
-    """Test of points that the nominal arm reaches with its tool upright, from ``approach`` m below up to the point."""
+    """Test of whether the nominal arm, its tool upright, reaches both a point and the place ``approach`` m below it."""
 
     def __init__(self, geometry: Geometry, approach: float) -> None:
-        """Sample the arm's upright poses once; each question then starts from the nearest one."""
+        """Sample the arm's upright poses once; the test of each point then starts from the nearest pose."""
         self.geometry, self.approach = geometry, approach
         joints, poses = spread_poses(geometry)
         upright = poses.rotation[:, 2, 2] > np.cos(np.radians(30.0))
@@ -47,7 +47,7 @@ class Reach:
         self.tree = cKDTree(poses.position[upright])
 
     def __call__(self, positions: Array) -> Flags:
-        """One flag per position (n, 3), m."""
+        """Flags (n,) of the positions (n, 3), m, that are in reach."""
         if not len(positions):
             return np.zeros(0, dtype=np.bool_)
         points = np.concatenate([positions, positions - self.approach * UP])
@@ -67,31 +67,31 @@ class Reach:
 
 @lru_cache(maxsize=4)
 def reach_of(geometry: Geometry, approach: float) -> Reach:
-    """`Reach`, sampled once per arm."""
+    """The `Reach` of an arm; its poses are sampled once per arm and approach."""
     return Reach(geometry, approach)
 
 
 def _upright(rotation: Array) -> Array:
-    """The attitude (3, 3) with the tool axis straight up that is nearest in yaw."""
+    """The attitude (3, 3) with the tool axis straight up and nearly the yaw of ``rotation`` (3, 3)."""
     x = rotation[:, 0] - rotation[2, 0] * UP
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(UP, x), UP], axis=-1)
 
 
 STIRRED = 1e-9
-"""A joint target that moves by more than this does not stand still, rad or m."""
+"""Largest change of a joint target that still counts as standing still, rad or m."""
 
 
 BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
-"""The arm as it is seen, number by number: frames of the believed and of the true tool, upright against the believed
-attitude (rotation vector), the angle between the true tool's axis and the vertical (degrees), and from `SIGHT` on joint
-readings scaled to the limits."""
+"""Places of the numbers in a view of the arm: the frame of the believed tool, the frame of the true tool, the rotation
+vector from the believed attitude to upright, the angle between the true tool's axis and the vertical (degrees), and
+from `SIGHT` on the joint readings, scaled to the limits."""
 
 
 def act_arm(
     x: Executor, task: Task, state: simulation.ArmState, action: Sequence[Scalar]
 ) -> tuple[simulation.ArmState, Scalar, Scalar, Scalar]:
-    """An action, late where actions are, on the joint target.
+    """Move the joint target by an action, or by an earlier one if actions are delayed.
 
     Returns:
         The state with its new target, the gripper's command, whether the target moved, and the time that passes (s).
@@ -120,7 +120,7 @@ def look_at_arm(
     """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`.
 
     Returns:
-        The state afterwards, and the arm as it is seen, laid out from `BELIEVED` to `SIGHT`.
+        The state afterwards, and the view of the arm, laid out as `BELIEVED` to `SIGHT` say.
     """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = simulation.nominal_readings(x, plant, plant_state, state.target, command)

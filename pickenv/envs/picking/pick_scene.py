@@ -1,8 +1,8 @@
 """The fruit before a picking arm: where it hangs and is seen, how it is pushed, taken, twisted off and collected.
 
-Everything is in the arm's base frame (m, s, N): the orchard frame turned by half a turn about z, so that trees stand at
--y. The tool is a cylinder below its point that opens upwards, and comes from below. Every random number is drawn at
-the start, so that two policies meet the same fruit, the same camera and the same luck.
+Everything is in the arm's base frame (m, s, N), which is the orchard frame turned by half a turn about z, so that trees
+stand at -y. The tool is a cylinder below its point that opens upwards, and comes from below. Every random number is
+drawn at the start, so that two policies meet the same fruit, the same camera and the same luck.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from pickenv.orchard import DRAWS
 
 FATES = ("attempted", "attached", "detached", "collected", "damaged")
 CLOSE, OPEN = 0.5, -0.5
-"""Commands beyond which the gripper closes and opens."""
+"""Commands to the gripper: above `CLOSE` it closes, below `OPEN` it opens."""
 
 ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
-"""Draws until a fruit is in reach; of given fruit only what the camera makes of it is drawn again."""
+"""Most draws until a fruit is in reach, for drawn and for given fruit; given fruit keeps its positions in each draw."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +57,19 @@ ORDERS: dict[str, tuple[float, float, float] | None] = {
     "highest": (0.0, 0.0, -1.0),
     "foremost": (0.0, -1.0, 0.0),
 }
-"""Orders of the fruit: the nearest to the believed tool, or the first along a direction of the base frame."""
+"""Orders in which fruit is picked: the nearest to the believed tool, or the first along a direction (base frame)."""
 
 PUBLISHED = "published"
-"""The vision that goes by what is published of a camera; the others are those of `pickenv.orchard.VISIONS`."""
+"""Name of the vision that uses a camera's published figures; `pickenv.orchard.VISIONS` names the others."""
 
 
 def to_base(orchard: PickSetting, positions: Array) -> Array:
-    """Positions (..., 3) of the orchard frame in the base frame."""
+    """Positions (..., 3), given in the orchard frame, in the base frame."""
     return _origin(orchard) + positions * [-1.0, -1.0, 1.0]
 
 
 def to_orchard(orchard: PickSetting, positions: Array) -> Array:
-    """Positions (..., 3) of the base frame in the orchard frame."""
+    """Positions (..., 3), given in the base frame, in the orchard frame."""
     return np.asarray((positions - _origin(orchard)) * [-1.0, -1.0, 1.0])
 
 
@@ -79,8 +79,8 @@ def _origin(orchard: PickSetting) -> Array:
 
 
 Contact = tuple[Array, Array, Array, Flags]
-"""Fruit as it stands to a tool: the way from the tool's axis to each, m (..., n, 3), and its length (..., n); how far
-the tool is inside the fruit, m, and whether it touches it (..., n)."""
+"""Contacts of fruit with a tool: the vector from the tool's axis to each fruit, m, (..., n, 3), the length of that
+vector, how far the tool is inside the fruit, m, and whether it touches the fruit, (..., n) each."""
 
 
 def contact(station: trees.Station, positions: Array, diameters: Array, point: Array, axis: Array) -> Contact:
@@ -88,10 +88,10 @@ def contact(station: trees.Station, positions: Array, diameters: Array, point: A
 
     Args:
         station: The tool.
-        positions: Of the fruit, m, shape (..., n, 3).
-        diameters: m, shape (..., n).
+        positions: Positions of the fruit, m, shape (..., n, 3).
+        diameters: Diameters of the fruit, m, shape (..., n).
         point: The tool's point, m, shape (..., 3).
-        axis: Its axis, shape (..., 3).
+        axis: Direction of the tool's axis, shape (..., 3).
     """
     away = positions - point[..., None, :]
     along = _dot(away, axis[..., None, :])
@@ -115,34 +115,38 @@ FRUIT = np.dtype(
         *((name, bool) for name in ("visible", "reachable", *FATES)),
     ]
 )
-"""All that is known of one fruit; see `PickScene`."""
+"""Type of one fruit's record, with all its numbers and flags; `PickScene` explains them."""
 
 Fruit = NDArray[np.void]
-"""Fruit, each of type `FRUIT`."""
+"""Array of fruit, each a record of type `FRUIT`."""
 
 
 class PickScene:
     """All fruit of an episode, and what has become of it; arrays with one entry per fruit.
 
     Attributes:
-        orchard: What kind it is.
-        fruit: All its numbers (n,); the others are parts of it.
-        rest: Where it hangs, m, shape (n, 3).
-        seen: Where the camera saw it, m, shape (n, 3).
-        diameters: m.
-        masses: kg.
-        displacement: How far it hangs from its rest, m, shape (n, 3).
-        velocity: m/s, shape (n, 3).
+        orchard: The kind of fruit, the camera and the gripper.
+        fruit: Records of all fruit (n,); the attributes from `rest` to `damaged` are fields of it.
+        rest: Where each fruit hangs at rest, m, shape (n, 3).
+        seen: Where the camera saw the fruit, m, shape (n, 3).
+        diameters: Diameters of the fruit, m.
+        masses: Masses of the fruit, kg.
+        displacement: Present position of the fruit minus `rest`, m, shape (n, 3).
+        velocity: Velocity of the fruit, m/s, shape (n, 3).
         chance: Uniform numbers that decide grasps.
-        pull_limit: Pull that takes it off, N.
-        twist_limit: Twist about its stem that does, N m.
-        visible: Whether the camera found it.
-        reachable: Whether it was found where the arm can get at it, with a free way from below.
-        attempted: Whether the gripper has closed on it; likewise attached, detached, collected and damaged.
+        pull_limit: Pull that takes the fruit off its stem, N.
+        twist_limit: Twist about the stem that takes the fruit off, N m.
+        visible: Whether the camera found the fruit.
+        reachable: Whether the camera found the fruit where the arm can get at it, with a free way from below.
+        attempted: Whether the gripper has closed on the fruit.
+        attached: Whether the gripper took the fruit.
+        detached: Whether the fruit came off its stem.
+        collected: Whether the fruit is collected.
+        damaged: Whether the fruit is damaged.
         held: Number of the fruit in the gripper, or None.
         miss: How far the last grasp was from its fruit, across and along the tool's axis, m.
-        grip: Displacement of the fruit in the gripper less the tool's position, m.
-        detached_at: Height of the believed tool when the fruit in it came off, m.
+        grip: Displacement of the fruit in the gripper minus the tool's position, m.
+        detached_at: Height of the believed tool when the fruit in the gripper came off its stem, m.
     """
 
     def __init__(self, orchard: PickSetting, fruit: Fruit) -> None:
@@ -150,10 +154,10 @@ class PickScene:
         self.held: int | None = None
         self.miss, self.grip, self.detached_at = (0.0, 0.0), np.zeros(3), 0.0
         self.fruit = fruit
-        """Its own, or a part of an array of many canopies: what becomes of it is written there."""
+        """The scene's own array, or its part of an array of many canopies; changes to the fruit are written there."""
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        """The parts of `fruit`."""
+        """The field ``name`` of `fruit`."""
         if name not in (FRUIT.names or ()):
             raise AttributeError(name)
         return self.fruit[name]
@@ -165,7 +169,7 @@ class PickScene:
 
     @property
     def waiting(self) -> Flags:
-        """Fruit that can still be tried."""
+        """Flags of the fruit that can still be tried."""
         return np.asarray(self.reachable & ~self.attempted)
 
     @property
@@ -174,7 +178,7 @@ class PickScene:
         return self.held is not None and bool(self.detached[self.held])
 
     def following(self, tool: ArrayLike) -> int | None:
-        """Number of the waiting fruit that comes next, as it was seen and from where the tool is, or None."""
+        """Number of the waiting fruit that comes next for a tool at position ``tool``; None if none is waiting."""
         waiting = np.flatnonzero(self.waiting)
         if not waiting.size:
             return None
@@ -183,14 +187,14 @@ class PickScene:
         return int(waiting[np.argmin(rank)])
 
     def carry(self, point: Array, moved: Array) -> None:
-        """Take the fruit in the gripper along, and its branch."""
+        """Take the fruit in the gripper, and its branch, along with the tool, which ``moved`` to ``point``."""
         assert self.held is not None
         self._push(self.rest[self.held], moved)
         self.displacement[self.held] = self.grip + point
         self.velocity[self.held] = 0.0
 
     def meet(self, found: Contact, target: int, moved: Array, dt: float) -> None:
-        """Push what the tool touches: neither what is off its stem nor what it holds."""
+        """Push the fruit that the tool touches, except fruit off its stem and the fruit in the gripper."""
         across, gap, overlap, touched = found
         touched = touched & ~self.detached
         if self.held is not None:
@@ -207,8 +211,8 @@ class PickScene:
         Args:
             share: The command, -1 to 1.
             number: The fruit that the arm is after.
-            believed: Frame of the believed tool: what the controller goes by.
-            tool: Frame of the true one: what counts.
+            believed: Frame of the believed tool, by which the controller decides.
+            tool: Frame of the true tool, which decides the outcome.
         """
         if self.held is None:
             near = math.dist(self.seen[number].tolist(), believed[9:]) <= self.orchard.station.near
@@ -224,7 +228,7 @@ class PickScene:
             self.detached_at = believed[11]
 
     def grasp(self, i: int, tool: Frame) -> None:
-        """Close the gripper on fruit ``i``: its one attempt."""
+        """Close the gripper on fruit ``i``, whose only attempt this is."""
         point, axis = np.array(tool[9:]), np.array(tool[6:9])
         lateral, axial, angle = trees.misalignment(self.positions[i] - point, axis, UP)
         probability = trees.capture_probability(self.orchard.gripper, lateral, axial, angle, self.diameters[i])
@@ -238,7 +242,7 @@ class PickScene:
         self._push(self.positions[i], self.orchard.station.knock * away / max(float(np.linalg.norm(away)), 1e-9))
 
     def twist(self, share: float) -> None:
-        """Twist the fruit by a share of the gripper's largest torque; what is pulled or twisted enough comes off."""
+        """Twist the fruit in the gripper by a share of the largest torque; pulled or twisted enough, it comes off."""
         i, branch = self.held, self.orchard.branch
         assert i is not None
         spring = np.array([branch.stiffness_sideways] * 2 + [branch.stiffness_upright])
@@ -249,7 +253,7 @@ class PickScene:
         self.damaged[i] |= torn and not turned
 
     def let_go(self) -> None:
-        """Open the gripper: a fruit on its stem swings back, a detached one falls."""
+        """Open the gripper: a fruit on its stem swings back, a detached fruit falls and is damaged."""
         if self.held is not None:
             self.damaged[self.held] |= self.detached[self.held]
             self.held = None
@@ -261,7 +265,7 @@ class PickScene:
         self.held = None
 
     def _push(self, contact: Array, push: Array) -> None:
-        """Displace the fruit around ``contact``; fruit in or past the gripper stays."""
+        """Displace the fruit around the point ``contact`` by ``push``, each at most to the largest displacement."""
         displacement = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
         far = np.linalg.norm(displacement, axis=1, keepdims=True)
         self.displacement[:] = displacement * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
@@ -270,16 +274,16 @@ class PickScene:
 def draw_scenes(
     orchard: PickSetting, reach: Reach, rngs: Sequence[np.random.Generator], given: Sequence[Any]
 ) -> list[PickScene]:
-    """Draw the fruit of several episodes, each with at least one fruit in reach; ``reach`` is asked about all at once.
+    """Draw the fruit of several episodes, each with at least one fruit in reach.
 
     Args:
-        orchard: What kind of fruit.
-        reach: Where the arm gets.
+        orchard: The kind of fruit, the camera and the gripper.
+        reach: Test of what the arm reaches; it is called for the fruit of all episodes at once.
         rngs: For each episode the source of every random draw.
         given: For each episode fruit positions (n, 3) in the base frame, m, in place of drawn ones, or None.
 
     Raises:
-        InputError: If none of the given fruit is found within reach, or none in many draws.
+        InputError: If no given fruit is found within reach, or no drawn fruit in many draws.
     """
     centres = [None if positions is None else _given_fruit(positions) for positions in given]
     scenes: dict[int, PickScene] = {}
@@ -313,7 +317,10 @@ def _given_fruit(given: Any) -> Array:
 
 
 def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
-    """Fruit drawn or given, and looked at; reachable is what is seen with a free way from below. None without fruit."""
+    """A scene of fruit, drawn or given, and seen by the camera; None if no fruit was drawn.
+
+    Its `reachable` flags the fruit that is seen and has a free way from below, whether or not the arm gets there.
+    """
     if given is None:
         positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
         if not len(positions):
@@ -334,7 +341,7 @@ def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | N
 def looked_at(
     orchard: PickSetting, rng: np.random.Generator, positions: Array, diameters: Array
 ) -> tuple[Array, Flags]:
-    """Positions of fruit as the camera sees it (n, 3), orchard frame, m, and flags of the fruit that it finds."""
+    """Positions of fruit as the camera sees it (n, 3), orchard frame, m, and flags (n,) of the fruit that it finds."""
     canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
     viewpoint, ahead = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2]), np.array([0.0, 1.0, 0.0])
     if orchard.eyes is not None:
@@ -362,9 +369,9 @@ def looked_at(
 
 
 LONGEST = 400
-"""Steps of the time budget, whatever `max_episode_steps` says: the environment is not told of that."""
+"""Steps of the time budget, whatever `max_episode_steps` is, since the environment does not know that number."""
 STILL = 1.0
-"""Time without a command after which the observation says that the arm stands still, s."""
+"""Longest time that the observation shows since the joint target moved, s."""
 MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
@@ -389,7 +396,7 @@ def make_pick(
     out_of_range: str = "clip",
     **situation: Any,
 ) -> tuple[Task, PickSetting]:
-    """Check the arguments (`pickenv/Pick-v0` explains them) and read the presets.
+    """The arm's task and the setting of fruit for arguments that `pickenv/Pick-v0` explains, checked.
 
     Raises:
         InputError: If an argument is impossible; one sentence says which.
@@ -425,7 +432,7 @@ def make_pick(
 
 
 def pick_spaces(task: Task) -> tuple[spaces.Box, spaces.Box]:
-    """Observation and action space."""
+    """The observation space and the action space."""
     bounds = box([1.0] * task.joints + [task.reach] * 6 + [2 * task.reach] * 3 + [math.pi] * 3)
     low = np.concatenate([bounds.low, np.zeros(5, np.float32)])
     high = np.concatenate([bounds.high, np.ones(5, np.float32)])
@@ -433,7 +440,7 @@ def pick_spaces(task: Task) -> tuple[spaces.Box, spaces.Box]:
 
 
 def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
-    """Reward of a step in which so much fruit was collected undamaged, and newly damaged."""
+    """Reward of a step in which ``collected`` fruit were collected undamaged and ``damaged`` fruit newly damaged."""
     return COLLECTED * collected + DAMAGED * damaged + STEP
 
 
@@ -441,12 +448,12 @@ def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
 
 
 PICK_OPTIONS = ("fruit", "start_joints", "arm")
-"""Options of `reset`."""
+"""Names of the options of `reset`."""
 
 
 PickStart = tuple[PickScene, int | None, int]
-"""The draws of an episode: the fruit, the number of the true arm, None where there is but one, and the key of the
-streams from which the situation is looked up."""
+"""The draws of an episode: the fruit, the number of the true arm (None if there is only one), and the key of the random
+streams for the situation."""
 
 
 def draw_starts(
@@ -462,15 +469,15 @@ def draw_starts(
 
     Args:
         task: The arm's task.
-        orchard: What kind of fruit.
-        reach: Where the arm gets.
+        orchard: The kind of fruit, the camera and the gripper.
+        reach: Test of what the arm reaches.
         rngs: Sources of every random draw.
-        before: Numbers of the true arms so far; with arms "per_env", one is drawn where it is None.
+        before: Numbers of the true arms so far; with arms "per_env", an arm is drawn if its number is None.
         fruit: Positions in place of drawn ones, as `reset` takes them, or None.
         arms: Numbers of arms in place of drawn ones, or None.
 
     Raises:
-        InputError: If none of the fruit is within reach, or there is no such arm.
+        InputError: If no fruit is within reach, or the population has no arm of a given number.
     """
     starts = []
     for scene, rng, arm, number in zip(draw_scenes(orchard, reach, rngs, fruit), rngs, before, arms, strict=True):

@@ -25,10 +25,10 @@ from pickenv.pictures.stage import Stage
 
 
 class PickVectorEnv(NativeVectorEnv):
-    """N environments `pickenv/Pick-v0` in one.
+    """N `pickenv/Pick-v0` in one vector environment.
 
     Environment i is the same, number by number, as a single `pickenv/Pick-v0` with seed ``seed + i``, whatever N is: to
-    the bit where that one calculates with `executor="numpy"`.
+    the bit if the single environment has `executor="numpy"`.
 
     `reset(options={"reset_mask": mask})` begins episodes where the mask is True and leaves the others alone; the other
     options are as in `pickenv/Pick-v0`, given once for all environments or once for each: "fruit" as ``(n, 3)`` or
@@ -37,7 +37,7 @@ class PickVectorEnv(NativeVectorEnv):
     Args:
         num_envs: N.
         difficulty: A rung of the ladder, as in `pickenv/Reach-v0`.
-        split: Its arms to learn on, or to be judged on.
+        split: Which of the difficulty's arms to take: "train" or "test".
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: "NextStep", "SameStep" or "Disabled", or an `AutoresetMode`.
         render_mode: None or "rgb_array".
@@ -80,15 +80,15 @@ class PickVectorEnv(NativeVectorEnv):
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
         self._ahead: dict[int, tuple[Any, pick_scene.PickStart]] = {}
-        """Episodes drawn ahead, and the states of the generators before."""
+        """Episodes drawn ahead by environment, each after the state that its generator had before the draw."""
 
     @property
     def plant(self) -> Plant:
-        """The true arm, or arms."""
+        """The true arm that all environments share, or the true arms, one per environment."""
         return self.batch.plant
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything that the next step depends on, for a checkpoint."""
+        """Arrays of everything that the next step depends on, for a checkpoint."""
         states = [
             self._ahead[row][0] if row in self._ahead else rng.bit_generator.state for row, rng in enumerate(self._rngs)
         ]
@@ -97,7 +97,7 @@ class PickVectorEnv(NativeVectorEnv):
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """The inverse of `state_arrays`, in an environment made with the same arguments."""
+        """Take over the arrays that `state_arrays` of an environment with the same arguments returned."""
         self._rngs = [np.random.Generator(np.random.PCG64(0)) for _ in range(self.num_envs)]
         for rng, words in zip(self._rngs, state["rngs"], strict=True):
             rng.bit_generator.state = state_of_words(words)
@@ -141,9 +141,9 @@ class PickVectorEnv(NativeVectorEnv):
         )
 
     def _draw_ahead(self) -> None:
-        """Draw the next episodes of all environments that have none waiting, as soon as one needs it.
+        """Draw the next episodes of all environments that have none drawn ahead.
 
-        Drawing many canopies takes little longer than drawing one, and nothing else draws from their generators.
+        Drawing many canopies takes little longer than drawing one, and nothing else draws from these generators.
         """
         rows = np.array([row for row in range(self.num_envs) if row not in self._ahead])
         before = [self._rngs[row].bit_generator.state for row in rows]
@@ -167,7 +167,7 @@ class PickVectorEnv(NativeVectorEnv):
 
 
 def _each(options: Information, name: str, count: int, rank: int) -> list[Any]:
-    """An option for each environment: what was given once for all, or once for each."""
+    """The values of option ``name``, one per environment, given once for all environments or once for each."""
     values = options.get(name)
     if values is None or np.ndim(values) < rank:
         return [values] * count
@@ -183,7 +183,7 @@ class PickBatch(NumpyArms):
     """The state of N picking arms.
 
     Attributes:
-        canopies: What hangs before them, and how they were seen last.
+        canopies: The fruit before the arms, and the latest views of the arms.
     """
 
     def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
@@ -213,7 +213,7 @@ class PickBatch(NumpyArms):
             canopies.choose(row)
 
     def advance(self, actions: Array, going: Flags, compensate: Compensate | None) -> Array:
-        """Act in all environments; what happens to the fruit, and rewards, only in those that are ``going``."""
+        """Act in all environments and give the rewards; fruit and rewards change only in those that are ``going``."""
         before = self.canopies.sight[TOOL][9:].T.copy()
         gripper, period, stirred = np.empty(self.count), np.empty(self.count), np.empty(self.count, dtype=np.bool_)
         self.canopies.moments += np.uint64(1)
@@ -225,11 +225,11 @@ class PickBatch(NumpyArms):
         return self.canopies.happen(going, before, gripper, stirred, period)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything that the next step depends on."""
+        """Arrays of everything that the next step depends on."""
         return super().state_arrays() | self.canopies.state_arrays()
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """The inverse of `state_arrays`."""
+        """Take over the arrays that `state_arrays` returned."""
         super().take_state_arrays(state)
         self.canopies.take_state_arrays(state)
 

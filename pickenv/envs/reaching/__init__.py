@@ -1,1 +1,1 @@
-"""Reach, ReachGoal, ReachIdeal, one at a time and in native vectors."""
+"""The environments Reach, ReachGoal and ReachIdeal, single and as native vectors."""

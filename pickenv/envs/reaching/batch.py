@@ -1,6 +1,6 @@
-"""Many reach tasks side by side: their state, component by component, and how an episode begins, on any executor.
+"""The state of many reach tasks side by side, component by component, and the start of their episodes.
 
-`NumpyBatch` and `torch_batch` say where the numbers live and how a step goes through them.
+`Batch` is for any executor; `NumpyBatch` and `torch_batch` say where the numbers live and how a step is computed.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class Views(NamedTuple):
 
     Attributes:
         observation: One array ``(k, count)`` per part of the observation, float32.
-        reward: ``(count,)``.
-        success: ``(count,)``.
-        numbers: What `simulation.NUMBER_KEYS` names, four rows ``(count,)``.
-        vectors: `View.vectors`, ``(12 + n, count)``; nothing without poses.
+        reward: Rewards ``(count,)``.
+        success: Flags ``(count,)`` of the environments whose fruit is inside the capture region.
+        numbers: The errors that `simulation.NUMBER_KEYS` names, four rows ``(count,)``.
+        vectors: The vectors of `View.vectors`, ``(12 + n, count)``; no rows, or None, without poses.
     """
 
     observation: tuple[Scalar, ...]
@@ -41,8 +41,8 @@ class Batch(ArmBatch, ABC):
     """The state of N reach tasks.
 
     Attributes:
-        goal_dict: Whether observations are goal dictionaries, and rewards made of them.
-        poses: Whether pose errors, commands and positions are given.
+        goal_dict: Whether observations are goal dictionaries, and rewards are computed from these.
+        poses: Whether views hold pose errors, commands and positions.
     """
 
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
@@ -50,7 +50,7 @@ class Batch(ArmBatch, ABC):
         self.goal_dict, self.poses = goal_dict, poses
 
     def copied(self, out: Views) -> Views:
-        """A copy of the views ``out``, in memory of its own."""
+        """A copy of the views ``out``."""
         return cast(Views, tree_map(self.copy, out))
 
     @abstractmethod
@@ -62,8 +62,8 @@ class Batch(ArmBatch, ABC):
         """Act in all environments.
 
         Args:
-            actions: Component by component, ``(n, N)``.
-            moments: Number of the step in each one's episode.
+            actions: Actions component by component, ``(n, N)``.
+            moments: Number of the step in each environment's episode.
             compensate: Turns joint targets into joint commands, or None.
         """
 
@@ -78,16 +78,16 @@ class Batch(ArmBatch, ABC):
         frames: Array | None = None,
         arm: NDArray[np.intp] | None = None,
     ) -> None:
-        """Begin an episode in the environments ``rows``; all else has one entry for each of these.
+        """Begin an episode in the environments ``rows``; the other arrays have one entry for each of these.
 
         Args:
-            rows: The environments.
-            seeds: Streams' seeds.
+            rows: Numbers of the environments.
+            seeds: Seeds of their random streams.
             episodes: Numbers of the episodes.
             compensate: Turns joint targets into joint commands, or None.
             start: Joint targets ``(count, n)``, or None for mid-range.
             goal: Joints of wanted poses ``(count, n)``, or None.
-            frames: Frames of wanted poses ``(count, 12)``, or None; without either they are drawn.
+            frames: Frames of wanted poses ``(count, 12)``, or None; poses are drawn if neither is given.
             arm: Numbers of true arms ``(count,)``, or None to draw them.
         """
         x, task, places = self.x, self.task, self.indices(rows)
@@ -110,7 +110,7 @@ class Batch(ArmBatch, ABC):
             self.write(self.columns, some, state.columns)
 
     def scene(self, row: int, compensate: Compensate | None) -> simulation.View:
-        """Everything that can be seen of one environment, on floats; no time passes."""
+        """The view of environment ``row``, on floats; no time passes."""
         place = self.indices(np.array([row]))
         state = self.state_of([column[place] for column in self.columns])
         command, key = self.commands(compensate, list(state.target)), self.keys[place]
@@ -119,14 +119,14 @@ class Batch(ArmBatch, ABC):
         return simulation.View(*plain)  # type: ignore[arg-type]
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
-        """Views of all, with those of the environments ``rows`` replaced; in memory of its own."""
+        """A copy of the views ``out`` of all environments, with those of the environments ``rows`` replaced."""
         out, places = self.copied(out), self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):
             all_[..., places] = few
         return out
 
     def widths(self) -> tuple[int, ...]:
-        """Numbers in each part of the observation."""
+        """Count of numbers in each part of the observation."""
         n = self.task.joints
         return (
             (n + 3, simulation.GOAL_NUMBERS, simulation.GOAL_NUMBERS)
@@ -135,7 +135,7 @@ class Batch(ArmBatch, ABC):
         )
 
     def _draw_goals(self, keys: Scalar) -> Columns:
-        """Joints of the first pose of each stream that is wanted."""
+        """The joints of the first pose that fits in the goal stream of each episode key."""
         task, streams = self.task, stream_key(self.x, keys, GOAL)
         joints = list(self.numbers(np.zeros((task.joints, len(keys)))))
         open_ = self.indices(np.arange(len(keys)))
@@ -192,7 +192,7 @@ class NumpyBatch(NumpyArms, Batch):
         moments: Words,
         dt: Scalar,
     ) -> None:
-        """Let ``dt`` pass for the environments ``where``, and put what they show into ``out`` at ``place``."""
+        """Let ``dt`` seconds pass for the environments ``where``, and put their views into ``out`` at ``place``."""
         x, task = self.x, self.task
         command = self.commands(compensate, list(state.target))
         state, scene = simulation.look(x, task, plant, state, command, self.keys[where], moments, dt)

@@ -1,7 +1,7 @@
-"""Many reach tasks side by side on NumPy's arrays, with the step compiled: the same up to roundings, in one pass.
+"""Many reach tasks side by side on NumPy's arrays, with the step compiled into one pass over the environments.
 
-The step is traced and becomes machine code (`pickenv.arm.kinematics.machine_code`) when it is first taken. Episodes
-begin on NumPy.
+Results equal those of `NumpyBatch` up to roundings. The step is traced and becomes machine code
+(`pickenv.arm.kinematics.machine_code`) when it is first taken. Episodes begin on NumPy.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ TRACER = Executor(
     word=lambda number: number & MASK,
     spares_constants=True,
 )
-"""Writes the simulation down, to be compiled."""
+"""The executor that records the simulation's operations, to be compiled."""
 
 
 class CompiledBatch(NumpyBatch):
@@ -43,7 +43,7 @@ class CompiledBatch(NumpyBatch):
         self._side_by_side()
 
     def _side_by_side(self) -> None:
-        """Put the state into one array and the arms' numbers into another, and forget the code."""
+        """Put the state into one array and the arms' numbers into another, and drop all compiled code."""
         self._table = np.array(self.columns)
         self.columns = list(self._table)
         self._arms = np.array([values for values in arrays_of(self.plant) if values.ndim == 1])
@@ -54,13 +54,13 @@ class CompiledBatch(NumpyBatch):
         self._compensate: tuple[Compensate | None, Compensate] = (None, lambda targets: targets)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the code, which is made anew."""
+        """All attributes but the compiled code and the arrays, which `__setstate__` makes anew."""
         return {
             key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code", "_compensate")
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """The inverse of `__getstate__`."""
+        """Take over the attributes that `__getstate__` returned."""
         vars(self).update(state)
         self._side_by_side()
 
@@ -82,14 +82,14 @@ class CompiledBatch(NumpyBatch):
         return out
 
     def _fast(self, compensate: Compensate) -> Compensate:
-        """The compensator, compiled where it can be; only the last one is kept."""
+        """The compensator, compiled if it can be; only the latest compiled one is kept."""
         if self._compensate[0] is not compensate:
             make: Any = getattr(compensate, "compiled", None)
             self._compensate = compensate, compensate if make is None else make(self.count)
         return self._compensate[1]
 
     def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
-        """Take one part of the step: "act", "look", or "step" for both."""
+        """Run one part of the step on ``arrays``: "act", "look", or "step" for both."""
         if part not in self._code:
             with naming_effects(self.plant, "compiled"):
                 self._code[part] = self._compiled(part)
@@ -108,12 +108,12 @@ class CompiledBatch(NumpyBatch):
         return Compiled(trace, goals, self.count)
 
     def _remembered(self, trace: Trace, state: simulation.ArmState) -> Goals:
-        """Outputs of the state's changes."""
+        """Outputs of the trace that write the state's changed numbers."""
         changed = trace.outputs("columns", state.columns[self.fixed :], DOUBLE, self.fixed)
         return trace.outputs("columns", state.columns[: self.task.joints]) + changed
 
     def _looked(self, trace: Trace, state: simulation.ArmState, command: Sequence[Traced]) -> Goals:
-        """Outputs of the memory and the views after a command."""
+        """Outputs of the trace that write the changed state and the views after a joint command."""
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
         period = task.situation.value("period", state.drawn)
@@ -135,6 +135,6 @@ class CompiledBatch(NumpyBatch):
         ]
 
     def _traced_plant(self, trace: Trace) -> Plant:
-        """The true arms, with the numbers of each as inputs."""
+        """The true arms, with each arm's numbers as inputs of the trace."""
         rows = iter(trace.inputs("arms", len(self._arms)))
         return plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)

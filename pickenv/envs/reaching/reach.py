@@ -26,15 +26,15 @@ from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
 
 FRUIT = 0.06
-"""Diameter that is drawn; a reach knows of a place alone."""
+"""Diameter with which fruit is drawn; the reach task itself has only the fruit's position."""
 
 
 def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) -> Stage:
-    """The arm, its ghost and the fruit.
+    """The scene of a reach: the arm, its ghost and the fruit.
 
     Args:
         nominal: The arm as its controller believes it to be.
-        scene: What is to be seen, on floats.
+        scene: The view of the environment, on floats.
         tolerance_mm: Radius of the capture region.
         dark: Whether the background is dark.
     """
@@ -59,7 +59,7 @@ def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) 
 
 
 def reach_eye(geometry: Geometry) -> Eye:
-    """The eye that sees an arm's whole room."""
+    """An eye that sees the whole space in which an arm moves."""
     look = arm_look(geometry)
     low, high = np.minimum(look.low, geometry.base.position), np.maximum(look.high, geometry.base.position)
     corners = np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T
@@ -67,7 +67,7 @@ def reach_eye(geometry: Geometry) -> Eye:
 
 
 VIEW: Array = np.array([0.8, 1.0, 0.45])
-"""From the arm to the eye."""
+"""Direction from the arm to the eye, base frame."""
 
 
 class ReachEnv(ArmEnv):
@@ -116,9 +116,10 @@ class ReachEnv(ArmEnv):
 
     With e the distance between true tool and fruit in mm and t the angle between true and wanted attitude in degrees:
 
-    - dense (default): -log10(1 + e) - 0.5 log10(1 + t), and outside the capture region once more what that is at the
-      region's farthest corner (1.30 with the usual tolerances), so that no failure scores as high as a success; from
-      about -5.7 (far away) to 0 (perfect). One more decimal of accuracy is worth as much at a millimetre as at a metre.
+    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region, the cost at the region's farthest
+      corner (1.30 with the usual tolerances) is subtracted as well, so that no failure scores as high as a success. The
+      reward goes from about -5.7 (far away) to 0 (perfect). One more decimal of accuracy is worth as much at a
+      millimetre as at a metre.
     - sparse: 0 while the fruit is inside the capture region, else -1.
 
     ## Starting State
@@ -179,8 +180,8 @@ class ReachEnv(ArmEnv):
     - `without` (sequence of str): effects of the plant to switch off.
     - `feedback` ("encoders" or "camera"): whether the camera's tool-to-fruit offset is part of the observation.
     - `camera_noise_mm` (float, 0 to 100, default 0): standard deviation per axis of all that the camera sees.
-    - `fruit_noise_mm` (float, 0 to 100, default None): the same for the fruit's position, seen once per episode, where
-      it is not as noisy as the camera's view of the gap.
+    - `fruit_noise_mm` (float, 0 to 100, default None): standard deviation per axis of the fruit's position, seen once
+      per episode, if it differs from that of the camera's view of the gap.
     - `tolerance_mm` (float, default 5): radius of the gripper's capture region; 5 mm is the clearance of Li's cup.
     - `angle_tolerance_deg` (float, default 10): attitude tolerance of the capture region.
     - `reward` ("dense" or "sparse").
@@ -192,7 +193,7 @@ class ReachEnv(ArmEnv):
       goes before), `population` (int, default 256) and `population_seed` (int, default 0) say which; judge a policy on
       a population that it never saw.
     - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1, as networks without bounds give them, are cut
-      to it or are an error; numbers that are not finite are always one.
+      to this range or are an error; numbers that are not finite are always an error.
     - `goal_region` (two corners [[x, y, z], [x, y, z]] of a box, m, base frame, default None): where goals are drawn.
     - `control_period_s` (s, 0.001 to 10, default 0.1): time between two actions, and with it the largest increment.
     - `latency` (whole periods, 0 to 20, default 0): how late readings of joints and camera arrive.
@@ -284,12 +285,12 @@ class ReachEnv(ArmEnv):
         return draw_reach(self.task.plant.arm.nominal, scene, self.task.tolerance_mm, self.dark)
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
-        """Observation and reward; variants with other observations override it."""
+        """The observation and the reward of a view; variants with other observations override this method."""
         reward: Scalar = simulation.true_reward(self._x, self.task, scene)
         return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 
     def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
-        """Let time pass at the present joint target, then observation, reward and information."""
+        """Let ``dt`` seconds pass at the present joint target, and return observation, reward and information."""
         state, plain = self._state, self._plain
         assert state is not None
         command = self._command(state.target)
@@ -308,7 +309,7 @@ class ReachEnv(ArmEnv):
         return observation, reward, information
 
     def _take_arm(self, number: int | None) -> None:
-        """Choose the true arm of this episode."""
+        """Make arm ``number`` the true arm of this episode, or draw one if it is None and arms are not fixed."""
         x, task = self._x, self.task
         if task.arms == "fixed" and number is None:
             return
@@ -318,7 +319,7 @@ class ReachEnv(ArmEnv):
         self._use_arm(task.given_arm(number))
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
-        """Frame of the wanted pose: as it is asked for, or of the first pose drawn that is wanted."""
+        """Frame of the wanted pose: the one that options ask for, or the first drawn pose that fits the task."""
         x, task = self._x, self.task
         joints, frame = given_goals(task, options)
         if frame is not None:
@@ -401,10 +402,10 @@ class ReachGoalEnv(ReachEnv):
 
     ## Description
 
-    The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is made
-    of what a controller can measure, so that a goal can be exchanged afterwards: position and attitude of the tool as
-    the chosen feedback measures it, against the fruit as the camera saw it and the attitude that it is to be picked in.
-    The truth stays in `info`.
+    The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is
+    computed from what a controller can measure, so that a goal can be exchanged afterwards: position and attitude of
+    the tool as the chosen feedback measures them, against the fruit as the camera saw it and the wanted attitude. The
+    truth is in `info`.
 
     ## Action Space
 
@@ -412,8 +413,8 @@ class ReachGoalEnv(ReachEnv):
 
     ## Observation Space
 
-    `Dict` of three float32 boxes; positions and axes in the base frame, R as in `pickenv/Reach-v0`. Whatever depends on
-    the goal stands in the goals alone, so that hindsight may exchange them.
+    `Dict` of three float32 boxes; positions and axes are in the base frame, R is as in `pickenv/Reach-v0`. Only the
+    goals depend on the goal, so that hindsight may exchange them.
 
     `observation`:
 
@@ -485,7 +486,7 @@ class ReachGoalEnv(ReachEnv):
         self.observation_space = goal_space(self.task)
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
-        """Reward of achieved against desired goals, ``(9,)`` or ``(N, 9)``; a number, or an array ``(N,)``."""
+        """Reward for achieved against desired goals: a number for ``(9,)``, an array ``(N,)`` for ``(N, 9)``."""
         return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
     def _observe(self, scene: View) -> tuple[Any, float]:
@@ -495,7 +496,10 @@ class ReachGoalEnv(ReachEnv):
 
 
 def rewards_of_goals(task: Task, achieved: ArrayLike, desired: ArrayLike) -> Any:
-    """Rewards of goals ``(..., 9)`` as they were returned, in float64; every batch gives each row the same bits."""
+    """Rewards, in float64, for achieved and desired goals ``(..., 9)`` from observations.
+
+    A row's reward has the same bits whatever batch the row is in.
+    """
     first, second = np.asarray(achieved, dtype=np.float64), np.asarray(desired, dtype=np.float64)
     shape = np.broadcast_shapes(first.shape, second.shape)
     have, want = (np.broadcast_to(goals, shape).reshape(-1, GOAL_NUMBERS).T.copy() for goals in (first, second))

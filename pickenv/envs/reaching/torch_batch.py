@@ -1,7 +1,7 @@
 """Many reach tasks side by side on torch: the same formulas as on NumPy, compiled into few kernels.
 
-Tensors in and out, on any device; the step does not wait for the device. Episodes begin eagerly, in the environments
-that begin one. float64 agrees with NumPy within 1e-9; float32 keeps positions within 1 um.
+A step takes and returns tensors on any device, and does not wait for the device. Episodes begin eagerly, only in the
+environments concerned. float64 agrees with NumPy within 1e-9; float32 keeps positions within 1 um.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 BLOCK = 32768
-"""Environments that begin an episode together when run eagerly on a processor: what its cache holds."""
+"""Number of environments that begin an episode together on a processor: as many as its cache holds."""
 
 MOST_FUSED = 4096
-"""Operations that may share one loop; torch's own limit of 64 cuts the step into pieces that wait for the memory."""
+"""Most operations in one loop; torch's own limit of 64 would cut the step into pieces that wait for the memory."""
 
 Tensor = torch.Tensor
 
@@ -36,10 +36,10 @@ class TorchBatch(Batch):
     """The state of N reach tasks in tensors; see `pickenv.envs.reaching.batch.Batch`.
 
     Args:
-        task: What all have in common.
+        task: The task that all environments have in common.
         count: N.
-        goal_dict: Whether observations are goal dictionaries, and rewards made of them.
-        poses: Whether pose errors, commands and positions are given.
+        goal_dict: Whether observations are goal dictionaries, and rewards are computed from these.
+        poses: Whether views hold pose errors, commands and positions.
         device: "cpu", "cuda", ...
         dtype: "float64" or "float32".
         compiled: Whether the step is compiled.
@@ -80,18 +80,18 @@ class TorchBatch(Batch):
         self._pack = self._fused(_packed)
 
     def _fused(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """``function`` compiled; on a processor into one loop, whose intermediate results never reach the memory."""
+        """``function``, compiled if asked for; on a processor into one loop that stores no intermediate results."""
         if not self._compiled:
             return function
         options: Any = {"max_fusion_size": MOST_FUSED} if self.device.type == "cpu" else {}
         return torch.compile(function, fullgraph=True, dynamic=False, options=options)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Everything but the compiled step, which is compiled anew."""
+        """All attributes but the executor and the compiled functions, which `__setstate__` makes anew."""
         return {key: value for key, value in vars(self).items() if key not in ("_step", "_see", "_pack", "x")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """The inverse of `__getstate__`."""
+        """Take over the attributes that `__getstate__` returned."""
         vars(self).update(state)
         self.x = torch_executor()
         self._make_step()
@@ -105,7 +105,7 @@ class TorchBatch(Batch):
         return torch.as_tensor(words.view(np.int64), device=self.device)
 
     def indices(self, rows: Rows) -> Tensor:
-        """Numbers of environments or arms on the device."""
+        """Numbers of environments, or of arms, on the device."""
         return torch.as_tensor(rows, device=self.device)
 
     def flags(self, flags: Flags) -> Tensor:
@@ -117,11 +117,11 @@ class TorchBatch(Batch):
         return np.asarray(values.cpu().numpy() if isinstance(values, Tensor) else values)
 
     def put(self, column: Tensor, where: Any, values: Scalar) -> None:
-        """Write into some environments of a column."""
+        """Write ``values`` into a column, for the environments ``where``."""
         column[where] = values.to(column.dtype)
 
     def copy(self, values: Tensor) -> Tensor:
-        """A tensor in memory of its own."""
+        """A copy of the tensor."""
         return values.clone()
 
     def given(self, actions: ArrayLike | Tensor) -> Tensor:
@@ -130,7 +130,10 @@ class TorchBatch(Batch):
         return torch.as_tensor(values, device=self.device)
 
     def components(self, actions: Tensor) -> tuple[Tensor, float, float]:
-        """Actions component by component, their least and their largest number: zero on a device, so as not to wait."""
+        """Actions component by component, with the least and the largest number in them.
+
+        On a device both numbers are given as zero, so that the step need not wait for them.
+        """
         low, high = torch.aminmax(actions) if self.device.type == "cpu" else (0.0, 0.0)
         return actions.T.to(self.dtype, copy=True).contiguous(), float(low), float(high)
 
@@ -164,16 +167,16 @@ class TorchBatch(Batch):
         return self._outcome(out[memory:], columns[n + 9 : n + 12])
 
     def _act(self, columns: Columns, actions: Columns, *rest: Any) -> Columns:
-        """One step of all environments, without a compensator: new targets, then what `_shown` gives."""
+        """One step of all environments without a compensator: the new joint targets, then the columns of `_shown`."""
         state = simulation.act(self.x, self.task, self.state_of(columns), actions)
         return [*state.target, *self._shown(state.columns, list(state.target), *rest)]
 
     def _shown(
         self, columns: Columns, commands: Columns, keys: Tensor, when: Tensor, dt: Scalar, plant: Plant | None = None
     ) -> Columns:
-        """Memory, observation, reward, numbers and vectors, all in one number type and side by side.
+        """Columns of memory, observation, reward, numbers and vectors, side by side and all in one number type.
 
-        That is what a processor's compiled loop is fast with: stacking, float32 and truth values come afterwards.
+        A processor's compiled loop is fast on these; stacking, float32 and truth values come afterwards.
         """
         x, plant = self.x, plant or self.plant
         state, scene = simulation.look(x, self.task, plant, self.state_of(columns), commands, keys, when, dt)
@@ -184,7 +187,7 @@ class TorchBatch(Batch):
         return [*memory, *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
 
     def _outcome(self, out: Columns, fruit: Columns) -> Views:
-        """Columns of `_shown`, after the memory, and the fruit's position as an `Views`."""
+        """The views made of the columns of `_shown` after the memory, and of the fruit's position."""
         parts = []
         for width in self.widths():
             parts.append(self._pack(out[:width], torch.float32))

@@ -25,14 +25,14 @@ from pickenv.envs.shared.task import Task, check_choice, make_task
 from pickenv.pictures.stage import Stage
 
 AUTO = ("numpy", "compiled")
-"""Executors of "auto", where llvmlite is missing, and where it is there."""
+"""Executors that "auto" chooses: the first if llvmlite is missing, the second if it is installed."""
 
 STATE = {"seeds": "_seeds", "episodes": "_episodes", "elapsed": "_elapsed", "ended": "_over"}
-"""Attributes of the environments that a checkpoint holds, by their names there."""
+"""Attributes of the environments that a checkpoint stores, by their names in the checkpoint."""
 
 
 class ReachVectorEnv(NativeVectorEnv):
-    """N environments `pickenv/Reach-v0` in one.
+    """N `pickenv/Reach-v0` in one vector environment.
 
     Environment i is the same, number by number, as a single `pickenv/Reach-v0` with seed ``seed + i``, whatever N is:
     to the bit with ``executor="numpy"`` in both, within 1e-9 between executors in float64.
@@ -50,12 +50,13 @@ class ReachVectorEnv(NativeVectorEnv):
     Args:
         num_envs: N.
         difficulty: A rung of the ladder, as in `pickenv/Reach-v0`.
-        split: Its arms to learn on, or to be judged on.
+        split: Which of the difficulty's arms to take: "train" or "test".
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: An `AutoresetMode` or its name, see the table.
-        executor: "numpy"; "compiled", the same on arrays with the step as machine code (0.1 s, once; half a second from
-            1024 environments on), up to roundings (1e-12); "auto" (default): compiled where llvmlite is installed, of
-            the extra `pickenv[compiled]`; or "torch" for tensors in and out.
+        executor: "numpy"; "compiled", also on arrays but with the step as machine code, whose results agree up to
+            roundings (1e-12) and whose compilation takes 0.1 s once (half a second from 1024 environments on); "auto"
+            (default), which is "compiled" if llvmlite of the extra `pickenv[compiled]` is installed, else "numpy"; or
+            "torch" for tensors in and out.
         compiled: torch only: whether the step is compiled (half a minute, once) or run eagerly.
         device: torch only: "cpu", "cuda", "cuda:1".
         dtype: torch only: "float64" or "float32" (positions then hold to 1 um).
@@ -113,17 +114,17 @@ class ReachVectorEnv(NativeVectorEnv):
 
     @property
     def plant(self) -> Plant:
-        """The true arm, or arms."""
+        """The true arm that all environments share, or the true arms, one per environment."""
         return self.batch.plant
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything that the next step depends on, for a checkpoint; on NumPy and not in mode "Disabled"."""
+        """Arrays of everything that the next step depends on, for a checkpoint; on NumPy and not in mode "Disabled"."""
         arrays: dict[str, NDArray[Any]] = {key: getattr(self, name) for key, name in STATE.items()}
         arrays["seeded"] = np.full(self.num_envs, self._begun)
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """The inverse of `state_arrays`, in an environment made with the same arguments."""
+        """Take over the arrays that `state_arrays` of an environment with the same arguments returned."""
         for key, name in STATE.items():
             setattr(self, name, state[key].copy())
         self._begun = bool(state["seeded"].all())
@@ -193,12 +194,12 @@ class ReachVectorEnv(NativeVectorEnv):
 
 
 Settings = Mapping[str, Any]
-"""Settings of the place where an environment computes: ``device``, ``dtype`` and ``compiled``; only torch asks."""
+"""Settings of an executor by name: ``device``, ``dtype`` and ``compiled``; only torch uses them."""
 
 
 @register("backend", "compiled")
 def _compiled(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
-    """The step as machine code on NumPy's arrays.
+    """A batch whose step is machine code on NumPy's arrays.
 
     Raises:
         MissingExtra: If llvmlite is not installed.
@@ -211,13 +212,13 @@ def _compiled(task: Task, count: int, goal_dict: bool, poses: bool, settings: Se
 
 @register("backend", "numpy")
 def _numpy(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
-    """The step on NumPy's arrays."""
+    """A batch whose step runs on NumPy's arrays."""
     return NumpyBatch(task, count, goal_dict, poses)
 
 
 @register("backend", "torch")
 def _torch(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
-    """The step on torch's tensors.
+    """A batch whose step runs on torch's tensors.
 
     Raises:
         MissingExtra: If torch is not installed.
@@ -229,7 +230,7 @@ def _torch(task: Task, count: int, goal_dict: bool, poses: bool, settings: Setti
 
 
 class ReachGoalVectorEnv(ReachVectorEnv):
-    """N environments `pickenv/ReachGoal-v0` in one; see `ReachVectorEnv`."""
+    """N `pickenv/ReachGoal-v0` in one vector environment; see `ReachVectorEnv`."""
 
     goal_dict = True
 
@@ -237,12 +238,12 @@ class ReachGoalVectorEnv(ReachVectorEnv):
         super().__init__(num_envs, reward=reward, **arguments)
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
-        """Reward of achieved against desired goals, as in `pickenv/ReachGoal-v0`."""
+        """Rewards for achieved against desired goals, as in `pickenv/ReachGoal-v0`."""
         return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
 
 class ReachIdealVectorEnv(ReachVectorEnv):
-    """N environments `pickenv/ReachIdeal-v0` in one; see `ReachVectorEnv`."""
+    """N `pickenv/ReachIdeal-v0` in one vector environment; see `ReachVectorEnv`."""
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
         super().__init__(num_envs, **{"plant": IDEAL, **arguments})

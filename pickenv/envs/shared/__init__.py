@@ -1,1 +1,1 @@
-"""The ground of all environments: tasks, arms, random streams, spaces, the simulated step."""
+"""What all environments build on: tasks, arms, random streams, spaces and the simulated step."""

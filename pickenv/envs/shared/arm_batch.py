@@ -1,4 +1,4 @@
-"""Many arms side by side: their state, component by component, on any executor; what every native batch stands on."""
+"""The state of many arms side by side, component by component, on any executor: the base of every native batch."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Columns = list[Scalar]
 
 @contextmanager
 def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
-    """Errors of an executor leave as one sentence, where effects of other packages are among it.
+    """A context in which an executor's error becomes a sentence that names the plant's effects from other packages.
 
     Raises:
-        InputError: If anything is raised inside, and the plant has such effects.
+        InputError: If anything is raised inside, and the plant has effects from other packages.
     """
     try:
         yield
@@ -42,18 +42,20 @@ def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
 
 
 class ArmBatch:
-    """The state of N arms; where their numbers live is for `numbers` to `copy`: in NumPy, unless overridden.
+    """The state of N arms, one per environment.
+
+    The methods from `numbers` to `copy` decide where the state's numbers live: in NumPy, unless overridden.
 
     Attributes:
         x: The executor.
-        block: Environments that begin an episode together.
-        task: What all have in common.
+        block: Number of environments that begin an episode together.
+        task: The task that all environments have in common.
         count: N.
-        actions: Numbers in an action.
-        arm: Number of each one's true arm.
-        plant: Their true arms.
-        population: What true arms are taken from.
-        keys: Keys of their episodes.
+        actions: Count of numbers in an action.
+        arm: Number of each environment's true arm in the population.
+        plant: The true arms of the environments.
+        population: The population that true arms are taken from.
+        keys: Keys of the environments' episodes.
         columns: The state, one column per number.
     """
 
@@ -71,11 +73,11 @@ class ArmBatch:
         self._plant_widths: list[int] = []
 
     def make_room(self, goal: int, seen: int) -> None:
-        """Make room for the arms' states, one column per number, and for what the plants remember.
+        """Make room for the arms' states, one column per number, and for the plants' memories.
 
         Args:
-            goal: Numbers of a goal.
-            seen: Numbers of the goal as it was seen.
+            goal: Count of numbers in a goal.
+            seen: Count of numbers in the goal as the camera saw it.
         """
         n, middle = self.task.joints, list(self.numbers(np.array([self.task.middle]).T))
         self._plant_widths = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
@@ -84,23 +86,23 @@ class ArmBatch:
 
     @property
     def fixed(self) -> int:
-        """Columns up to which nothing changes during an episode, but the joint target."""
+        """Count of the first columns, which stay fixed during an episode except for the joint target."""
         return sum(self._widths[:4])
 
     def numbers(self, values: Array) -> Scalar:
-        """NumPy's numbers where the executor computes, one component ``(count,)`` per row."""
+        """NumPy's numbers in the executor's memory, one component ``(count,)`` per row."""
         return np.ascontiguousarray(values)
 
     def words(self, words: Words) -> Scalar:
-        """64-bit words where the executor computes."""
+        """64-bit words in the executor's memory."""
         return words
 
     def indices(self, rows: Rows) -> Scalar:
-        """Numbers of environments, or arms, as the executor indexes with them."""
+        """Numbers of environments, or of arms, in the form that the executor indexes with."""
         return rows
 
     def flags(self, flags: Flags) -> Scalar:
-        """Truth values where the executor computes, in memory of their own."""
+        """A copy of truth values in the executor's memory."""
         return flags.copy()
 
     def host(self, values: Scalar) -> NDArray[Any]:
@@ -108,41 +110,41 @@ class ArmBatch:
         return np.asarray(values)
 
     def put(self, column: Scalar, where: Any, values: Scalar) -> None:
-        """Write into some environments of a column."""
+        """Write ``values`` into a column, for the environments ``where``."""
         column[where] = values
 
     def copy(self, values: Scalar) -> Scalar:
-        """An array in memory of its own."""
+        """A copy of the executor's numbers."""
         return np.copy(values)
 
     def given(self, actions: ArrayLike) -> Scalar:
-        """Actions as the executor's array; where there is nothing to convert they are not copied."""
+        """Actions as the executor's array; actions that need no conversion are not copied."""
         ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"
         return np.asarray(actions) if ready else as_numbers("actions", actions)
 
     def components(self, actions: Scalar) -> tuple[Scalar, float, float]:
-        """Actions ``(N, n)`` as components ``(n, N)``, their least and their largest number."""
+        """Actions ``(N, n)`` as components ``(n, N)``, with the least and the largest number in them."""
         numbers = actions.T.astype(np.float64, order="C")
         return numbers, float(numbers.min()), float(numbers.max())
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Everything that the arms' next step depends on."""
+        """The arrays of everything that the arms' next step depends on."""
         table = np.array([self.host(column) for column in self.columns])
         return {"table": table, "keys": self.host(self.keys).view(np.uint64), "arm": self.arm}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """The inverse of `state_arrays`."""
+        """Take over the arrays that `state_arrays` returned."""
         self.write(self.columns, slice(None), self.numbers(state["table"]))
         self.keys[:], self.arm[:] = self.words(state["keys"]), state["arm"]
         if self.task.arms != "fixed":
             self._exchange_arms(np.arange(self.count))
 
     def numbers_of_actions(self, actions: ArrayLike) -> Scalar:
-        """Actions component by component ``(n, N)``, checked; on a device their size is not.
+        """Actions component by component ``(n, N)``, checked; on a device only their shape is checked.
 
         Raises:
-            InputError: If they have another shape, or numbers that are not finite, or beyond -1 to 1 where the task
-                refuses them.
+            InputError: If actions have another shape, or numbers that are not finite, or numbers beyond -1 to 1 that
+                the task refuses.
         """
         values, shape, most = self.given(actions), (self.count, self.actions), self.task.most_action
         if tuple(values.shape) != shape:
@@ -157,11 +159,11 @@ class ArmBatch:
         return numbers
 
     def plant_of(self, where: Any) -> Plant:
-        """The true arms of some environments."""
+        """The true arms of the environments ``where``."""
         return plants_on(self.plant, lambda values: values[where])
 
     def state_of(self, columns: Columns) -> ArmState:
-        """The state that columns hold."""
+        """The state that is stored in ``columns``."""
         parts, first = [], 0
         for width in (*self._widths, *self._plant_widths):
             parts.append(tuple(columns[first : first + width]))
@@ -170,26 +172,29 @@ class ArmBatch:
         return ArmState(target, goal, sighting, numbers, sent, late, tuple(memory))
 
     def starts(self, keys: Scalar, joints: Array | None) -> Columns:
-        """Joint targets of episodes: as given ``(episodes, n)``, drawn, or mid-range."""
+        """Joint targets that episodes start from: ``joints (episodes, n)`` if given, else drawn, else mid-range."""
         task = self.task
         if joints is None and task.situation.spread:
             return drawn_start(self.x, task.situation, keys, task.lower, task.upper)
         return list(self.numbers((np.repeat([task.middle], len(keys), axis=0) if joints is None else joints).T))
 
     def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
-        """Joint commands for joint targets; a compensator works on NumPy."""
+        """Joint commands for joint targets; if there is a compensator, it gets and returns NumPy arrays."""
         if compensate is None:
             return targets
         joints = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
         return list(self.numbers(np.asarray(compensate(joints)).T))
 
     def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
-        """Write the columns of some environments, the last first: what waits in a queue is moved on before it goes."""
+        """Write ``values`` into columns, for the environments ``where``.
+
+        The last column is written first, so that entries of a queue are moved on before they are overwritten.
+        """
         for column, new in zip(list(columns)[::-1], list(values)[::-1], strict=True):
             self.put(column, where, new)
 
     def blocks(self, count: int) -> Iterator[tuple[int, int]]:
-        """First and last environment of each block."""
+        """The first environment of each block of ``count`` environments, and the first one after the block."""
         return ((a, min(a + self.block, count)) for a in range(0, count, self.block))
 
     def take_arms(self, rows: Rows, arms: NDArray[np.intp]) -> None:
@@ -204,17 +209,18 @@ class ArmBatch:
 
 
 class NumpyArms(ArmBatch):
-    """Arms in NumPy's arrays.
+    """The state of N arms in NumPy's arrays.
 
-    Work goes through them in blocks that stay in the cache, so that the cost per step does not grow with their number.
+    Arms are simulated in blocks that stay in the cache, so that an arm's step does not cost more the more arms there
+    are.
     """
 
     x = NUMPY
     block = 2048
-    """A component of 16 KiB, of which a few fit into a core's first cache."""
+    """Number of arms in a block: a component then has 16 KiB, and a few components fit into a core's first cache."""
 
     def make_plants(self) -> None:
-        """The true arms of all environments, and of each block of them."""
+        """Make the true arms of all environments, and those of each block of environments."""
         self.population = self.plant = self.task.plant
         if self.task.arms != "fixed":
             self.plant = plants_on(self.task.plant, lambda values: values[self.arm])

@@ -28,7 +28,7 @@ RENDER_MODES = ("human", "rgb_array")
 
 
 class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
-    """An environment that can be seen; `_stage` says what there is to see, once an episode has begun.
+    """An environment that can be drawn; its `_stage` gives the scene to draw, once an episode has begun.
 
     Attributes:
         render_mode: None, "human" or "rgb_array".
@@ -43,7 +43,11 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
         self._window: Any = None
 
     def render(self) -> Any:
-        """Draw arms, the ghost of where the controller believes them to be, and fruit: an RGB array, or a window."""
+        """Draw the arms, their ghosts where the controller believes them to be, and the fruit.
+
+        Returns:
+            An RGB array with render mode "rgb_array"; None with "human", which shows a window, and without a mode.
+        """
         if self.render_mode is None:
             gym.logger.warn(
                 "render does nothing without a render_mode; make the environment with 'rgb_array' or 'human'"
@@ -65,16 +69,16 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
             self._window = None
 
     def _stage(self) -> Stage | None:
-        """The picture, to be drawn; None before the first reset."""
+        """The scene to draw; None before the first reset."""
         raise NotImplementedError
 
 
 def checked_render_mode(mode: str | None, modes: tuple[str, ...]) -> str | None:
-    """The render mode, which is known and for which all that draws is there.
+    """The render mode ``mode``, after a check that it is known and that matplotlib is installed to draw with.
 
     Raises:
-        InputError: If it is unknown.
-        MissingExtra: If what draws is not installed.
+        InputError: If the mode is unknown.
+        MissingExtra: If a mode is given and matplotlib is not installed.
     """
     if mode is not None:
         check_choice("render_mode", mode, modes)
@@ -83,10 +87,10 @@ def checked_render_mode(mode: str | None, modes: tuple[str, ...]) -> str | None:
 
 
 def drawn(stage: Stage | None) -> Pixels:
-    """The picture of a stage.
+    """The picture of a stage, as RGB pixels.
 
     Raises:
-        InputError: If there is none, since no episode has begun.
+        InputError: If ``stage`` is None, since no episode has begun.
     """
     from pickenv.pictures.drawers import painted
 
@@ -103,7 +107,7 @@ class ArmEnv(DrawnEnv):
     """An environment of one arm.
 
     Attributes:
-        task: What it simulates.
+        task: The task that it simulates.
         plant: The true arm.
         compensator: Turns joint targets into joint commands, or None.
     """
@@ -130,7 +134,7 @@ class ArmEnv(DrawnEnv):
 
     @property
     def arm(self) -> int:
-        """Number of the true arm in its population; 0 for a fixed one."""
+        """Number of the true arm in its population; 0 for a fixed arm."""
         return self._arm or 0
 
     @property
@@ -139,7 +143,7 @@ class ArmEnv(DrawnEnv):
         return np.array(self.task.increment)
 
     def _use_arm(self, number: int) -> None:
-        """Make one arm of the population the true one."""
+        """Make the arm ``number`` of the population the true arm."""
         self._arm = number
         if self._x is FLOATS:
             self.plant = plant_at(self.task.plant, number)
@@ -147,7 +151,7 @@ class ArmEnv(DrawnEnv):
             self.plant = exact_plant(plants_on(self.task.plant, lambda values: values[number : number + 1]))
 
     def _start(self, joints: Any) -> Sequence[Scalar]:
-        """Joint target to start from: as it is asked for, drawn, or mid-range."""
+        """The joint target that an episode starts from: ``joints`` if given, else drawn, else mid-range."""
         task = self.task
         if joints is not None:
             return self._numbers(task.given_joints("start_joints", joints).tolist())
@@ -165,7 +169,7 @@ class ArmEnv(DrawnEnv):
         return self._numbers(command.tolist())
 
     def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:
-        """Floats as the executor wants them."""
+        """Floats in the executor's form: as they are, or as NumPy arrays of one number."""
         return values if self._x is FLOATS else [np.array([value]) for value in values]
 
     def _plain(self, values: Sequence[Scalar]) -> list[float]:
@@ -187,14 +191,14 @@ GHOST_WORDS = f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}"
 
 
 def arm_at_work(geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array) -> arm_shapes.Solids:
-    """The true arm and its ghost.
+    """The solids of the true arm and its ghost.
 
     Args:
         geometry: The nominal arm.
-        command: What the drives got ``(n,)``, rad or m.
+        command: Joint command that the drives got ``(n,)``, rad or m.
         tool: True tool position ``(3,)``, m.
-        axis: Direction in which it points ``(3,)``.
-        believed: Where the controller believes it ``(3,)``, m.
+        axis: Direction in which the tool points ``(3,)``.
+        believed: Tool position that the controller believes ``(3,)``, m.
     """
     look = arm_shapes.arm_look(geometry)
     true = arm_shapes.arm_solids(look, true_points(geometry, command, tool), axis)
@@ -204,23 +208,23 @@ def arm_at_work(geometry: Geometry, command: Array, tool: Array, axis: Array, be
 
 
 def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
-    """Ground, and what the arm's base stands on."""
+    """The ground, and the pedestal that the arm's base stands on."""
     x, y, z = (float(value) for value in geometry.base.position)
     return ground_around(x, y, ground, dark), pedestal(x, y, ground, z, float(arm_shapes.arm_look(geometry).radius[0]))
 
 
 def ground_below(look: arm_shapes.ArmLook, geometry: Geometry) -> float:
-    """Height of a ground that an arm does not reach, m."""
+    """Height of a ground that is low enough for an arm never to reach it, m."""
     return float(min(look.low[2] - 0.1, geometry.base.position[2] - 0.35))
 
 
 def across(axis: Array, offset: Array) -> Array:
-    """The part of an offset (m) across the tool's axis, to the right and up as the eye sees it ``(2,)``, mm."""
+    """The part of an offset (m) that lies across the tool's axis: right and up as the eye sees them ``(2,)``, mm."""
     right = np.cross([0.0, 1.0, 0.0], axis)
     right /= max(float(np.linalg.norm(right)), 1e-9)
     return 1e3 * np.array([offset @ -right, offset @ -np.cross(axis, right)])
 
 
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
-    """The true tool's place, seen from the fruit along the tool's axis."""
+    """A dial of the true tool's offset from the fruit (tool minus fruit, m), seen along the tool's axis."""
     return Dial(across(axis, offset)[None], tolerance_mm, MARK)

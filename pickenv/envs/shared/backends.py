@@ -1,7 +1,8 @@
 """The arithmetic that the simulation runs on: Python floats, NumPy arrays, torch tensors, or machine code.
 
-An executor bundles the namespace of kinematics (`pickenv.arm.kinematics.backend` has what the three spell
-differently) with 64-bit integers modulo 2^64 for the random streams. torch is imported when its executor is asked for.
+An executor bundles the namespace that kinematics uses (`pickenv.arm.kinematics.backend` has the functions that math,
+NumPy and torch spell differently) with 64-bit integers modulo 2^64 for the random streams. torch is imported only when
+its executor is asked for.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ from pickenv.arm.kinematics.forward import Scalar as Scalar
 from pickenv.base import require
 
 Flags = NDArray[np.bool_]
-"""Truth values, one for each environment, fruit, ..."""
+"""Truth values, one for each environment, or one for each fruit, and so on."""
 
 Rows = NDArray[np.intp]
-"""Numbers of environments."""
+"""Array of environments' numbers, counted from 0."""
 
 MASK = 2**64 - 1
 
@@ -40,7 +41,8 @@ class Executor:
         shifted: A 64-bit word shifted to the right by a constant, zeros moving in.
         unit: Uniform number in [0, 1) from the upper 53 bits of a word.
         word: A 64-bit word from Python integers in [0, 2^64).
-        spares_constants: Whether `pickenv.envs.shared.task` pays: where every operation walks through an array.
+        spares_constants: Whether the `Exact` zeros and ones of `pickenv.envs.shared.task` save work, as they do if
+            every operation goes through an array.
     """
 
     name: str
@@ -53,7 +55,7 @@ class Executor:
     spares_constants: bool = False
 
     def __reduce__(self) -> tuple[Callable[[str], Executor], tuple[str]]:
-        """Pickled and copied by name: modules and lambdas are neither."""
+        """Pickle and copy the executor by its name, since modules and lambdas cannot be pickled."""
         return executor_named, (self.name,)
 
 
@@ -66,7 +68,7 @@ FLOATS = Executor(
     unit=lambda word: (word >> 11) * 2.0**-53,
     word=lambda number: number & MASK,
 )
-"""One environment on Python floats: the fastest way to take a single step."""
+"""The executor of one environment on Python floats: the fastest way to take a single step."""
 
 NUMPY = Executor(
     name="numpy",
@@ -78,12 +80,12 @@ NUMPY = Executor(
     word=lambda number: np.uint64(number & MASK),
     spares_constants=True,
 )
-"""Batches of environments as NumPy arrays, one array per component."""
+"""The executor of batches of environments as NumPy arrays, one array per component."""
 
 
 @lru_cache(maxsize=1)
 def torch_executor() -> Executor:
-    """Batches of environments as torch tensors on any device; 64-bit words are kept in int64."""
+    """The executor of batches of environments as torch tensors on any device; 64-bit words are kept in int64."""
     require("torch")
     import torch
 
@@ -102,7 +104,7 @@ def torch_executor() -> Executor:
 
 
 def executor_named(name: str) -> Executor:
-    """One of the executors, by its name."""
+    """The executor with this name: "floats", "numpy" or "torch"."""
     return torch_executor() if name == "torch" else {executor.name: executor for executor in (FLOATS, NUMPY)}[name]
 
 
@@ -122,19 +124,19 @@ GOLDEN = 0x9E3779B97F4A7C15
 """2^64 divided by the golden ratio, odd: the step of the Weyl sequence."""
 
 GOAL, FRUIT, CAMERA, ARM, DRAWN, START, JOINTS = range(1, 8)
-"""Streams of one episode: the wanted pose, the fruit as the camera saw it, the camera in each step, the true arm, what
-else is drawn for the episode, where it starts, the joints' readings in each step."""
+"""Numbers of an episode's random streams: for the wanted pose, the fruit as the camera saw it, the camera's noise in
+each step, the true arm, the numbers of the situation, the start, and the joint readings' noise in each step."""
 
 
 def mixed(x: Executor, word: Scalar) -> Scalar:
-    """A 64-bit word with its bits thoroughly mixed, one to one."""
+    """The 64-bit word ``word`` with its bits thoroughly mixed, one to one."""
     word = x.times(word ^ x.shifted(word, 30), 0xBF58476D1CE4E5B9)
     word = x.times(word ^ x.shifted(word, 27), 0x94D049BB133111EB)
     return word ^ x.shifted(word, 31)
 
 
 def episode_key(x: Executor, seed: Scalar, episode: Scalar) -> Scalar:
-    """Key of an episode: 64-bit words (or arrays of them) in, a word out."""
+    """Key of an episode, a 64-bit word, from the words of its seed and its number; arrays of words give an array."""
     first = mixed(x, x.plus(seed, x.word(GOLDEN)))
     return mixed(x, x.plus(first, x.times(episode, GOLDEN)))
 
@@ -145,13 +147,16 @@ def stream_key(x: Executor, key: Scalar, stream: int) -> Scalar:
 
 
 def uniform(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
-    """Uniform number in [0, 1): the one numbered ``draw`` of the stream ``key``; an int, or words like ``key``."""
+    """The uniform number in [0, 1) at place ``draw``, an int or words like ``key``, of the stream ``key``."""
     step = x.word(draw * GOLDEN) if isinstance(draw, int) else x.times(draw, GOLDEN)
     return x.unit(mixed(x, x.plus(key, step)))
 
 
 def normal(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
-    """Standard normal number (Box and Muller 1958); it uses up the uniform numbers 2 ``draw`` and 2 ``draw`` + 1."""
+    """The standard normal number at place ``draw`` of the stream ``key`` (Box and Muller 1958).
+
+    It uses up the stream's uniform numbers 2 ``draw`` and 2 ``draw`` + 1.
+    """
     first = 2 * draw if isinstance(draw, int) else x.times(draw, 2)
     second = first + 1 if isinstance(draw, int) else x.plus(first, x.word(1))
     radius = x.m.sqrt(-2.0 * x.m.log(1.0 - uniform(x, key, first)))
@@ -159,7 +164,7 @@ def normal(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
 
 
 def seed_word(seed: int) -> int:
-    """A seed of any size as 64 bits; seeds below 2^64 stay as they are."""
+    """A seed of any size as a word of 64 bits; seeds below 2^64 stay as they are."""
     word = 0
     while True:
         word ^= seed & MASK
@@ -169,19 +174,19 @@ def seed_word(seed: int) -> int:
 
 
 def fresh_seed(generator: Any) -> int:
-    """A seed for an environment that was given none, from its own generator."""
+    """A seed drawn from an environment's own generator, for an environment that was given no seed."""
     return int(generator.integers(2**63))
 
 
 def words_of_state(state: Mapping[str, Any]) -> list[int]:
-    """The state of a generator of Gymnasium's (PCG64) as six words of 64 bits."""
+    """The state of a Gymnasium generator (PCG64) as six words of 64 bits."""
     inner = state["state"]
     wide = [word for number in (inner["state"], inner["inc"]) for word in (number >> 64, number & MASK)]
     return [*wide, state["has_uint32"], state["uinteger"]]
 
 
 def state_of_words(words: Iterable[int]) -> dict[str, Any]:
-    """The inverse of `words_of_state`."""
+    """The state of a generator (PCG64) from the six words that `words_of_state` returned."""
     high, low, high_step, low_step, has, last = map(int, words)
     numbers = {"state": high << 64 | low, "inc": high_step << 64 | low_step}
     return {"bit_generator": "PCG64", "state": numbers, "has_uint32": has, "uinteger": last}

@@ -1,6 +1,7 @@
-"""The ladder: named difficulties of Reach and Pick, the same for everybody, each with arms to learn on and to judge by.
+"""The ladder: named difficulties of Reach and Pick, so that results can be compared.
 
-What a difficulty means never changes within a version of the ladder; what it leaves open is for the user to choose.
+Each difficulty fixes some arguments of an environment, and with them arms to train on and other arms to test on. These
+arguments never change within a version of the ladder; all others are for the user to choose.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ _ORCHARD: dict[str, Any] = {
 _DAY: dict[str, Any] = {**_ORCHARD, "hours_on": [0.0, 8.0]}
 
 LADDER_VERSION = 2
-"""Say it beside results. In version 1 the sizes of "own_eyes" in Reach had no source."""
+"""Version of the ladder, to be stated beside results. In version 1 the sizes of "own_eyes" in Reach had no source."""
 
 LADDER: dict[str, dict[str, Any]] = {
     "ideal": {"plant": "ideal"},
@@ -33,9 +34,9 @@ LADDER: dict[str, dict[str, Any]] = {
     "day": _DAY,
     "own_eyes": _DAY,
 }
-"""Arguments that each difficulty fixes, from the easiest: no error; arms made well; arms made badly; compliance,
-backlash, heat and ground, with late and noisy readings; at any hour of a working day; and seen with the machine's own
-cameras."""
+"""Arguments that each difficulty fixes, from the easiest on. "ideal" has no error, "fine" has arms made well, "coarse"
+arms made badly. "orchard" adds compliance, backlash, heat and ground, with late and noisy readings; "day" is that at
+any hour of a working day; "own_eyes" is that seen with the machine's own cameras."""
 
 EYES: dict[str, dict[str, Any]] = {
     "Reach": {"feedback": "camera", "camera_noise_mm": 1.6, "fruit_noise_mm": 6.3},
@@ -44,29 +45,29 @@ EYES: dict[str, dict[str, Any]] = {
 """Arguments that "own_eyes" adds, from pictures of trees that were rendered and read
 (`pickenv/orchard/presets/sight.toml`).
 
-Pick draws recall and errors from those tables. Reach knows one size for all axes, the root of their mean square: of
-fruit among leaves as Li's detector locates them from 1.0 to 1.4 m (table li2016-li2016; 4.4 mm across, 4.0 up, 9.2 in
-depth), and for the camera on the tool, from which no leaf hides the fruit, of bare fruit by circles (table
-li2016_bare-circles; 0.4, 0.4 and 2.7 mm). Simulated; a real camera had an RMSE of 6 mm and a bias of 17 mm (Neupane
-et al. 2021)."""
+Pick draws recall and errors from the tables in that file. Reach has one size of error for all axes, the root of the
+axes' mean square. Its fruit noise is that of fruit among leaves as Li's detector locates them from 1.0 to 1.4 m (table
+li2016-li2016; 4.4 mm across, 4.0 up, 9.2 in depth). Its camera noise, for the camera on the tool, from which no leaf
+hides the fruit, is that of bare fruit located by circles (table li2016_bare-circles; 0.4, 0.4 and 2.7 mm). All these
+are simulated; a real camera had an RMSE of 6 mm and a bias of 17 mm (Neupane et al. 2021)."""
 
 SPLITS = ("train", "test")
-"""Arms to learn on, and others to be judged on."""
+"""Names of a difficulty's two populations of arms: one to train on, another to test on."""
 
 POPULATION = {"train": 256, "test": 64}
 
 
 def on_ladder(task: str, difficulty: str | None, split: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """An environment's arguments with what a difficulty fixes.
+    """An environment's arguments, together with those that a difficulty fixes.
 
     Args:
         task: "Reach" or "Pick".
         difficulty: A key of `LADDER`, or None for the arguments alone.
         split: One of `SPLITS`.
-        arguments: What else was asked for.
+        arguments: The arguments that the user gave.
 
     Raises:
-        InputError: If there is no such difficulty or split, or an argument is fixed by the difficulty.
+        InputError: If there is no such difficulty or split, or the user gave an argument that the difficulty fixes.
     """
     if split not in SPLITS:
         raise InputError(f"split is {split!r}; give one of {', '.join(SPLITS)}")

@@ -23,11 +23,11 @@ from pickenv.pictures.stage import Stage
 
 
 class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
-    """N environments; the i-th is seeded with ``seed + i`` and does not depend on how many there are.
+    """N environments in one; the i-th is seeded with ``seed + i`` and does not depend on how many there are.
 
     Attributes:
-        task: What all simulate.
-        options: What `reset` takes beside a mask.
+        task: The task that all environments simulate.
+        options: Names of the options that `reset` takes beside a mask.
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         compensator: Turns joint targets into joint commands, or None.
     """
@@ -66,10 +66,11 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, Information]:
-        """Begin episodes in all environments, or in those of ``options["reset_mask"]``; see the class.
+        """Begin episodes in all environments, or in those where ``options["reset_mask"]`` is True.
 
         Args:
-            seed: Environment i gets ``seed + i``, or entry i of a sequence; None goes on with its stream.
+            seed: Environment i gets ``seed + i``, or entry i of a sequence; with None it goes on with its own stream
+                of random numbers.
             options: See the class.
         """
         options = given_options(options, (*self.options, "reset_mask"))
@@ -85,11 +86,11 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         return self._observation(), self._masked(mask)
 
     def step(self, actions: ArrayLike) -> tuple[Any, Any, Any, Any, Information]:
-        """Act in all environments; those that are over begin anew as the autoreset mode says.
+        """Act in all environments; those whose episode is over begin a new one as the autoreset mode says.
 
         Raises:
-            InputError: If actions have another shape or impossible numbers, before the first reset, or if an episode
-                that ended was not reset.
+            InputError: If actions have another shape or impossible numbers, if `reset` was never called, or if an
+                episode that ended was not reset.
         """
         values, over, live = self._checked(actions), self._over, np.ones(self.num_envs, dtype=np.bool_)
         if not self._begun:
@@ -123,7 +124,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         return tuple(drawn(self._stage(row) if self._begun else None) for row in range(self.num_envs))
 
     def _set_spaces(self, observations: Space[Any], actions: Space[Any]) -> None:
-        """Take the spaces of one environment."""
+        """Set the spaces of one environment, and those of all N made of them."""
         self.single_observation_space, self.single_action_space = observations, actions
         self.observation_space = batch_space(observations, self.num_envs)
         self.action_space = batch_space(actions, self.num_envs)
@@ -134,54 +135,58 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         self._elapsed[rows], self._over[rows] = 0, False
 
     def _masked(self, mask: Flags) -> Information:
-        """Infos as a dict of arrays with masks; what is outside the mask is zero."""
+        """Infos as a dict of arrays, each with ``mask`` as its ``_key``; values outside the mask are zero."""
         infos, flags = self._information(), self._flags(mask)
         if not mask.all():
             infos = {key: values * flags.reshape(-1, *[1] * (values.ndim - 1)) for key, values in infos.items()}
         return infos | {f"_{key}": flags for key in infos}
 
     def _flags(self, flags: Flags) -> Any:
-        """Truth values as they are returned, in memory of their own."""
+        """A copy of truth values in the form in which `step` returns them."""
         return flags.copy()
 
     def _seed(self, row: int, seed: int | None) -> None:
-        """Give an environment another stream of random numbers: of a seed, or of none in particular."""
+        """Give environment ``row`` a new stream of random numbers, from ``seed`` or, if it is None, a fresh seed."""
         self._rngs[row] = seeding.np_random(seed)[0]
 
     @abstractmethod
     def _checked(self, actions: ArrayLike) -> Any:
-        """Actions as `_act` wants them."""
+        """Actions, checked and in the form that `_act` takes."""
 
     @abstractmethod
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
-        """Begin episodes in the environments ``rows``; ``seeded`` says which of all were just given a seed."""
+        """Begin episodes in the environments ``rows``; ``seeded`` flags those of all N that were just given a seed."""
 
     @abstractmethod
     def _act(self, actions: Any, live: Flags) -> Any:
-        """Let time pass in the environments ``live``; the others begin anew next. Rewards of all, zero elsewhere."""
+        """Let time pass in the environments ``live``; the others begin new episodes afterwards.
+
+        Returns:
+            The rewards of all environments, zero in those that are not live.
+        """
 
     @abstractmethod
     def _finished(self) -> Flags:
-        """Environments whose episode is over."""
+        """Flags of the environments whose episode is over."""
 
     @abstractmethod
     def _observation(self) -> Any:
-        """The observations of all."""
+        """The observations of all environments."""
 
     @abstractmethod
     def _information(self) -> Information:
-        """The truth about all, arrays with a leading axis of environments."""
+        """The infos of all environments: arrays by name, with a leading axis of environments."""
 
     @abstractmethod
     def _stage(self, row: int) -> Stage:
-        """The picture of one environment, to be drawn."""
+        """The scene of environment ``row``, to be drawn."""
 
 
 def checked_mask(mask: Any, count: int) -> Flags:
-    """Flags of the environments, of ``count``, that a reset is about: all where nothing is given.
+    """Flags of those of ``count`` environments that a reset begins anew; all of them if ``mask`` is None.
 
     Raises:
-        InputError: If it is not one truth value each, at least one of them True.
+        InputError: If ``mask`` is not one truth value per environment, at least one of them True.
     """
     flags = np.ones(count, dtype=np.bool_) if mask is None else np.array(mask)
     if flags.dtype != np.bool_ or flags.shape != (count,) or not flags.any():
@@ -193,10 +198,10 @@ def checked_mask(mask: Any, count: int) -> Flags:
 
 
 def checked_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """A seed for each of ``count`` environments, ``seed + i`` for the i-th; None goes on with its stream.
+    """A seed for each of ``count`` environments: ``seed + i`` for the i-th; None lets it go on with its own stream.
 
     Raises:
-        InputError: If another number of seeds is given, or a negative one.
+        InputError: If another number of seeds is given, or a negative seed.
     """
     if seed is None:
         return [None] * count
@@ -210,7 +215,10 @@ def checked_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[i
 
 
 def final_rows(observations: Any, rows: Rows, count: int) -> Any:
-    """The observations of ``rows`` in an object array of all, as `SyncVectorEnv` gives them; tensors as they are."""
+    """The observations of ``rows`` in an object array of length ``count``, as `SyncVectorEnv` gives them.
+
+    The other entries are None. Tensors are returned as they are.
+    """
     parts = observations.values() if isinstance(observations, dict) else [observations]
     if not all(isinstance(part, np.ndarray) for part in parts):
         return observations

@@ -1,8 +1,8 @@
 """The reach task as pure functions on components: increments, joint target, plant, errors, observation and reward.
 
 Written once and run on Python floats (one environment), NumPy arrays or torch tensors (many): see
-`pickenv.envs.shared.backends`. Between `move` and `look` stands the one seam where a compensator turns joint targets
-into joint commands. Units: m, rad, s; millimetres and degrees only in what a name says carries them.
+`pickenv.envs.shared.backends`. Between `move` and `look` is the one place where a compensator turns joint targets into
+joint commands. Units: m, rad, s; millimetres and degrees only where a name ends in mm or deg.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ DEGREES = 57.29577951308232
 """Degrees in one radian."""
 
 GOAL_NUMBERS = 9
-"""Numbers in a goal: its position, and the z and x axes of its attitude."""
+"""Count of numbers in a goal: its position, and the z and x axes of its attitude."""
 
 NUMBER_KEYS = ("position_error_mm", "attitude_error_deg", "noncompensable_deg", "compensable_deg")
 
@@ -37,12 +37,12 @@ class ArmState(NamedTuple):
 
     Attributes:
         target: Nominal joint target that the actions have built up, n.
-        goal: Frame of the fruit with the wanted attitude, 12; empty in Pick, whose fruit are elsewhere.
+        goal: Frame of the fruit with the wanted attitude, 12; empty in Pick, which keeps its fruit in a `PickScene`.
         seen: Fruit position as the camera saw it, 3; empty in Pick.
-        drawn: What was drawn for the episode, in the order of `Situation.drawn`.
-        sent: Actions under way, the latest first.
-        sensed: Readings under way, the latest first.
-        plant: What the true arm remembers.
+        drawn: Numbers drawn for the episode, in the order of `Situation.drawn`.
+        sent: Delayed actions that have not taken effect yet, the latest first.
+        sensed: Delayed readings that have not arrived yet, the latest first.
+        plant: Memory of the true arm.
     """
 
     target: Components
@@ -55,27 +55,27 @@ class ArmState(NamedTuple):
 
     @property
     def columns(self) -> list[Scalar]:
-        """All its numbers, one after the other."""
+        """All numbers of the state, one after the other."""
         return list(chain(*self[:-1], *self.plant))
 
 
 class View(NamedTuple):
-    """All that can be seen, from outside, of a moment: the observation takes a part of it, the information another.
+    """Everything that can be measured at one moment, beliefs and truth; observation and information are parts of it.
 
     Attributes:
         readings: Joint readings scaled to the joint limits, n.
         believed: Believed tool position, 3.
         attitude: The believed tool's z and x axes, 6.
-        wanted: The wanted ones, 6.
+        wanted: The wanted tool's z and x axes, 6.
         seen: Fruit position as the camera saw it, 3.
         offset: Fruit as seen, with the wanted attitude, against the believed tool: m and rotation vector, 6.
         camera: Fruit minus true tool position as the camera measures it, 3; empty without camera feedback.
-        command: What the drives got, n.
+        command: Joint command that the drives got, n.
         tool: True tool position, 3.
         fruit: True fruit position, 3.
         error: True tool against fruit: m and rotation vector, 6.
-        numbers: Its length, mm, its angle, deg, the part of the angle that no joint motion removes, and the rest of it,
-            as `NUMBER_KEYS` names them.
+        numbers: Size of the error in the order of `NUMBER_KEYS`: its length, mm, its angle, the part of the angle that
+            no joint motion removes, and the rest of the angle, deg.
         success: Whether the fruit is inside the capture region.
     """
 
@@ -100,7 +100,7 @@ class View(NamedTuple):
 
 
 def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[Frame], Frame]:
-    """Frames of the nominal arm's links (base first), and of its tool, at joints ``q``."""
+    """The frames of the nominal arm's links (base first), and the frame of its tool, at joints ``q``."""
     chain = task.exact if x.spares_constants else task.nominal
     links = frames(x.m, chain, q)
     tool = attach(links[-1], chain.tool)
@@ -108,13 +108,18 @@ def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[F
 
 
 def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[list[Scalar], Scalar]:
-    """Joints drawn for a wanted pose, and whether its tool is in the region and points upwards within the largest tilt.
+    """Draw joints for a wanted pose, and say whether the pose fits.
+
+    It fits if its tool is in the task's region and points upwards within the largest tilt.
 
     Args:
         x: The executor.
         task: The task.
         key: Key of the episode's goal stream.
-        attempt: Number of the attempt, from 0; the first that fits is the goal.
+        attempt: Number of the attempt, from 0; the first pose that fits becomes the goal.
+
+    Returns:
+        The joints, and whether they fit.
     """
     joints = []
     for i, (low, high) in enumerate(zip(task.lower, task.upper, strict=True)):
@@ -129,7 +134,7 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
 
 
 def drawn_arm(x: Executor, task: Task, seed: Scalar, key: Scalar) -> Scalar:
-    """Number of an episode's true arm, before its fraction is cut off.
+    """Number of an episode's true arm, with a fraction that the caller cuts off.
 
     Args:
         x: The executor.
@@ -152,7 +157,7 @@ def begin(
     command: Sequence[Scalar],
     gripper: int = 0,
 ) -> ArmState:
-    """State at the start of an episode.
+    """The state of an arm at the start of an episode.
 
     Args:
         x: The executor.
@@ -160,9 +165,9 @@ def begin(
         plant: The true arm, or arms.
         key: Key of the episode.
         start: Joint target to start from.
-        goal: Frame of the fruit with the wanted attitude, or nothing.
-        command: What the drives get for ``start``.
-        gripper: Numbers of an action after the joints'.
+        goal: Frame of the fruit with the wanted attitude, or empty.
+        command: Joint command that the drives get for ``start``.
+        gripper: Count of the numbers that follow the joints' in an action.
     """
     setting, sighting = task.situation, goal[9:]
     if task.fruit_noise:
@@ -183,7 +188,7 @@ def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Sca
 
 
 def act(x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]) -> ArmState:
-    """The state after an action: `move` gives its joint target, from an earlier action where actions are delayed."""
+    """The state after an action: its joint target moved by the action, or by an earlier one if actions are delayed."""
     setting, values = task.situation, state.drawn
     action, sent = situation.acted(x, setting, values, state.sent, action)
     target = move(x, task, state.target, situation.in_period(x, setting, values, action))
@@ -200,20 +205,20 @@ def look(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[ArmState, View]:
-    """Hold the joint command for ``dt`` seconds and see where the true tool is.
+    """Hold the joint command for ``dt`` seconds and measure where the true tool is.
 
     Args:
         x: The executor.
         task: The task.
         plant: The true arm, or arms.
         state: The state, with its new joint target.
-        command: What the drives get for that target.
+        command: Joint command that the drives get for that target.
         key: Key of the episode.
-        moment: Number of the step in its episode, a 64-bit word; used for the noise of camera and joints only.
-        dt: s, one number or one per environment; the plain number 0.0 at the start of an episode.
+        moment: Number of the step in its episode, a 64-bit word; used only for the noise of camera and joints.
+        dt: Time, s: one number or one per environment; the plain number 0.0 at the start of an episode.
 
     Returns:
-        The state afterwards, and everything that can be seen.
+        The state afterwards, and the view of it.
     """
     m, target, goal, sighting, setting = x.m, state.target, state.goal, state.seen, task.situation
     plant_state, ended = plant.advance(m, state.plant, command, dt)
@@ -276,12 +281,12 @@ def length(x: Executor, vector: Sequence[Scalar]) -> Scalar:
 
 
 def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
-    """Whether a tool this far from the fruit has it inside the capture region."""
+    """Whether a tool at this distance and angle from the fruit has the fruit inside its capture region."""
     return (distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg)
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[Scalar]) -> Scalar:
-    """Size of the part of a small turn that lies across all revolute axes: no joint motion removes it."""
+    """Size of the part of a small turn that is perpendicular to all revolute axes: no joint motion removes it."""
     if task.lost_axes is None:
         return 0.0 * sum(turn)
     ax, ay, az = inexact(links[task.lost_axes[0] + 1][6:9])
@@ -299,9 +304,9 @@ def flat_observation(scene: View) -> Components:
 def goal_observation(scene: View) -> tuple[Components, Components, Components]:
     """The numbers of observation, achieved goal and desired goal.
 
-    Goals are `GOAL_NUMBERS` long: a position, and an attitude by its z and x axes. Achieved is the tool as the chosen
-    feedback measures it: at the believed position, or at the fruit as seen less the camera's offset, in the believed
-    attitude. Desired is the fruit as the camera saw it, in the wanted attitude.
+    Goals are `GOAL_NUMBERS` long: a position, and an attitude by its z and x axes. The achieved goal is the tool as the
+    chosen feedback measures it: at the believed position, or with a camera at the fruit as seen minus the camera's
+    offset, in the believed attitude. The desired goal is the fruit as the camera saw it, in the wanted attitude.
     """
     place = scene.believed
     if scene.camera:
@@ -321,13 +326,13 @@ def _frame(goal: Sequence[Scalar]) -> Frame:
 
 
 def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
-    """Reward from the truth: see `pickenv/Reach-v0`."""
+    """Reward for where the true tool is: see `pickenv/Reach-v0`."""
     distance_mm, angle_deg, *_ = scene.numbers
     return _reward(x, task, scene.success, distance_mm, angle_deg)
 
 
 def goal_reward(x: Executor, task: Task, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> Scalar:
-    """Reward of an achieved against a desired goal, `GOAL_NUMBERS` each: see `pickenv/ReachGoal-v0`."""
+    """Reward for an achieved against a desired goal, `GOAL_NUMBERS` each: see `pickenv/ReachGoal-v0`."""
     dx, dy, dz, *turn = goal_gap(x.m, achieved, desired)
     distance_mm, angle_deg = 1e3 * length(x, (dx, dy, dz)), DEGREES * length(x, turn)
     return _reward(x, task, in_capture_region(task, distance_mm, angle_deg), distance_mm, angle_deg)

@@ -1,7 +1,8 @@
-"""When an episode's arm acts and senses, how surely, and from where it starts: numbers, or ranges drawn per episode.
+"""The situation of an episode: delays and noise of acting and sensing, hours on, and the start.
 
-Written on components like `pickenv.envs.shared.simulation`, for floats, arrays and tensors. What is left at its default
-costs nothing and changes no bit. Units: s, rad, m.
+Each is a number, or a range from which every episode draws. The functions work on components, like those of
+`pickenv.envs.shared.simulation`, for floats, arrays and tensors. Arguments left at their defaults cost nothing and
+change no bit. Units: s, rad, m.
 """
 
 from __future__ import annotations
@@ -22,25 +23,25 @@ from pickenv.base.limits import shown
 from pickenv.envs.shared.backends import DRAWN, JOINTS, START, Executor, normal, stream_key, uniform
 
 CONTROL_PERIOD = 0.1
-"""Time between two actions where none is asked for, s: with the arm file's joint speeds it bounds one increment."""
+"""Default time between two actions, s: with the joint speeds of the arm's file it bounds one increment."""
 
 MOST_STEPS = 20
-"""Periods by which actions or readings can be late: all of them are kept."""
+"""Largest number of periods by which actions or readings can be late; so many of them have to be stored."""
 
 Components = tuple[Scalar, ...]
 Given = float | Sequence[float]
-"""A number, or the least and the largest of a range."""
+"""A number, or a range by its least and its largest number."""
 
 
 class Span(NamedTuple):
-    """A number that is drawn uniformly for each episode, or the same in all of them; whole where its ends are ints."""
+    """The range of a number that each episode draws uniformly; it is constant if both ends are equal, whole if ints."""
 
     low: float
     high: float
 
     @property
     def varies(self) -> bool:
-        """Whether it is drawn."""
+        """Whether the number is drawn, since the ends differ."""
         return self.low != self.high
 
 
@@ -53,7 +54,7 @@ class Situation:
         latency: Periods by which readings of joints and camera are late.
         delay: Periods by which actions are late.
         joint_noise: Standard deviation of a joint's reading, rad or m.
-        hours: Time that the arm has been on when an episode begins, h.
+        hours: Time for which the arm has been on when an episode begins, h.
         spread: Share of each joint's range from which starts are drawn, about mid-range.
     """
 
@@ -66,26 +67,26 @@ class Situation:
 
     @cached_property
     def drawn(self) -> tuple[str, ...]:
-        """Names of what is drawn for each episode."""
+        """Names of the attributes that are drawn for each episode."""
         values = ((part.name, getattr(self, part.name)) for part in fields(self))
         return tuple(name for name, value in values if isinstance(value, Span) and value.varies)
 
     @property
     def frames_per_second(self) -> float:
-        """Steps per second of the arm's time, which recordings and films go by; the least where periods vary."""
+        """Steps per second of the arm's time, the frame rate of recordings; with varying periods the lowest rate."""
         return round(1.0 / self.period.high, 6)
 
     @property
     def plain(self) -> bool:
-        """Whether nothing is drawn."""
+        """Whether no episode draws anything: no number, no start and no joint noise."""
         return not (self.drawn or self.spread or self.joint_noise.high)
 
     def widths(self, joints: int, sensed: int) -> tuple[int, int, int]:
-        """Counts of the numbers that are remembered: drawn for the episode, of late actions, of late readings."""
+        """Counts of the numbers that a state stores: drawn for the episode, of late actions, of late readings."""
         return len(self.drawn), int(self.delay.high) * joints, int(self.latency.high) * sensed
 
     def value(self, name: str, drawn: Components) -> Scalar:
-        """A number of the present episode."""
+        """The value of attribute ``name`` in an episode whose drawn numbers are ``drawn``."""
         return drawn[self.drawn.index(name)] if name in self.drawn else getattr(self, name).low
 
 
@@ -97,7 +98,7 @@ def make_situation(
     hours_on: Given = 0.0,
     start_spread: float = 0.0,
 ) -> Situation:
-    """Check what `pickenv/Reach-v0` explains.
+    """Check arguments, which `pickenv/Reach-v0` explains, and make the situation of them.
 
     Raises:
         InputError: If a number or range is impossible; one sentence says which.
@@ -116,7 +117,7 @@ def make_situation(
 
 
 def _span(name: str, given: Any, least: float, most: float) -> Span:
-    """A checked number or range; of whole numbers where its least one is an int."""
+    """The span of a number or range, checked; if ``least`` is an int, it must be of whole numbers."""
     ends = tuple(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given, given)
     kind: Any = (int, np.integer) if isinstance(least, int) else Real
     numbers = all(isinstance(end, kind) and not isinstance(end, bool) for end in ends)
@@ -127,7 +128,7 @@ def _span(name: str, given: Any, least: float, most: float) -> Span:
 
 
 def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
-    """The draws of the episode ``key``, in the order of `Situation.drawn`; whole numbers keep a fraction."""
+    """The numbers that episode ``key`` draws, in the order of `Situation.drawn`; whole ones still have a fraction."""
     values, stream = [], stream_key(x, key, DRAWN)
     for name in setting.drawn:
         low, high = getattr(setting, name)
@@ -139,7 +140,7 @@ def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
 def drawn_start(
     x: Executor, setting: Situation, key: Scalar, lower: Sequence[float], upper: Sequence[float]
 ) -> list[Scalar]:
-    """Joints from which the episode ``key`` starts, where starts are drawn."""
+    """The joints, drawn, from which the episode ``key`` starts."""
     stream, half = stream_key(x, key, START), 0.5 * setting.spread
     limits = enumerate(zip(lower, upper, strict=True))
     return [low + (high - low) * ((0.5 - half) + setting.spread * uniform(x, stream, i)) for i, (low, high) in limits]
@@ -148,7 +149,7 @@ def drawn_start(
 def warmed_up(
     x: Executor, setting: Situation, drawn: Components, plant: Plant, state: PlantState, command: Sequence[Scalar]
 ) -> PlantState:
-    """The memory of a plant that has been on for some hours, at its first command."""
+    """The memory of a plant that has stood at its first command for the situation's hours."""
     if not setting.hours.high:
         return state
     return plant.carried(x.m, state, command, 3600.0 * setting.value("hours", drawn))
@@ -157,14 +158,14 @@ def warmed_up(
 def acted(
     x: Executor, setting: Situation, drawn: Components, sent: Components, action: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
-    """The action that takes effect, and actions under way, the latest first."""
+    """The action that takes effect now, and the delayed actions that are still under way, the latest first."""
     if not setting.delay.high:
         return action, sent
     return _late(x, setting, "delay", drawn, sent, action)
 
 
 def in_period(x: Executor, setting: Situation, drawn: Components, action: Sequence[Scalar]) -> Sequence[Scalar]:
-    """An action as shares of the increments of the longest period: a shorter one moves the arm less."""
+    """An action as shares of the increments of the longest period, so that a shorter period moves the arm less."""
     if not setting.period.varies:
         return action
     share = setting.value("period", drawn) / setting.period.high
@@ -182,9 +183,10 @@ def sensed(
     camera: Components,
     dt: Scalar,
 ) -> tuple[Sequence[Scalar], Components]:
-    """Readings of joints, with the encoders' noise, and camera as they arrive, and those under way, the latest first.
+    """The readings that arrive now, and the delayed readings that are still under way, the latest first.
 
-    At the start of an episode, where ``dt`` is the plain number 0.0, all under way are the first ones.
+    Readings are those of the joints, with the encoders' noise, and of the camera. At the start of an episode, where
+    ``dt`` is the plain number 0.0, all readings under way equal the first one.
     """
     fresh = (*joints, *camera)
     if setting.joint_noise.high:
@@ -202,7 +204,7 @@ def sensed(
 def _late(
     x: Executor, setting: Situation, name: str, drawn: Components, past: Components, fresh: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
-    """The end of a queue into which ``fresh`` goes, and the queue afterwards."""
+    """The entry that comes out of a queue after its lag when ``fresh`` goes in, and the queue afterwards."""
     width, queue = len(fresh), (*fresh, *past)
     lag, queued = setting.value(name, drawn), queue[: len(past)]
     if name not in setting.drawn:

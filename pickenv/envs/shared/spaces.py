@@ -1,4 +1,4 @@
-"""Observation and action spaces of the reach environments, and what their `reset` takes as options."""
+"""Observation and action spaces of the reach environments, and the options of their `reset`."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from pickenv.envs.shared.task import Task, as_numbers
 
 
 class PlainSpec:
-    """An environment, single or vector, whose `spec.to_json()` works whatever files were given as paths."""
+    """An environment, single or vector, whose `spec.to_json()` works even if its arguments contain path objects."""
 
     _spec: EnvSpec | None = None
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification that it was made by."""
+        """The specification that the environment was made from, with paths as text."""
         return self._spec
 
     @spec.setter
@@ -78,10 +78,10 @@ def box(high: Sequence[float]) -> spaces.Box:
 
 
 def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str, Any]:
-    """The options of `reset`, empty where there are none.
+    """The options of `reset` as a dict, empty if ``options`` is None.
 
     Raises:
-        InputError: If they are no mapping of names, or one of them is read by nobody.
+        InputError: If ``options`` is no mapping, or has a name that is not in ``allowed``.
     """
     names = ", ".join(allowed)
     if options is None:
@@ -98,19 +98,19 @@ def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str,
 
 
 POOL, NEAREST = 2**14, 16
-"""Poses among which one near a position is sought, and how many of them are tried."""
+"""The number of poses among which those near a position are sought, and how many of the nearest are tried."""
 
 
 Goals = tuple[Array | None, Array | None]
-"""Goals that options ask for, one row per environment; at most one of the two, and neither where none is given: joints
-of the nominal arm that stand there ``(..., n)``, or frames ``(..., 12)``, axes and origin."""
+"""Goals that options ask for, one row per environment: joints of the nominal arm at the goal ``(..., n)``, or frames of
+the goal ``(..., 12)``, axes and origin. One of the two is None, or both if no goal is given."""
 
 
 def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> Goals:
-    """The goals that options ask for: of one environment, or of ``count``.
+    """The goals that options ask for, for one environment or for ``count`` environments.
 
     Raises:
-        InputError: If more than one way is used, a shape is wrong, or the nominal arm cannot get to a position.
+        InputError: If more than one option gives a goal, a shape is wrong, or the nominal arm cannot get to a position.
     """
     names = [name for name in GOALS if options.get(name) is not None]
     if len(names) > 1:
@@ -135,7 +135,7 @@ def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None
 
 
 def _reached(task: Task, position: Array) -> Array:
-    """Joints ``(n,)`` whose nominal tool is at a position ``(3,)`` and points upwards within the largest tilt."""
+    """Joints ``(n,)`` that bring the nominal tool to a position ``(3,)``, upwards within the largest tilt."""
     geometry = task.plant.arm.nominal
     joints, poses = spread_poses(geometry)
     upright = np.flatnonzero(poses.rotation[:, 2, 2] >= task.min_upright)
@@ -151,7 +151,7 @@ def _reached(task: Task, position: Array) -> Array:
 
 
 def _framed(task: Task, pose: Array) -> Array:
-    """Frame ``(12,)`` of a pose ``(6,)``; its attitude is asked for, whether or not the arm has it."""
+    """Frame ``(12,)`` of a pose ``(6,)``; the arm must reach its position, but need not reach its attitude."""
     position, rotation = pose[:3], rotation_matrix(pose[3:])
     solution = inverse(task.plant.arm.nominal, Pose(position, rotation), position_tolerance=1e-6, position_only=True)
     if not solution.reached:
@@ -166,7 +166,7 @@ def _far(name: str, task: Task, position: Array, how: str = "") -> InputError:
 
 @lru_cache(maxsize=4)
 def spread_poses(geometry: Geometry) -> tuple[Array, Pose]:
-    """Joints spread evenly over their ranges, and the nominal tool there."""
+    """Joints ``(POOL, n)`` spread evenly over their ranges, and the poses of the nominal tool there."""
     shares = qmc.Halton(geometry.joints, scramble=False).random(POOL)
     joints = geometry.lower + (geometry.upper - geometry.lower) * shares
     return joints, forward(geometry, joints)

@@ -65,7 +65,7 @@ class Exact:
 
 
 def exact(value: Scalar) -> Any:
-    """``value``, as an `Exact` where it is one; arrays, one entry per arm, stay as they are."""
+    """``value`` as an `Exact` if it is a float near 0, 1 or -1; else as it is, like arrays with one entry per arm."""
     for number in (0.0, 1.0, -1.0) if isinstance(value, float) else ():
         if abs(value - number) < ROUNDING:
             return Exact(number)
@@ -73,14 +73,14 @@ def exact(value: Scalar) -> Any:
 
 
 def exact_chain(chain: Chain) -> Chain:
-    """A chain of plain numbers with its zeros and ones made `Exact`; joint angles at zero stay numbers."""
+    """The chain ``chain`` with its zeros and ones made `Exact`; joint angles at zero stay numbers."""
     links = tuple(link._replace(**{name: exact(getattr(link, name)) for name in FACTORS}) for link in chain.links)
     tool = None if chain.tool is None else tuple(exact(value) for value in chain.tool)
     return Chain(tuple(exact(value) for value in chain.base), links, tool)
 
 
 def exact_plant(plant: Plant) -> Plant:
-    """A plant whose frames start from, and whose masses are summed with, zeros and ones that cost nothing."""
+    """The plant ``plant`` with `Exact` zeros and ones in its base frame, its payload and the payload's centre."""
     load = plant.load
     if load is not None and isinstance(load.payload, float):
         centre = tuple(tuple(exact(value) for value in point) for point in load.centre)
@@ -90,36 +90,36 @@ def exact_plant(plant: Plant) -> Plant:
 
 
 def inexact(frame: Frame) -> tuple[Scalar, ...]:
-    """A frame with plain numbers in the place of `Exact` ones."""
+    """The frame ``frame`` with plain numbers in place of `Exact` ones."""
     return tuple([value.value if type(value) is Exact else value for value in frame])
 
 
 MOST_ACTION = {"clip": float(np.finfo(np.float32).max), "refuse": 1.0 + 1e-6}
-"""Largest size of an action's numbers that is taken: any finite one, which is then cut to 1; or 1, and what rounding to
-single precision may add."""
+"""Largest size of an action's numbers that is accepted, by `out_of_range`: any finite size, which is then cut to 1; or
+1 with a margin for rounding to single precision."""
 
 MOST_CAMERA_NOISE_MM = 100.0
-"""Ten standard deviations of the camera then stay within the metre that the observation's bounds leave for errors."""
+"""Largest camera noise: ten standard deviations stay within the metre that observation bounds leave for errors."""
 
 MOST_NUMBER = 1e6
-"""No millimetres, degrees or counts that an environment is made with are larger."""
+"""Largest number of millimetres, degrees or other units among an environment's arguments."""
 
 FEEDBACK = ("encoders", "camera")
 REWARDS = ("dense", "sparse")
 ARMS = ("fixed", "per_env", "per_episode")
 GOAL_MARGIN = 0.05
-"""Goals keep this share of each joint's range away from its limits."""
+"""Share of each joint's range that goals keep away from its limits."""
 
 GOAL_ATTEMPTS = 10_000
 
 USUAL_TILT = 30.0
-"""Largest tilt of goals where none is asked for, deg."""
+"""Largest tilt of goals if `max_tilt_deg` is not given, deg."""
 
 UPRIGHT, TILTED_POSES = 0.01, 2**10
-"""The share of an arm's poses that must keep within the largest tilt, and how many poses show that."""
+"""The share of an arm's poses that must keep within the largest tilt, and the number of poses to judge that by."""
 
 Compensate = Callable[[Array], Array]
-"""Turns joint targets into joint commands."""
+"""A function that turns joint targets into joint commands."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,22 +128,22 @@ class Task:
 
     Attributes:
         plant: The true arm, or the population that true arms are taken from.
-        arms: How they are taken from it: one of `ARMS`.
+        arms: How true arms are taken from the population: one of `ARMS`.
         nominal: The nominal arm's chain.
         lower: Lower joint limits, rad or m.
-        upper: Upper joint limits.
-        increment: Largest joint increment of one action.
+        upper: Upper joint limits, rad or m.
+        increment: Largest increment of each joint in one action, rad or m.
         camera: Whether the camera's tool-to-fruit offset is fed back.
-        camera_noise: Standard deviation per axis of what the camera sees, m.
-        fruit_noise: Standard deviation per axis of the fruit's position as it was seen, m.
+        camera_noise: Standard deviation per axis of the tool-to-fruit offset that the camera measures, m.
+        fruit_noise: Standard deviation per axis of the fruit's position as the camera saw it, m.
         tolerance_mm: Radius of the capture region.
-        angle_tolerance_deg: Its attitude tolerance.
+        angle_tolerance_deg: Attitude tolerance of the capture region.
         sparse: Whether the reward is sparse.
         end_on_success: Whether reaching the fruit ends the episode.
         min_upright: Smallest z component of the wanted tool axis.
         lost_axes: Links whose z axes span the plane in which the tool cannot be turned freely, or None.
-        most_action: Largest size of an action's numbers that is taken.
-        region: Two opposite corners of the box that goals are drawn from, m, or None for wherever the arm gets.
+        most_action: Largest size of an action's numbers that is accepted.
+        region: Two opposite corners of the box that goals are drawn from, m, or None for the arm's whole workspace.
         situation: Timing, sensing and start of episodes.
     """
 
@@ -173,12 +173,12 @@ class Task:
 
     @cached_property
     def edge_cost(self) -> float:
-        """The cost in the dense reward at the farthest corner of the capture region, and once more outside it."""
+        """The dense reward's cost at the farthest corner of the capture region, which is also added outside it."""
         return math.log10(1.0 + self.tolerance_mm) + 0.5 * math.log10(1.0 + self.angle_tolerance_deg)
 
     @cached_property
     def exact(self) -> Chain:
-        """The nominal chain with zeros and ones that cost nothing."""
+        """The nominal chain with `Exact` zeros and ones, which cost no arithmetic."""
         return exact_chain(self.nominal)
 
     @cached_property
@@ -188,7 +188,7 @@ class Task:
 
     @cached_property
     def reach(self) -> float:
-        """A radius that no tool position leaves, m: the sum of all lengths, plus 1 m for errors and camera noise."""
+        """Radius of a sphere that holds all tool positions, m: the sum of all lengths plus 1 m for errors and noise."""
         g = self.plant.arm.nominal
         slides = np.array(g.prismatic) * np.maximum(np.abs(g.lower), np.abs(g.upper))
         lengths = np.abs(g.a).sum() + np.abs(g.d).sum() + slides.sum()
@@ -196,11 +196,11 @@ class Task:
 
     @property
     def population(self) -> int:
-        """Number of arms that environments choose from."""
+        """Size of the population: the number of arms that environments choose from."""
         return plant_count(self.plant) or 1
 
     def given_joints(self, name: str, joints: Sequence[float] | Array, count: int | None = None) -> Array:
-        """Joints that a reset option asks for, ``(n,)`` or, where ``count`` is given, ``(count, n)``.
+        """The joints that a reset option asks for, ``(n,)`` or, if ``count`` is given, ``(count, n)``.
 
         Raises:
             InputError: If their number is wrong or they lie outside the joint limits.
@@ -215,10 +215,10 @@ class Task:
         return values if count is None else np.broadcast_to(values, (count, self.joints))
 
     def given_arm(self, number: int) -> int:
-        """Number of an arm of the population.
+        """The number of an arm of the population, checked.
 
         Raises:
-            InputError: If there is no such arm, or no population.
+            InputError: If the population has no arm of this number, or there is no population.
         """
         if self.arms == "fixed":
             raise InputError("option arm needs a population; make the environment with arms='per_episode'")
@@ -227,7 +227,7 @@ class Task:
         return int(number)
 
     def no_goal(self) -> InputError:
-        """Said when no pose is found that meets `min_upright`, in the region if there is one."""
+        """The error to raise when no pose is found that meets `min_upright`, inside `region` if there is one."""
         tilt = math.degrees(math.acos(self.min_upright))
         place, advice = (" in goal_region", " or move goal_region") if self.region else ("", "")
         return InputError(
@@ -255,7 +255,7 @@ def make_task(
     goal_region: Sequence[Sequence[float]] | None = None,
     **situation: Any,
 ) -> Task:
-    """Check an environment's arguments (`pickenv/Reach-v0` explains them) and gather its constants.
+    """Check an environment's arguments (`pickenv/Reach-v0` explains them) and make its task of them.
 
     Raises:
         InputError: If an argument is impossible; one sentence says which.
@@ -307,10 +307,10 @@ def make_task(
 
 
 def checked_region(given: Any) -> tuple[Components, Components]:
-    """Two corners of a box as floats.
+    """The two corners of a box, as floats.
 
     Raises:
-        InputError: If they are something else, or the first is not below the second in every coordinate.
+        InputError: If ``given`` is not two corners, or the first is not below the second in every coordinate.
     """
     corners = as_numbers("goal_region", given)
     if corners.shape != (2, 3) or not np.isfinite(corners).all() or not (corners[0] < corners[1]).all():
@@ -322,7 +322,7 @@ def checked_region(given: Any) -> tuple[Components, Components]:
 
 
 def load_true_arm(plant: str, without: Sequence[str] = (), seed: int = 0) -> Plant:
-    """`pickenv.arm.load_plant`; of a tolerance class, as in "coarse:ur5e", the first arm that ``seed`` draws."""
+    """The plant of `pickenv.arm.load_plant`; for a tolerance class ("coarse:ur5e"), the first arm drawn by ``seed``."""
     check_name("plant", plant, 'a plant preset or a path to a plant file (.toml), "ideal:ARM" or "CLASS:ARM"')
     if isinstance(without, str) or not isinstance(without, Sequence) or not all(isinstance(e, str) for e in without):
         raise InputError(f"without is {without!r}; give a list of names of effects")
@@ -333,9 +333,10 @@ def load_true_arm(plant: str, without: Sequence[str] = (), seed: int = 0) -> Pla
 
 
 def usual_tilt(geometry: Geometry) -> float:
-    """Largest angle between a goal's tool axis and the vertical where none is asked for, deg.
+    """Largest angle between a goal's tool axis and the vertical if `max_tilt_deg` is not given, deg.
 
-    `USUAL_TILT`, or as many times that as an arm needs that cannot point upwards in a share of `UPRIGHT` of its poses.
+    It is `USUAL_TILT`, or for an arm that keeps within that in less than a share `UPRIGHT` of its poses, the smallest
+    multiple of `USUAL_TILT` that will do.
     """
     shares = qmc.Halton(geometry.joints, scramble=False).random(TILTED_POSES)
     shares = GOAL_MARGIN + (1.0 - 2.0 * GOAL_MARGIN) * shares
@@ -345,13 +346,13 @@ def usual_tilt(geometry: Geometry) -> float:
 
 
 def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    """Refuse a value that is not among those allowed."""
+    """Raise an `InputError` if ``value`` is not among the ``allowed`` ones."""
     if value not in allowed:
         raise InputError(f"{name} is {value!r}; give one of {', '.join(allowed)}")
 
 
 def check_number(name: str, value: float, *, positive: bool = False) -> None:
-    """Refuse what is no finite number, or negative, above `MOST_NUMBER`, or zero where it must be positive."""
+    """Raise an `InputError` unless ``value`` is a number from 0 to `MOST_NUMBER`, and above zero if ``positive``."""
     number: Any = value
     is_number = isinstance(number, Real) and not isinstance(number, bool)
     if not is_number or not 0 <= value <= MOST_NUMBER or (positive and value == 0):
@@ -362,22 +363,22 @@ def check_number(name: str, value: float, *, positive: bool = False) -> None:
 
 
 def check_count(name: str, value: int, least: int = 1) -> None:
-    """Refuse what is not a whole number of at least ``least``."""
+    """Raise an `InputError` unless ``value`` is a whole number of at least ``least``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise InputError(f"{name} is {value!r}; give a whole number of at least {least}")
 
 
 def check_name(name: str, value: str | Path, wanted: str) -> None:
-    """Refuse what is no name or path."""
+    """Raise an `InputError` that asks for the name of ``wanted``, unless ``value`` is a text or a path."""
     if not isinstance(value, str | Path):
         raise InputError(f"{name} is {value!r}; give the name of {wanted}")
 
 
 def as_numbers(name: str, given: Any) -> Array:
-    """A value as an array of numbers.
+    """The value ``given`` as an array of numbers.
 
     Raises:
-        InputError: If it is something else, such as text, or rows of different lengths.
+        InputError: If it is no array of numbers, but for example text, or rows of different lengths.
     """
     try:
         return np.asarray(given, dtype=float)
@@ -386,15 +387,15 @@ def as_numbers(name: str, given: Any) -> Array:
 
 
 def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
-    """Actions of one environment, or of several, cut to -1 to 1.
+    """The actions of one environment, or of several, checked and cut to -1 to 1.
 
     Args:
-        action: As given.
-        shape: The shape it must have.
-        most: Largest size of a number that is taken, from `MOST_ACTION`.
+        action: The action, or actions, as the user gave them.
+        shape: The shape that they must have.
+        most: Largest size of a number that is accepted, from `MOST_ACTION`.
 
     Raises:
-        InputError: If it has another shape, or numbers that are not finite or too large.
+        InputError: If ``action`` has another shape, or numbers that are not finite or too large.
     """
     values = as_numbers("action", action)
     if values.shape != shape or not (np.abs(values) <= most).all():
@@ -404,15 +405,15 @@ def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
 
 
 def bounds_of(most: float) -> str:
-    """The range of actions in the words of an error: nothing where they are cut to it."""
+    """The range of actions in the words of an error message; empty if actions are cut to the range."""
     return " between -1 and 1" if most == MOST_ACTION["refuse"] else ""
 
 
 def lost_axes(geometry: Geometry) -> tuple[int, int] | None:
     """Two links (counted from 0) such that no joint turns the tool about the normal to both their z axes, or None.
 
-    It exists where all revolute axes have one of two directions, as on the picking arm: J1, J2 and J4 are parallel, and
-    so are J5 and J6 (Qiao 2026 digest, fact 4).
+    There are such links if all revolute axes have one of two directions, as on the picking arm: J1, J2 and J4 are
+    parallel, and so are J5 and J6 (Qiao 2026 digest, fact 4).
     """
     poses = np.random.default_rng(0).uniform(geometry.lower, geometry.upper, (16, geometry.joints))
     columns = [np.ascontiguousarray(column) for column in poses.T]
