@@ -292,7 +292,7 @@ def table_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
             number = shown(row, asked.get("digits", 2), asked.get("scale", 1.0), asked.get("sign", ""))
             number += f": {row['words']}" if "words" in row else ""
             cells.setdefault(line, {})[row["levels"][across]] = number
-    names = {name: name.removesuffix("_mm").replace("_", " ") for name in by}
+    names = {name: re.sub(r"_(mm|kg)$", r" (\1)", name).replace("_", " ") for name in by}
     lines = [[*names.values(), *map(str, columns)], ["---"] * (len(by) + len(columns))]
     for line, found in cells.items():
         words = ["" if level is None else f"{level:g}" if isinstance(level, float) else str(level) for level in line]
