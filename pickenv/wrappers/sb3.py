@@ -187,7 +187,7 @@ class Sb3Vec(VecEnv):
         return [method(*arguments, **named) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
-        """Whether a wrapper of this class is around the environments, once per index; False for `gym.Wrapper`s."""
+        """Whether a wrapper of this class is around the environments, once per index; never of `gym.Wrapper`."""
         wrapped = any(isinstance(env, wrapper_class) for env in self._layers())
         return [wrapped] * len(list(self._get_indices(indices)))
 
