@@ -80,7 +80,7 @@ class JointTerm(Term, Protocol):
     """An effect whose coefficients each move one joint, to first order."""
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The joint that each coefficient moves ``(k,)``, and the motion per unit of coefficient ``(N, k)``, rad or m."""
+        """The joint that each coefficient moves ``(k,)``, and its motion per unit coefficient ``(N, k)``, rad or m."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """The joint Jacobian's columns times the steps ``(N, 6, k)``; the poses are the innermost axis in memory."""
@@ -302,7 +302,7 @@ class OrderTerm(JointTerm):
         return np.full(len(self.wave.orders), ORDER_TOLERANCE)
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The slopes of the waves."""
+        """The joint of each harmonic, and its motion per change of the order ``(N, k)``."""
         turned = joints[:, self.wave.joints]
         angle = turned * np.array(self.wave.orders)
         slope = np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle)
