@@ -395,7 +395,7 @@ def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) 
 
 
 def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
-    """For each pose ``other``, unless its expected error exceeds that of ``one`` by `NEGLIGIBLE` or more; then ``one``."""
+    """For each pose ``other``, or ``one`` where the error of ``other`` is larger by `NEGLIGIBLE` or more."""
     if one is None:
         return other
     nearer = other[1] < one[1] + NEGLIGIBLE

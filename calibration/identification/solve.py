@@ -114,7 +114,7 @@ def solve(
 def averaged_over_scales(
     model: PriorModel, solution: Identification, columns: Array, residual: Array, common: float, free: list[str]
 ) -> tuple[Identification, dict[str, float]]:
-    """Average the posterior of the linearised model over the prior scales, weighed by rows and a prior of scales near 1.
+    """Average the posterior of the linearised model over prior scales, weighed by rows and an expectation near 1.
 
     Taking the scales as certain would promise too much: few rows hardly show how well an arm was made.
 

@@ -140,7 +140,7 @@ def neighbours(joints: Array, length: float) -> Array:
 
 
 def counted(joints: Array) -> Array:
-    """Weight of each row ``(N,)``: 1, or less if it has more neighbours than usual, since neighbours have like errors."""
+    """Weight of each row ``(N,)``: 1, or less if it has more neighbours than usual, because their errors are alike."""
     like = neighbours(joints, ALIKE)
     return np.asarray(np.minimum(_usual(like, FREE) / like, 1.0))
 
