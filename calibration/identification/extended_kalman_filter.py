@@ -130,7 +130,7 @@ def update(
         state: The state before.
         joints: Commanded joints ``(n,)``, rad or m.
         observed: The tool's pose as it was seen, or its position ``(3,)`` in m.
-        noise: Standard deviations of one coordinate, m and rad, which must include errors that the model cannot explain.
+        noise: Standard deviations of one coordinate, m and rad, including errors that the model cannot explain.
         conditions: Payload, temperature and torques of this pose, if the model has terms that need them.
         gate: Refuse the pose if its innovation is less likely than 1 - gate (say 0.9999); None accepts all.
 

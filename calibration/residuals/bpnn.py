@@ -44,7 +44,7 @@ class BpnnSettings:
 
 
 Layers = list[tuple[NDArray[Any], NDArray[Any]]]
-"""Each layer's matrix ``(in, out)`` and the threshold below which its product is cut off; in the last layer the bias."""
+"""Each layer's matrix ``(in, out)`` and the threshold below which its product is cut off, or the last layer's bias."""
 
 SCALES = ("input_mean", "input_std", "output_mean", "output_std", "loss")
 """Names of a network's arrays other than its layers."""

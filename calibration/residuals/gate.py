@@ -103,8 +103,8 @@ def gate_residuals(
 
     On every split the arm is identified anew from the training rows, then the residual from the same rows. A model is
     accepted if it cuts the blocked RMS by more than `MARGIN`, does not make attitudes worse by more than `MARGIN`, and
-    does both again when cross-validated over contiguous folds of the blocked split's training rows. That cross-validation
-    ranks the accepted models. So the held-out blocks may veto a model but never rank models: picking the best of
+    does both again when cross-validated over contiguous folds of the blocked split's training rows. The
+    cross-validation ranks the accepted models. So the held-out blocks may veto a model but never rank models: picking the best of
     several on the rows that then state its error would flatter it. A network takes seconds, so it is tried last, and
     beside others only where one of them gains on the held-out blocks (`SLOW`).
 
@@ -152,7 +152,7 @@ def gate_residuals(
 
 
 def position_rms(residuals: Array, counts: Array | None = None) -> float:
-    """Root mean square of the position error's norm, m, of residuals ``(N, 3)`` or ``(N, 6)`` with weights ``counts``."""
+    """Root mean square of the position error's norm, m, over residuals ``(N, 3)`` or ``(N, 6)``, weighted by counts."""
     return float(np.sqrt(np.average(np.sum(residuals[:, :3] ** 2, axis=1), weights=counts)))
 
 

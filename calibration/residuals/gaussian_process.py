@@ -1,8 +1,8 @@
 """Gaussian process regression with one length scale per input (automatic relevance determination).
 
 Kernel s^2 exp(-sum_f (x_f - x'_f)^2 / 2 l_f^2) + noise; hyper-parameters maximise the marginal likelihood with its
-analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). That likelihood has several optima, some
-of which explain everything as noise, so the search has several starts. One process per output. SI units.
+analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). That likelihood has several optima,
+some of which explain everything as noise, so the search has several starts. One process per output. SI units.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ class Rbf(SavedArrays):
 
 
 def k_means(points: Array, count: int, rng: np.random.Generator, rounds: int) -> Array:
-    """Centres ``(count, F)`` by Lloyd's k-means, started at ``count`` of the points; an empty cluster keeps its centre."""
+    """Centres ``(count, F)`` by Lloyd's k-means from ``count`` of the points; an empty cluster keeps its centre."""
     from scipy.cluster.vq import kmeans2
 
     centres = points[rng.choice(len(points), count, replace=False)]

@@ -1,9 +1,8 @@
-"""Learnt residuals behind one small protocol: models that predict the error left by the geometric fit.
+"""Learnt residuals behind one small protocol: models of the error left by the geometric fit.
 
-They predict it from the joints and, if there are any, the conditions:
-
-Qiao 2026 eqs (17)-(18) with any regressor: BPNN, RBF network, Gaussian process. Inputs are joints in rad and m,
-standardised, with sine and cosine for joints that turn far; outputs are pose (6) or position (3) residuals.
+A model predicts this error from the joints and, if there are any, the conditions. It follows Qiao 2026 eqs (17)-(18)
+with any regressor: BPNN, RBF network, Gaussian process. Inputs are joints in rad and m, standardised, with sine and
+cosine for joints that turn far; outputs are pose (6) or position (3) residuals.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from pickenv.calibration.residuals.gaussian_process import (
 )
 
 PERIODIC_SPAN = 1.5 * np.pi
-"""A revolute joint that spans more than this, rad, enters by sine and cosine, so that a full turn ends where it began."""
+"""A revolute joint that spans more than this, rad, enters by sine and cosine, so that full turns close."""
 
 
 @dataclass(frozen=True, eq=False)
