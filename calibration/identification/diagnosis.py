@@ -286,7 +286,7 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Sa
 
 
 def said_of_stations(found: Identification, data: Observations) -> Said:
-    """Remarks for a verdict: a caution for each station with far larger misses than the others."""
+    """Remarks for a verdict: a caution for each station with far larger misses than the others, whatever its frames."""
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
     sizes = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
@@ -352,7 +352,7 @@ def mixed_unit(arm: Arm, sigma: Callable[[Measurements], Array], measurements: M
 
 
 def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]]:
-    """Copies of the rows with one joint column, a position or the attitude read in another unit, each named in words."""
+    """Copies of the rows with a joint column, a position or the attitude read in another unit, each with its name."""
     length, angle = ("mm", "m", 1e-3), ("deg", "rad", np.pi / 180)
     values = {"joints": data.joints, "position": data.position}
     columns = [

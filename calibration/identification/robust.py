@@ -68,7 +68,7 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *,
 
 
 def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float]:
-    """RMS position error as a share of the measured positions' spread, and RMS attitude error, rad (0 if unmeasured)."""
+    """RMS position error as a share of the measured positions' spread, and RMS attitude error, rad (0 without)."""
     spread = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-12)
     squares = measurements.difference(geometry) ** 2
     position, attitude = (float(np.sqrt(np.mean(np.sum(part, axis=1)))) for part in (squares[:, :3], squares[:, 3:]))
@@ -203,7 +203,7 @@ CAUCHY = 2.385
 
 Sizes = tuple[Array, Array, Array]
 """Three arrays: the largest error of each of N rows per coordinate ``(N,)``, in robust standard deviations; the Cauchy
-weight of each row ``(N,)``; the robust standard deviation of each channel ``(C,)``, in stated standard uncertainties."""
+weight of each row ``(N,)``; each channel's robust standard deviation ``(C,)``, in stated standard uncertainties."""
 
 
 def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observations) -> tuple[Identification, Sizes]:

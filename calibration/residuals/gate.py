@@ -104,9 +104,9 @@ def gate_residuals(
     On every split the arm is identified anew from the training rows, then the residual from the same rows. A model is
     accepted if it cuts the blocked RMS by more than `MARGIN`, does not make attitudes worse by more than `MARGIN`, and
     does both again when cross-validated over contiguous folds of the blocked split's training rows. The
-    cross-validation ranks the accepted models. So the held-out blocks may veto a model but never rank models: picking the best of
-    several on the rows that then state its error would flatter it. A network takes seconds, so it is tried last, and
-    beside others only where one of them gains on the held-out blocks (`SLOW`).
+    cross-validation ranks the accepted models. So the held-out blocks may veto a model but never rank models: picking
+    the best of several on the rows that then state its error would flatter it. A network takes seconds, so it is tried
+    last, and beside others only where one of them gains on the held-out blocks (`SLOW`).
 
     Args:
         measurements: Poses or positions, in the order they were measured.
