@@ -65,7 +65,7 @@ def refuse_trained(train: Observations, test: Observations) -> None:
 
 
 def said_of_repeats(train: Observations, test: Observations) -> Said:
-    """A verdict's remark on rows to judge by at poses that were trained on: a caution where most are."""
+    """Remarks for a verdict on held-out rows at poses that were trained on: a caution if most rows are such."""
     rows = len(test.joints)
     count = int(np.count_nonzero(_nearest(train.joints, test.joints, SAME_POSE) >= 0)) if rows else 0
     if count:
@@ -252,7 +252,7 @@ def _far_rows(
 
 
 def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
-    """A verdict's remark on rows far off: a caution where they are kept, many, or of one cause, else a note.
+    """Remarks for a verdict on rows far off: a caution if they are kept, many, or of one cause, else a note.
 
     Args:
         listed: The rows.

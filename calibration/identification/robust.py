@@ -364,7 +364,7 @@ def rough_start(nominal: Geometry, data: Observations) -> Geometry:
 
 
 def robust_frames(arm: Arm, data: Observations) -> Geometry:
-    """Base and tool from the rows that agree with each other; the same every time.
+    """The geometry with base and tool fitted to the rows that agree with each other; the same every time.
 
     Raises:
         InputError: If there are too few rows, or they do not fit the arm.
